@@ -1,0 +1,85 @@
+"""What a detector is to skyproof."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+__all__ = ["Candidates", "Detections", "Detector", "TrainableDetector"]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector found in one image.
+
+    Attributes:
+        boxes: `[K, 4]` pixel xyxy, half-open, origin at the top-left corner; sorted by falling score.
+        scores: `[K]` in [0, 1].
+    """
+
+    boxes: Float[Tensor, "K 4"]
+    scores: Float[Tensor, " K"]
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """What a detector considered, before threshold and non-maximum suppression; differentiable.
+
+    Attributes:
+        boxes: `[B, K, 4]` pixel xyxy.
+        scores: `[B, K]` in [0, 1].
+        valid: `[B, K]` False where a row is padding.
+    """
+
+    boxes: Float[Tensor, "B K 4"]
+    scores: Float[Tensor, "B K"]
+    valid: Bool[Tensor, "B K"]
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """Enough for a black box: a name and boxes with scores. Scaling and normalising are the detector's own affair."""
+
+    name: str
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """Finds vehicles in sRGB images in [0, 1]; returns every detection with score >= 0.01, after suppression."""
+        ...
+
+
+class TrainableDetector(nn.Module):
+    """A detector that can be trained and attacked: it knows its own loss.
+
+    Attributes:
+        name: "retinanet", "faster_rcnn", "yolov5".
+        size: "slim" (CPU) or "full" (GPU).
+    """
+
+    name: str
+    size: str
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "n 4"]]) -> Float[Tensor, " B"]:
+        """The detector's own training loss per image, normalised (PAPER 21, 22).
+
+        Each image's value depends on that image alone; all negatives count; with an empty truth it is finite,
+        positive and of order 1 or below. Differentiable in `images` and in the weights.
+
+        Args:
+            images: sRGB in [0, 1].
+            targets: per image the true boxes, pixel xyxy; `[0, 4]` for none.
+        """
+        raise NotImplementedError
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Boxes and scores before threshold and suppression, differentiable in `images`."""
+        raise NotImplementedError
+
+    @torch.no_grad()
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`."""
+        raise NotImplementedError

@@ -1,0 +1,23 @@
+"""The errors skyproof raises for a caller to read: what was expected, what came, what to do."""
+
+__all__ = ["ConfigurationError", "ImageryError", "RunFolderError", "SkyproofError", "StoredFileError"]
+
+
+class SkyproofError(Exception):
+    """Base of every error meant for a user; the command line prints it as one sentence and exits with code 2."""
+
+
+class ConfigurationError(SkyproofError):
+    """A setting, or a combination of settings, that cannot work."""
+
+
+class ImageryError(SkyproofError):
+    """An image that is missing, unreadable, without ground resolution, too coarse or too small."""
+
+
+class StoredFileError(SkyproofError):
+    """A file or folder of ours that is missing, damaged or written by another version."""
+
+
+class RunFolderError(SkyproofError):
+    """An output folder that holds something else, or a disk that cannot take the output."""

@@ -1,0 +1,108 @@
+"""Writing so that a kill or a full disk never leaves a half-written file under its final name."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from skyproof.errors import RunFolderError, StoredFileError
+
+__all__ = ["finished_folder", "read_json", "read_jsonl", "write_beside", "write_bytes", "write_json", "write_jsonl"]
+
+
+@contextmanager
+def write_beside(path: Path) -> Iterator[Path]:
+    """Yields a temporary path beside `path`; renames it to `path` when the block ends well, removes it when not.
+
+    Raises:
+        RunFolderError: the disk is full or not writable; names `path` and the remedy.
+    """
+    path = Path(path)
+    # The suffix is kept last, because libraries choose a format by it.
+    temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise RunFolderError(
+            f"Could not write {path}: {error.strerror or error}. Free space or choose another --out, "
+            "then run the same command again; finished stages are kept."
+        ) from error
+    finally:
+        if temporary.exists():
+            temporary.unlink()
+
+
+@contextmanager
+def finished_folder(path: Path) -> Iterator[Path]:
+    """Yields a fresh folder `<path>.partial`; renames it to `path` when the block ends well.
+
+    A `.partial` folder left by a kill is thrown away: only a folder under its final name counts as finished.
+
+    Raises:
+        RunFolderError: `path` exists already, or the disk is full or not writable.
+    """
+    path = Path(path)
+    if path.exists():
+        raise RunFolderError(f"{path} exists already and is not overwritten; choose another folder or remove it first.")
+    partial = path.with_name(path.name + ".partial")
+    try:
+        if partial.exists():
+            shutil.rmtree(partial)
+        partial.mkdir(parents=True)
+        yield partial
+        os.replace(partial, path)
+    except OSError as error:
+        raise RunFolderError(
+            f"Could not write {path}: {error.strerror or error}. Free space or choose another --out, "
+            "then run the same command again; finished stages are kept."
+        ) from error
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Writes `data` to `path` whole or not at all."""
+    with write_beside(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes `value` as indented JSON, whole or not at all."""
+    write_bytes(path, (json.dumps(value, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def write_jsonl(path: Path, rows: Iterable[Any]) -> None:
+    """Writes one JSON value a line, whole or not at all."""
+    write_bytes(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
+
+
+def read_json(path: Path) -> Any:
+    """Reads JSON.
+
+    Raises:
+        StoredFileError: the file is missing or not JSON; names it.
+    """
+    return _read(path, json.loads)
+
+
+def read_jsonl(path: Path) -> list[Any]:
+    """Reads one JSON value a line.
+
+    Raises:
+        StoredFileError: the file is missing or a line is not JSON; names it.
+    """
+    return _read(path, lambda text: [json.loads(line) for line in text.splitlines() if line])
+
+
+def _read(path: Path, parse: Callable[[str], Any]) -> Any:
+    try:
+        return parse(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise StoredFileError(f"{path} is missing; run the stage that writes it, or give another folder.") from error
+    except (ValueError, OSError) as error:
+        raise StoredFileError(f"{path} cannot be read ({error}); remove it and run its stage again.") from error

@@ -1,0 +1,84 @@
+"""What a vehicle is: vertices on the shared template, a texture and part labels on its one UV map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+__all__ = ["TEXTURE_SIZE", "Part", "Template", "VehicleBatch"]
+
+TEXTURE_SIZE = 512
+
+
+class Part(IntEnum):
+    """Labels of the part map. Paint is `BODY`; nothing else may be painted by a masked camouflage (PAPER 29)."""
+
+    BODY = 0
+    GLASS = 1
+    LIGHT = 2
+    WHEEL = 3
+    BUMPER = 4
+    TRIM = 5
+    UNDERSIDE = 6
+
+
+@dataclass(frozen=True)
+class Template:
+    """The closed, sphere-topology mesh that every vehicle shares (PAPER 8, 44), poles at the two bumpers.
+
+    Attributes:
+        faces: `[F, 3]` vertex indices, counter-clockwise seen from outside; UV seam vertices share one index here.
+        face_uvs: `[F, 3]` indices into `uvs`.
+        uvs: `[U, 2]` in [0, 1]; u runs around the long axis and is circular, v from nose (0) to tail (1).
+            Texel centre of column i, row j: u = (i + 0.5) / 512, v = (j + 0.5) / 512 (row 0 at the nose).
+        mirror: `[V]` the vertex that the reflection y -> -y takes each vertex to; an involution.
+        vertex_uvs: `[V, 2]` the topology map of PAPER 44: where each unique vertex reads a map in UV space.
+    """
+
+    faces: Int[Tensor, "F 3"]
+    face_uvs: Int[Tensor, "F 3"]
+    uvs: Float[Tensor, "U 2"]
+    mirror: Int[Tensor, " V"]
+    vertex_uvs: Float[Tensor, "V 2"]
+
+    def to(self, device: torch.device | str) -> Template:
+        """The same template on another device."""
+        return Template(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class VehicleBatch:
+    """Some vehicles on one template.
+
+    Vehicle frame: x forward, y left, z up, metres, ground at z = 0 under the centre.
+
+    Attributes:
+        template: the shared mesh.
+        vertices: `[N, V, 3]` metres.
+        texture: `[N or 1, 3, 512, 512]` sRGB in [0, 1]; a first dimension of 1 is one map shared by all.
+        parts: `[N, 512, 512]` values of `Part`.
+        ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
+    """
+
+    template: Template
+    vertices: Float[Tensor, "N V 3"]
+    texture: Float[Tensor, "T 3 512 512"]
+    parts: UInt8[Tensor, "N 512 512"]
+    ids: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def to(self, device: torch.device | str) -> VehicleBatch:
+        """The same vehicles on another device."""
+        return VehicleBatch(
+            self.template.to(device),
+            self.vertices.to(device),
+            self.texture.to(device),
+            self.parts.to(device),
+            self.ids,
+        )
