@@ -1,0 +1,45 @@
+"""Normals and edges of triangle meshes."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+__all__ = ["mesh_edges", "vertex_normals"]
+
+
+def vertex_normals(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N V 3"]:
+    """Unit normals at the vertices: the area-weighted mean of the faces around each."""
+    corners = vertices[:, faces]
+    face_normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    normals = torch.zeros_like(vertices)
+    for corner in range(3):
+        normals = normals.index_add(1, faces[:, corner], face_normals)
+    # The tiny constant keeps a vertex whose faces all have zero area finite.
+    return normals / (normals.square().sum(-1, keepdim=True) + 1e-20).sqrt()
+
+
+@lru_cache(maxsize=8)
+def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
+    """The undirected edges of a closed mesh and the two faces at each.
+
+    The first face has the edge in the order given, the second in the opposite order.
+
+    Raises:
+        ValueError: the mesh is not closed and consistently oriented.
+    """
+    directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
+    owner = torch.arange(len(faces), device=faces.device).repeat(3)
+    count = int(faces.max()) + 1
+    forward = directed[:, 0] * count + directed[:, 1]
+    backward = directed[:, 1] * count + directed[:, 0]
+    forward, order = forward.sort()
+    partner = torch.searchsorted(forward, backward[order]).clamp(max=len(forward) - 1)
+    if bool((forward[partner] != backward[order]).any()):
+        raise ValueError("expected a closed mesh: every edge in two faces, in opposite directions")
+    chosen = directed[order][:, 0] < directed[order][:, 1]
+    edge_faces = torch.stack((owner[order], owner[order][partner]), dim=1)
+    return directed[order][chosen], edge_faces[chosen]

@@ -1,0 +1,43 @@
+"""The oblique orthophoto projection: ground points stay on the pixel grid, height leans away from the viewer."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+__all__ = ["project", "rotate_about_vertical"]
+
+
+def rotate_about_vertical(points: Float[Tensor, "N V 3"], angle_rad: Float[Tensor, " N"]) -> Float[Tensor, "N V 3"]:
+    """Turns each set of points counter-clockwise (from x towards y) about the z axis."""
+    cosine, sine = angle_rad.cos()[:, None], angle_rad.sin()[:, None]
+    x, y, z = points.unbind(-1)
+    return torch.stack((cosine * x - sine * y, sine * x + cosine * y, z), dim=-1)
+
+
+def project(
+    points: Float[Tensor, "N V 3"],
+    direction: Float[Tensor, "N 3"],
+    gsd_m: float,
+    size_px: int,
+) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
+    """Projects world points along parallel rays onto the ground plane and from there onto the pixel grid.
+
+    With `direction` towards the sun instead of the camera, this is where the points' shadows fall.
+
+    Args:
+        points: metres; x east, y north, z up.
+        direction: unit vectors from the scene towards the viewer, z > 0.
+        gsd_m: metres per pixel.
+        size_px: image size; world (0, 0) is the image centre.
+
+    Returns:
+        Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel), and depth in metres:
+        smaller is nearer to the viewer.
+    """
+    lean = (direction[:, :2] / direction[:, 2:])[:, None]
+    ground = points[..., :2] - points[..., 2:] * lean
+    flip = ground.new_tensor([1.0, -1.0]) / gsd_m
+    depth = -(points * direction[:, None]).sum(-1)
+    return ground * flip + size_px / 2, depth

@@ -1,0 +1,39 @@
+"""What the renderer can be told: light, material and sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["RenderSettings"]
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """Light, material and sensor of the differentiable renderer.
+
+    Attributes:
+        supersampling: samples along a pixel's side (PAPER 11); below 3 the silhouette gradients suffer.
+        shadow_supersampling: the same for the cast shadow.
+        blur_sigma_px: the sensor's Gaussian blur (PAPER 12, 13), as wide as the paper found best.
+        noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a photograph has its own.
+        sky_share: the sky's part of the light on level ground; what remains in a cast shadow. 0.25 is a clear day
+            (diffuse fraction of global irradiance, 0.15-0.3 for a clear sky: Iqbal 1983).
+        ground_reflectance: mean albedo of the ground, which lights surfaces that face down.
+        reflectance: of the clear coat at normal incidence; 0.04 is a refractive index of 1.5.
+        glint_exponent: sharpness of the sun's glint (normalised Blinn-Phong).
+    """
+
+    supersampling: int = 4
+    shadow_supersampling: int = 2
+    blur_sigma_px: float = 2.4
+    noise: float = 0.006
+    sky_share: float = 0.25
+    ground_reflectance: float = 0.15
+    reflectance: float = 0.04
+    glint_exponent: float = 40.0
+
+    @property
+    def blur_radius_px(self) -> int:
+        """Half of the paper's kernel size k = 6 * ceil(sigma) - 1, less the middle pixel."""
+        return 3 * math.ceil(self.blur_sigma_px) - 1 if self.blur_sigma_px > 0 else 0

@@ -1,0 +1,93 @@
+"""Light on visible samples: texture, sun, sky, light from the ground, clear-coat reflection."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skyproof.geometry.colour import srgb_to_linear
+from skyproof.render.settings import RenderSettings
+
+__all__ = ["LinearTexture", "light"]
+
+
+class LinearTexture:
+    """Textures in linear light as a pyramid of halved sizes, sampled by (u, v) at the level that fits.
+
+    A sample that spans several texels must read their mean: that is what keeps a fine pattern, or a side seen at a
+    grazing angle, from turning into sparkle, and its gradient into noise.
+
+    Args:
+        texture: `[T, 3, H, W]` sRGB in [0, 1]; sides are powers of two.
+        finest: the first level worth building; the full map is level 0.
+    """
+
+    levels = 7
+
+    def __init__(self, texture: Float[Tensor, "T 3 H W"], finest: int = 0) -> None:
+        self.finest = min(finest, self.levels - 1)
+        level = srgb_to_linear(texture)
+        texels, offsets = [], [0]
+        for index in range(self.levels):
+            if index >= self.finest:
+                texels.append(level.permute(0, 2, 3, 1).reshape(-1, 3))
+                offsets.append(offsets[-1] + len(texels[-1]))
+            if index < self.levels - 1:
+                level = torch.nn.functional.avg_pool2d(level, 2)
+        self.count, _, self.height, self.width = texture.shape
+        self._texels = torch.cat(texels)
+        self._offsets = torch.tensor(offsets[:-1], device=texture.device)
+
+    def sample(
+        self, uv: Float[Tensor, "K 2"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
+    ) -> Float[Tensor, "K 3"]:
+        """Bilinear values at (u, v) of the textures `index`; circular in u, held at the edge in v (PAPER 45)."""
+        level = level.clamp(self.finest, self.levels - 1)
+        width, height = self.width >> level, self.height >> level
+        index = torch.zeros_like(index) if self.count == 1 else index
+        base = self._offsets[level - self.finest] + index * height * width
+        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        left, top = x.detach().floor(), y.detach().floor()
+        across, down = (x - left)[:, None], (y - top)[:, None]
+        left, top = left.long(), top.long()
+        columns = [left % width, (left + 1) % width]
+        rows = [base + top.clamp(min=0).minimum(height - 1) * width]
+        rows += [base + (top + 1).clamp(min=0).minimum(height - 1) * width]
+        upper = torch.lerp(self._texels[rows[0] + columns[0]], self._texels[rows[0] + columns[1]], across)
+        lower = torch.lerp(self._texels[rows[1] + columns[0]], self._texels[rows[1] + columns[1]], across)
+        return torch.lerp(upper, lower, down)
+
+
+def light(
+    normal: Float[Tensor, "K 3"],
+    sun: Float[Tensor, "K 3"],
+    viewer: Float[Tensor, "K 3"],
+    settings: RenderSettings,
+) -> tuple[Float[Tensor, "K 1"], Float[Tensor, "K 1"]]:
+    """How much light falls on a surface and how much is mirrored by its clear coat.
+
+    Units: a white matt surface lying on open ground sends 1, whatever the sun's elevation, because the photograph's
+    exposure was set for its own light. Diffuse radiance is albedo * diffuse; the mirrored part is added to it.
+
+    Args:
+        normal: unit normals, world frame.
+        sun: unit vectors towards the sun.
+        viewer: unit vectors towards the camera.
+
+    Returns:
+        The diffuse factor and the mirrored radiance.
+    """
+    sun_strength = (1 - settings.sky_share) / sun[:, 2:]
+    towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
+    open_sky = 0.5 + 0.5 * normal[:, 2:]
+    diffuse = sun_strength * towards_sun + settings.sky_share * open_sky + settings.ground_reflectance * (1 - open_sky)
+    cosine = (normal * viewer).sum(-1, keepdim=True)
+    fresnel = settings.reflectance + (1 - settings.reflectance) * (1 - cosine.clamp(0.0, 1.0)) ** 5
+    # From above, a steep side mirrors the ground, not the sky.
+    mirrored_up = 0.5 + 0.5 * (2 * cosine * normal[:, 2:] - viewer[:, 2:])
+    surroundings = settings.sky_share * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
+    half = torch.nn.functional.normalize(sun + viewer, dim=-1)
+    lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
+    glint = settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
+    return diffuse, fresnel * surroundings + glint
