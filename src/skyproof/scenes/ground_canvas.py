@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from scipy import ndimage
 
 __all__ = ["Canvas", "Patch", "Sensor", "reflectance"]
 
-Array = NDArray[np.float32]
+Array = NDArray[np.floating[Any]]
 Colour = tuple[float, float, float]
 
 MARGIN_M = 6.0
@@ -154,7 +155,7 @@ class Canvas:
         return self._patch(rows, columns, u, v, corner_m - outside)
 
     def disc(self, place: tuple[float, float], radius_m: float, raggedness: float = 0.0, stretch: float = 1.0) -> Patch:
-        """A disc; with `raggedness` its outline wanders by about that part of the radius, as a crown's or a puddle's."""
+        """A disc; with `raggedness` its outline wanders by about that part of the radius, as a crown's."""
         angle = float(self.rng.uniform(0, math.pi))
         rows, columns, u, v = self._local(*place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch))
         inside = radius_m - np.hypot(u / stretch, v)
@@ -207,7 +208,7 @@ class Canvas:
         return float(self.height[int(np.clip(row, 0, limit)), int(np.clip(column, 0, limit))])
 
     def _sunlight(self) -> Array:
-        """Part of the direct sun each pixel gets: slope times cast shadow; the height field is walked towards the sun."""
+        """Part of the direct sun each pixel gets: its slope, and the shadows found by walking towards the sun."""
         tangent = math.tan(self.sun_elevation_rad)
         step_x, step_y = math.cos(self.sun_azimuth_rad), -math.sin(self.sun_azimuth_rad)
         height, n = self.height, self.pixels
