@@ -150,11 +150,11 @@ def _roof_furniture(canvas: Canvas, place: Place, size_m: tuple[float, float], a
             canvas.raise_to(chimney, canvas.base_height(spot) + 1.2)
             canvas.paint(chimney, pick(canvas, ((150, 90, 70), (170, 166, 160))))
             canvas.paint(canvas.rectangle(spot, (0.35, 0.5), angle_rad), reflectance((40, 38, 36)))
-        if rng.random() < 0.3:
+        if rng.random() < 0.15:
             spot = _on(place, angle_rad, float(rng.uniform(-0.4, 0.4)) * half_u, 0.5 * half_v)
             _solar_panels(canvas, spot, (min(half_u, float(rng.uniform(2, 5))), min(half_v, 2.2)), angle_rad)
         return
-    if rng.random() < 0.25:
+    if rng.random() < 0.12:
         _solar_panels(canvas, place, (half_u * 1.4, half_v * 0.7), angle_rad)
     for _ in range(int(rng.poisson(min(area / 60, 8)))):
         spot = _on(place, angle_rad, float(rng.uniform(-half_u, half_u)), float(rng.uniform(-half_v, half_v)))

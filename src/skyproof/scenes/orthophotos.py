@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,7 +72,7 @@ def tile_orthophotos(
     """Cuts orthophotos into a background set at one resolution.
 
     Images are cut into blocks that do not overlap; runs of neighbouring blocks go to one split (PAPER 4), so that
-    splits touch only where a run ends. Blocks with more than 2 % empty pixels are left out.
+    splits touch only where a run ends, and every large image serves all splits. Blocks with more than 2 % empty pixels are left out.
 
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.
@@ -269,19 +271,25 @@ def _range(dataset: DatasetReader) -> tuple[float, float]:
 
 
 def _assign_splits(tiles: list[BackgroundTile]) -> list[BackgroundTile]:
-    """Gives runs of neighbouring tiles to the splits in turn, by `SPLIT_SHARES`, at least one tile each."""
+    """Divides every image among the splits by `SPLIT_SHARES`, in runs of neighbouring tiles; no split stays empty.
+
+    Dividing image by image gives all splits the same kinds of land.
+    """
     if len(tiles) < len(SPLITS):
         raise ImageryError(
             f"Only {len(tiles)} blocks of the imagery hold data but the {len(SPLITS)} splits need at least "
             f"{len(SPLITS)}; give more or larger images, or a smaller --size."
         )
-    spare = len(tiles) - len(SPLITS)
-    ends, reached = [], 0.0
-    for number, split in enumerate(SPLITS):
-        reached += SPLIT_SHARES[split]
-        ends.append(number + 1 + round(reached * spare))
-    assigned = []
-    for position, tile in enumerate(tiles):
-        split = SPLITS[sum(position >= end for end in ends)]
-        assigned.append(BackgroundTile(**{**tile.__dict__, "split": split}))
+    given = dict.fromkeys(SPLITS, 0)
+    assigned: list[BackgroundTile] = []
+    for _, group in itertools.groupby(tiles, key=lambda tile: tile.source):
+        own = list(group)
+        runs = dict.fromkeys(SPLITS, 0)
+        for _ in own:
+            # An empty split first, then the one furthest behind its share.
+            split = min(SPLITS, key=lambda name: (given[name] > 0, given[name] / SPLIT_SHARES[name]))
+            given[split] += 1
+            runs[split] += 1
+        names = [split for split in SPLITS for _ in range(runs[split])]
+        assigned += [dataclasses.replace(tile, split=name) for tile, name in zip(own, names, strict=True)]
     return assigned
