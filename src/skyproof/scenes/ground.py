@@ -90,9 +90,8 @@ def _draw_street(canvas: Canvas) -> None:
                 lay_paving(canvas, drive, PAVING + CONCRETE + ((150, 90, 74),), 0.4)
             house = (plot - float(rng.uniform(5, 7)), depth)
             wing = float(rng.choice([0, math.pi / 2])) if abs(house[0] - depth) < 3 else 0.0
-            add_building(
-                canvas, (u_m + 3.8 + house[0] / 2, house_v), house, wing, roof if rng.random() < 0.8 else "tiled"
-            )
+            own_roof = roof if rng.random() < 0.8 else "tiled"
+            add_building(canvas, (u_m + 3.8 + house[0] / 2, house_v), house, wing, own_roof)
             back = house_v + side * (depth / 2 + 6)
             for _ in range(int(rng.integers(0, 4))):
                 spot = (u_m + float(rng.uniform(0, plot)), back + float(rng.uniform(-4, 6)))
@@ -334,7 +333,7 @@ def _draw_park(canvas: Canvas) -> None:
         (lay_soil if rng.random() < 0.5 else lay_asphalt)(canvas, path)
     if rng.random() < 0.5:
         place = (float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15)))
-        court = canvas.rectangle(place, (24, 13))
+        court = canvas.rectangle(place, (24.0, 13.0))
         canvas.paint(court, pick(canvas, ((120, 60, 50), (50, 90, 80), (60, 80, 120), (120, 120, 120))))
         for inset in (1.0, 2.4):
             line = canvas.rectangle(place, (24 - 2 * inset, 13 - 2 * inset))

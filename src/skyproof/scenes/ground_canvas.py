@@ -13,7 +13,7 @@ from scipy import ndimage
 __all__ = ["Canvas", "Patch", "Sensor", "reflectance"]
 
 Array = NDArray[np.floating[Any]]
-Colour = tuple[float, float, float]
+Colour = tuple[int, int, int]
 
 MARGIN_M = 6.0
 """Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
@@ -63,7 +63,7 @@ class Sensor:
     def draw(cls, rng: np.random.Generator) -> Sensor:
         tint = rng.normal(1.0, 0.025, 3)
         return cls(
-            exposure=float(rng.uniform(0.85, 1.3)),
+            exposure=float(rng.uniform(0.9, 1.8)),
             haze=float(rng.uniform(0.0, 0.035)),
             tint=(float(tint[0]), float(tint[1]), float(tint[2])),
             saturation=float(rng.uniform(0.7, 1.1)),
@@ -214,7 +214,7 @@ class Canvas:
         height, n = self.height, self.pixels
         horizon = np.full_like(height, -1e3)
         distance_px = 1.0
-        furthest_px = float(height.max()) / tangent / self.gsd_m + 1
+        furthest_px = min(float(height.max()) / tangent / self.gsd_m + 1, n - 1)
         while distance_px <= furthest_px:
             dx, dy = round(distance_px * step_x), round(distance_px * step_y)
             here = (slice(max(0, -dy), n - max(0, dy)), slice(max(0, -dx), n - max(0, dx)))

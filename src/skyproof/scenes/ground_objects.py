@@ -177,9 +177,10 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
     clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
     dome = np.sqrt(np.clip(patch.inside / radius_m, 0, 1))
     top_m = float(rng.uniform(1.2, 2.2)) * radius_m
-    canvas.raise_to(patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.45 * clumps + 0.12 * leaves, 0.3, None))
+    canvas.raise_to(patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.4 * clumps + 0.12 * leaves, 0.3, None))
     colour = pick(canvas, CROWN_COLOURS, 0.16)
-    factor = np.exp(0.30 * clumps + 0.22 * leaves - 0.25 * (1 - dome))
+    uneven = canvas.noise("mottle", patch)
+    factor = np.exp(0.22 * clumps + 0.22 * leaves + 0.18 * uneven - 0.2 * (1 - dome))
     # Gaps between the clumps show the dark inside of the crown, and at a thin edge the ground.
     gaps = np.clip(1.0 - 0.9 * (clumps < -1.1), 0.25, 1)
     canvas.paint(patch, colour * (factor * gaps)[..., None].astype(np.float32))
@@ -245,7 +246,7 @@ def add_air_conditioner(canvas: Canvas, place: Place, angle_rad: float) -> None:
         pick(canvas, ((190, 192, 192), (150, 152, 154))),
     )
     for u_m in np.arange(-length / 2 + 0.55, length / 2 - 0.4, 1.0):
-        canvas.paint(canvas.disc(_on(place, angle_rad, float(u_m), 0), 0.33), reflectance((62, 64, 66)))
+        canvas.paint(canvas.disc(_on(place, angle_rad, float(u_m), 0.0), 0.33), reflectance((62, 64, 66)))
 
 
 def add_container(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -264,7 +265,7 @@ def add_skip(canvas: Canvas, place: Place, angle_rad: float) -> None:
     hollow = canvas.rectangle(place, (size[0] - 0.5, size[1] - 0.4), angle_rad)
     if not hollow.empty:
         fill = textured(canvas, hollow, pick(canvas, ((110, 100, 90), (70, 66, 62), (150, 140, 126))), 0.15, 0.2)
-        canvas.paint(hollow, fill * (1 + 0.3 * canvas.noise("clump", hollow))[..., None])
+        canvas.paint(hollow, fill * np.exp(0.3 * canvas.noise("clump", hollow))[..., None])
 
 
 def add_shed(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -280,13 +281,13 @@ def add_shed(canvas: Canvas, place: Place, angle_rad: float) -> None:
     if rng.random() < 0.4:
         for u_m in (-size[0] / 4, size[0] / 4):
             canvas.paint(
-                canvas.rectangle(_on(place, angle_rad, u_m, 0), (0.6, size[1] * 0.7), angle_rad),
+                canvas.rectangle(_on(place, angle_rad, u_m, 0.0), (0.6, size[1] * 0.7), angle_rad),
                 reflectance((52, 58, 66)),
             )
 
 
 def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
-    """Paint or a plate on the ground with a car's proportions, often with two dark cross bands like glass."""
+    """Paint or a plate on the ground with a car's proportions, seldom with two dark cross bands like glass."""
     rng = canvas.rng
     size = (float(rng.uniform(3.6, 5.2)), float(rng.uniform(1.6, 2.1)))
     patch = canvas.rectangle(place, size, angle_rad, float(rng.uniform(0, 0.5)))
@@ -294,10 +295,10 @@ def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
         return
     worn = np.clip(0.85 + 0.2 * canvas.noise("mottle", patch), 0.3, 1)
     canvas.paint(patch, pick(canvas, PAINT_COLOURS), worn)
-    if rng.random() < 0.4:
+    if rng.random() < 0.15:
         for u_m in (-0.3 * size[0], 0.2 * size[0]):
             canvas.paint(
-                canvas.rectangle(_on(place, angle_rad, u_m, 0), (0.6, size[1] * 0.8), angle_rad),
+                canvas.rectangle(_on(place, angle_rad, u_m, 0.0), (0.6, size[1] * 0.8), angle_rad),
                 reflectance((50, 52, 56)),
                 0.8,
             )
@@ -334,7 +335,7 @@ def add_bins(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """One to four wheeled bins in a row."""
     rng = canvas.rng
     for i in range(int(rng.integers(1, 5))):
-        spot = _on(place, angle_rad, 0.75 * i, 0)
+        spot = _on(place, angle_rad, 0.75 * i, 0.0)
         _box(
             canvas,
             spot,
@@ -348,7 +349,7 @@ def add_bench(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """A bench or a table with its two benches."""
     wood = pick(canvas, ((150, 120, 90), (110, 100, 92)))
     for v_m, width in ((0.0, 0.7), (0.75, 0.3), (-0.75, 0.3)):
-        _box(canvas, _on(place, angle_rad, 0, v_m), (1.8, width, 0.6), angle_rad, wood)
+        _box(canvas, _on(place, angle_rad, 0.0, v_m), (1.8, width, 0.6), angle_rad, wood)
 
 
 def add_tarpaulin(canvas: Canvas, place: Place, angle_rad: float) -> None:

@@ -72,7 +72,8 @@ def tile_orthophotos(
     """Cuts orthophotos into a background set at one resolution.
 
     Images are cut into blocks that do not overlap; runs of neighbouring blocks go to one split (PAPER 4), so that
-    splits touch only where a run ends, and every large image serves all splits. Blocks with more than 2 % empty pixels are left out.
+    splits touch only where a run ends, and every large image serves all splits. Blocks with more than 2 % empty
+    pixels are left out.
 
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.
