@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.scenes.ground import GROUND_KINDS, draw_ground, draw_ground_and_sun
+from skyproof.scenes.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_ground_and_sun
 from skyproof.scenes.ground_canvas import Canvas, Sensor
 
 
@@ -68,6 +68,7 @@ def test_sizes_follow_the_resolution():
 
 
 def test_kinds_and_suns_vary():
-    grounds = [draw_ground_and_sun(48, 0.125, generator=torch.Generator().manual_seed(i)) for i in range(40)]
+    grounds = [draw_ground_and_sun(48, 0.125, generator=torch.Generator().manual_seed(i)) for i in range(80)]
     assert {ground.kind for ground in grounds} == set(GROUND_KINDS)
-    assert len({round(ground.sun_azimuth_rad, 3) for ground in grounds}) == 40
+    assert sum(KIND_SHARES.values()) == pytest.approx(1)
+    assert len({round(ground.sun_azimuth_rad, 3) for ground in grounds}) == 80

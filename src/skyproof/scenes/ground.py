@@ -28,7 +28,7 @@ from skyproof.scenes.ground_surfaces import (
     pick_asphalt,
 )
 
-__all__ = ["GROUND_KINDS", "Ground", "draw_ground", "draw_ground_and_sun"]
+__all__ = ["GROUND_KINDS", "KIND_SHARES", "Ground", "draw_ground", "draw_ground_and_sun"]
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,7 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     """
     seed = int(torch.randint(2**62, (1,), generator=generator))
     rng = np.random.default_rng(seed)
-    names = tuple(GROUND_KINDS)
-    kind = names[int(rng.integers(len(names)))]
+    kind = str(rng.choice(list(GROUND_KINDS), p=[KIND_SHARES[name] for name in GROUND_KINDS]))
     canvas = Canvas(size_px, gsd_m, rng, frame_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
     image = torch.from_numpy(canvas.photograph(Sensor.draw(rng)))
@@ -109,7 +108,7 @@ def _draw_street(canvas: Canvas) -> None:
                 )
             if rng.random() < 0.6:
                 add_hedge(canvas, (u_m, house_v + side * 5), depth + 14, math.pi / 2)
-            if rng.random() < 0.4:
+            if rng.random() < 0.6:
                 add_clutter(
                     canvas,
                     (drive_u, centre + side * (front + verge)),
@@ -207,17 +206,17 @@ def _draw_car_park(canvas: Canvas) -> None:
         for u_m in np.arange(-canvas.reach_m, canvas.reach_m, bay_m):
             bay = (float(u_m), spine_v + float(rng.choice([-1, 1])) * length_m / 2)
             draw = rng.random()
-            if draw < 0.04:
+            if draw < 0.07:
                 add_clutter(
                     canvas, bay, math.pi / 2, ("painted box", "skip", "tarpaulin", "pallets", "container", "bins")
                 )
-            elif draw < 0.10:
+            elif draw < 0.13:
                 canvas.shade(
                     canvas.rectangle(bay, (bay_m - 0.3, length_m - 0.6), 0.0, 0.5), float(rng.uniform(0.8, 0.93))
                 )
-            elif draw < 0.15 and planted:
+            elif draw < 0.18 and planted:
                 add_tree(canvas, (float(u_m), spine_v), float(rng.uniform(1.2, 3.2)))
-            elif draw < 0.17:
+            elif draw < 0.20:
                 add_lamp_post(canvas, (float(u_m), spine_v))
     if rng.random() < 0.6:
         size = (float(rng.uniform(20, 60)), float(rng.uniform(12, 25)))
@@ -363,4 +362,15 @@ GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {
     "village": _draw_village,
     "yard": _draw_yard,
 }
-"""What `draw_ground` draws, each as likely as the others."""
+"""What `draw_ground` draws."""
+
+KIND_SHARES: dict[str, float] = {
+    "car park": 0.2,
+    "crossroads": 0.15,
+    "fields": 0.08,
+    "park": 0.08,
+    "street": 0.2,
+    "village": 0.14,
+    "yard": 0.15,
+}
+"""How often each is drawn: more often where vehicles are found and things look like them."""

@@ -191,7 +191,11 @@ def _ground_resolution(dataset: DatasetReader) -> tuple[float, float] | None:
     step = 16.0
     columns = [dataset.width / 2 + shift for shift in (0.0, step, 0.0)]
     rows = [dataset.height / 2 + shift for shift in (0.0, 0.0, step)]
-    places = [dataset.transform * place for place in zip(columns, rows, strict=True)]
+    affine = dataset.transform
+    places = [
+        (affine.a * column + affine.b * row + affine.c, affine.d * column + affine.e * row + affine.f)
+        for column, row in zip(columns, rows, strict=True)
+    ]
     longitudes, latitudes = transform_places(dataset.crs, "EPSG:4326", [p[0] for p in places], [p[1] for p in places])
     if not all(map(math.isfinite, [*longitudes, *latitudes])):
         return None
