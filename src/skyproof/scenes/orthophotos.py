@@ -75,6 +75,9 @@ def tile_orthophotos(
     splits touch only where a run ends, and every large image serves all splits. Blocks with more than 2 % empty
     pixels are left out.
 
+    The images must not show the same ground twice (drone frames that overlap do): that is not checked, and splits would
+    then share places.
+
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.
         folder: where the set goes; use `finished_folder` around it where a half-written folder must not stay.
