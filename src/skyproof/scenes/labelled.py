@@ -23,9 +23,9 @@ class LabelledImages:
         gsd_m: metres per pixel.
     """
 
-    images: Sequence[UInt8[Tensor, "3 H W"]]
-    boxes: Sequence[Float[Tensor, "n 4"]]
-    ignore: Sequence[Float[Tensor, "m 4"]]
+    images: Sequence[UInt8[Tensor, "3 _H _W"]]
+    boxes: Sequence[Float[Tensor, "_n 4"]]
+    ignore: Sequence[Float[Tensor, "_m 4"]]
     ids: Sequence[str]
     gsd_m: float
 

@@ -1,0 +1,250 @@
+"""Background sets: a folder of ground tiles at one resolution, in four splits, read through windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, UInt8
+from PIL import Image
+from torch import Tensor
+
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import read_json, write_beside, write_json
+from skyproof.scenes.ground import draw_ground_and_sun
+from skyproof.scenes.scene import BackgroundWindow
+
+__all__ = ["SPLITS", "BackgroundSet", "BackgroundTile", "save_tile", "write_index", "write_procedural_backgrounds"]
+
+SPLITS = ("train", "validation", "attack", "test")
+"""Disjoint in place (PAPER 4): detectors train and choose thresholds on two, attacks train and are scored on two."""
+
+FORMAT_VERSION = 1
+CACHE_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True)
+class BackgroundTile:
+    """One tile of a background set.
+
+    Attributes:
+        id: unique in the set; the cluster of the bootstrap (PAPER 40).
+        file: path inside the folder.
+        split: one of `SPLITS`.
+        width_px, height_px: its size.
+        source: the image it was cut from, or "procedural".
+        offset_px: its left and top edge in the source resampled to the set's resolution.
+        kind: of a procedural tile, what it shows.
+        licence: as the source states it, or None.
+        sun_azimuth_rad, sun_elevation_rad: of a procedural tile, the sun that cast its shadows, as in `Sun`.
+    """
+
+    id: str
+    file: str
+    split: str
+    width_px: int
+    height_px: int
+    source: str
+    offset_px: tuple[int, int] = (0, 0)
+    kind: str | None = None
+    licence: str | None = None
+    sun_azimuth_rad: float | None = None
+    sun_elevation_rad: float | None = None
+
+
+class BackgroundSet:
+    """A folder `index.json` + `tiles/*.png`; tiles are decoded once and kept while memory allows.
+
+    Attributes:
+        folder: where it lies.
+        gsd_m: metres per pixel of every tile.
+    """
+
+    def __init__(self, folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile]) -> None:
+        self.folder = folder
+        self.gsd_m = gsd_m
+        self._tiles = {tile.id: tile for tile in tiles}
+        self._decoded: OrderedDict[str, UInt8[Tensor, "3 H W"]] = OrderedDict()
+
+    @classmethod
+    def open(cls, folder: Path) -> BackgroundSet:
+        """Opens a set that `write_procedural_backgrounds` or `tile_orthophotos` wrote.
+
+        Raises:
+            StoredFileError: the index is missing, damaged or of another version.
+        """
+        path = Path(folder) / "index.json"
+        index = read_json(path)
+        try:
+            if index["format_version"] != FORMAT_VERSION:
+                raise ValueError(f"format version {index['format_version']}, expected {FORMAT_VERSION}")
+            tiles = [BackgroundTile(**{**row, "offset_px": tuple(row["offset_px"])}) for row in index["tiles"]]
+            if not tiles or any(tile.split not in SPLITS for tile in tiles):
+                raise ValueError("no tiles, or a split of another name")
+            return cls(Path(folder), float(index["gsd_m"]), tiles)
+        except (KeyError, TypeError, ValueError) as error:
+            message = f"{path} is not a background index of this version ({error}); prepare the backgrounds again."
+            raise StoredFileError(message) from error
+
+    def tiles(self, split: str) -> list[BackgroundTile]:
+        """The tiles of one split, in the order of the index."""
+        return [tile for tile in self._tiles.values() if tile.split == split]
+
+    def tile(self, tile_id: str) -> BackgroundTile:
+        """The tile of that id.
+
+        Raises:
+            StoredFileError: this set has none; the scenes belong to another set.
+        """
+        if tile_id not in self._tiles:
+            raise StoredFileError(
+                f"{self.folder} has no tile {tile_id!r}; use the background set the scenes were sampled on."
+            )
+        return self._tiles[tile_id]
+
+    def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
+        """A whole tile, sRGB bytes.
+
+        Raises:
+            StoredFileError: the tile's file is missing, damaged or of another size than the index says.
+        """
+        if tile_id in self._decoded:
+            self._decoded.move_to_end(tile_id)
+            return self._decoded[tile_id]
+        tile = self.tile(tile_id)
+        path = self.folder / tile.file
+        try:
+            with Image.open(path) as image:
+                array = np.array(image.convert("RGB"))
+        except (OSError, SyntaxError, ValueError) as error:
+            raise StoredFileError(f"Tile {path} cannot be read ({error}); prepare the backgrounds again.") from error
+        if array.shape[:2] != (tile.height_px, tile.width_px):
+            raise StoredFileError(f"Tile {path} has another size than the index says; prepare the backgrounds again.")
+        self._decoded[tile_id] = torch.from_numpy(array).permute(2, 0, 1).contiguous()
+        while len(self._decoded) > 1 and sum(t.numel() for t in self._decoded.values()) > CACHE_BYTES:
+            self._decoded.popitem(last=False)
+        return self._decoded[tile_id]
+
+    def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
+        """Cuts a square window, sRGB in [0, 1]; bilinear, and an exact copy where unrotated on whole pixels.
+
+        Raises:
+            StoredFileError: the window's tile is not in this set, or the window reaches out of it.
+        """
+        pixels = self.pixels(window.tile)
+        half = size_px / 2
+        cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
+        reach = half * (abs(cosine) + abs(sine))
+        left, top = window.centre_x_px - reach, window.centre_y_px - reach
+        right, bottom = window.centre_x_px + reach, window.centre_y_px + reach
+        if min(left, top) < -0.5 or right > pixels.shape[2] + 0.5 or bottom > pixels.shape[1] + 0.5:
+            raise StoredFileError(
+                f"A window of {size_px} px reaches out of tile {window.tile} of {tuple(pixels.shape[1:])} px; "
+                "use the background set the scenes were sampled on."
+            )
+        if window.rotation_rad == 0 and left == round(left) and top == round(top):
+            return pixels[:, int(top) : int(top) + size_px, int(left) : int(left) + size_px].float() / 255
+        x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
+        crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float() / 255
+        # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and down to (sin, cos).
+        steps = torch.arange(size_px, dtype=torch.float64) + 0.5 - half
+        across, down = steps[None, :], steps[:, None]
+        x = window.centre_x_px - x0 + cosine * across + sine * down
+        y = window.centre_y_px - y0 - sine * across + cosine * down
+        grid = torch.stack([2 * x / crop.shape[2] - 1, 2 * y / crop.shape[1] - 1], -1).float()
+        return F.grid_sample(crop[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False)[0]
+
+    def sample_window(self, split: str, size_px: int, *, generator: torch.Generator) -> BackgroundWindow:
+        """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
+
+        Raises:
+            ConfigurationError: no tile of the split has room for a window turned by 45 degrees.
+        """
+        room = math.ceil(size_px * math.sqrt(2))
+        tiles = [tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= room]
+        if not tiles:
+            raise ConfigurationError(
+                f"{self.folder} has no {split} tile of at least {room} px, as a turned window of {size_px} px needs; "
+                "choose a smaller image or prepare larger tiles."
+            )
+        tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
+        turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
+        rotation_rad = 2 * math.pi * turn
+        reach = size_px / 2 * (abs(math.cos(rotation_rad)) + abs(math.sin(rotation_rad)))
+        return BackgroundWindow(
+            tile=tile.id,
+            centre_x_px=reach + x * (tile.width_px - 2 * reach),
+            centre_y_px=reach + y * (tile.height_px - 2 * reach),
+            rotation_rad=rotation_rad,
+        )
+
+
+def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
+    """Writes a tile's picture whole or not at all."""
+    with write_beside(Path(folder) / tile.file) as temporary:
+        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(temporary, compress_level=3)
+
+
+def write_index(folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile]) -> None:
+    """Writes the index, last of all: a folder without one is not a background set."""
+    rows = [dataclasses.asdict(tile) for tile in tiles]
+    write_json(Path(folder) / "index.json", {"format_version": FORMAT_VERSION, "gsd_m": gsd_m, "tiles": rows})
+
+
+def write_procedural_backgrounds(
+    folder: Path,
+    counts: Mapping[str, int],
+    size_px: int,
+    *,
+    seed: int,
+    gsd_m: float = 0.125,
+    progress: Callable[[int, int], None] | None = None,
+) -> BackgroundSet:
+    """Draws a background set.
+
+    Args:
+        folder: where to; use `finished_folder` around it where a half-written folder must not stay.
+        counts: tiles per split.
+        size_px: tiles are size_px x size_px.
+        seed: every tile has its own generator, so that its bytes do not depend on how many others are drawn.
+        gsd_m: metres per pixel.
+        progress: called with (tiles done, tiles in all).
+
+    Raises:
+        ConfigurationError: a split of another name.
+        RunFolderError: the disk cannot take it.
+    """
+    unknown = set(counts) - set(SPLITS)
+    if unknown:
+        raise ConfigurationError(f"Unknown split {sorted(unknown)[0]!r}; the splits are {', '.join(SPLITS)}.")
+    total, tiles = sum(counts.values()), []
+    for split in SPLITS:
+        for number in range(counts.get(split, 0)):
+            state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(1, np.uint64)
+            generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+            ground = draw_ground_and_sun(size_px, gsd_m, generator=generator)
+            tile_id = f"{split}-{number:05d}"
+            tile = BackgroundTile(
+                id=tile_id,
+                file=f"tiles/{tile_id}.png",
+                split=split,
+                width_px=size_px,
+                height_px=size_px,
+                source="procedural",
+                kind=ground.kind,
+                sun_azimuth_rad=ground.sun_azimuth_rad,
+                sun_elevation_rad=ground.sun_elevation_rad,
+            )
+            save_tile(folder, tile, ground.image)
+            tiles.append(tile)
+            if progress is not None:
+                progress(len(tiles), total)
+    write_index(folder, gsd_m, tiles)
+    return BackgroundSet.open(folder)

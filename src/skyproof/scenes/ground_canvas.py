@@ -1,0 +1,263 @@
+"""The canvas of the procedural ground: reflectance and height drawn in metres, then lit and photographed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+__all__ = ["Canvas", "Patch", "Sensor", "reflectance"]
+
+Array = NDArray[np.floating[Any]]
+Colour = tuple[int, int, int]
+
+MARGIN_M = 6.0
+"""Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
+
+
+def reflectance(colour: Colour) -> Array:
+    """Linear reflectance of an sRGB colour given in bytes, by the usual power of 2.2."""
+    return ((np.asarray(colour, np.float32) / 255.0) ** 2.2).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The part of the canvas that one shape touches.
+
+    Attributes:
+        rows, columns: slices into the canvas.
+        u, v: metres along and across the shape, from its centre, `[h, w]`.
+        inside: metres inside the outline, negative outside, `[h, w]`.
+        coverage: part of each pixel covered, 0 to 1, `[h, w]`.
+    """
+
+    rows: slice
+    columns: slice
+    u: Array
+    v: Array
+    inside: Array
+    coverage: Array
+
+    @property
+    def empty(self) -> bool:
+        """True where the shape lies wholly outside the canvas."""
+        return self.u.size == 0
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How the lit ground becomes a picture; drawn anew for every tile so that a detector cannot lean on one look."""
+
+    exposure: float
+    haze: float
+    tint: tuple[float, float, float]
+    saturation: float
+    blur_px: float
+    noise: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Sensor:
+        tint = rng.normal(1.0, 0.025, 3)
+        return cls(
+            exposure=float(rng.uniform(0.9, 1.8)),
+            haze=float(rng.uniform(0.0, 0.035)),
+            tint=(float(tint[0]), float(tint[1]), float(tint[2])),
+            saturation=float(rng.uniform(0.7, 1.1)),
+            blur_px=float(rng.uniform(0.45, 0.85)),
+            noise=float(rng.uniform(0.004, 0.012)),
+        )
+
+
+class Canvas:
+    """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with a frame in which streets run straight.
+
+    Places are metres in that frame: origin at the centre, u along the street, v to its left. One sun lights all.
+    """
+
+    def __init__(self, size_px: int, gsd_m: float, rng: np.random.Generator, *, frame_rad: float) -> None:
+        self.gsd_m = gsd_m
+        self.rng = rng
+        self.size_px = size_px
+        self.margin_px = math.ceil(MARGIN_M / gsd_m)
+        self.pixels = size_px + 2 * self.margin_px
+        self.reach_m = self.pixels * gsd_m * 0.7072
+        self.frame_rad = frame_rad
+        self.reflectance = np.zeros((self.pixels, self.pixels, 3), np.float32)
+        self.height = np.zeros((self.pixels, self.pixels), np.float32)
+        self.sun_azimuth_rad = float(rng.uniform(0, 2 * math.pi))
+        self.sun_elevation_rad = float(rng.uniform(math.radians(28), math.radians(62)))
+        self._fields = self._draw_fields()
+
+    def _draw_fields(self) -> dict[str, Array]:
+        """Periodic noise of unit variance, by feature size; one transform, filtered three ways."""
+        n = self.pixels
+        frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m  # cycles per metre
+        spectrum = np.fft.rfft2(self.rng.standard_normal((n, n)))
+        filters = {
+            "grain": 1 / (1 + (frequency / 3.0) ** 2),
+            "clump": (frequency**2) * np.exp(-((frequency / 0.75) ** 2)),
+            "mottle": 1 / (0.12 + frequency) ** 1.6,
+            "patch": 1 / (0.025 + frequency) ** 2.4 * np.exp(-((frequency / 0.5) ** 2)),
+        }
+        fields = {}
+        for name, gain in filters.items():
+            gain[0, 0] = 0
+            field = np.fft.irfft2(spectrum * gain, s=(n, n)).astype(np.float32)
+            fields[name] = field / field.std()
+        return fields
+
+    def noise(self, name: str, patch: Patch | None = None) -> Array:
+        """Unit noise under `patch`, or everywhere: the stored field at a random shift, so repeats do not line up."""
+        shift = self.rng.integers(0, self.pixels, 2)
+        field = self._fields[name]
+        if patch is None:
+            return np.roll(field, tuple(int(s) for s in shift), (0, 1))
+        rows = (np.arange(patch.rows.start, patch.rows.stop) + shift[0]) % self.pixels
+        columns = (np.arange(patch.columns.start, patch.columns.stop) + shift[1]) % self.pixels
+        return field[rows[:, None], columns[None]]
+
+    def to_pixels(self, u_m: float, v_m: float) -> tuple[float, float]:
+        """Column and row of a place in the frame."""
+        cosine, sine = math.cos(self.frame_rad), math.sin(self.frame_rad)
+        x, y = cosine * u_m - sine * v_m, sine * u_m + cosine * v_m
+        return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
+
+    def _local(self, u_m: float, v_m: float, angle_rad: float, radius_m: float) -> tuple[slice, slice, Array, Array]:
+        column, row = self.to_pixels(u_m, v_m)
+        reach = radius_m / self.gsd_m + 2
+        rows = slice(*(int(np.clip(edge, 0, self.pixels)) for edge in (row - reach, row + reach + 1)))
+        columns = slice(*(int(np.clip(edge, 0, self.pixels)) for edge in (column - reach, column + reach + 1)))
+        x = ((np.arange(columns.start, columns.stop) + 0.5 - column) * self.gsd_m).astype(np.float32)[None]
+        y = (-(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m).astype(np.float32)[:, None]
+        turn = self.frame_rad + angle_rad
+        cosine, sine = math.cos(turn), math.sin(turn)
+        return rows, columns, cosine * x + sine * y, -sine * x + cosine * y
+
+    def _patch(self, rows: slice, columns: slice, u: Array, v: Array, inside: Array) -> Patch:
+        coverage = np.clip(0.5 + inside / self.gsd_m, 0, 1).astype(np.float32)
+        return Patch(rows, columns, u, v, inside.astype(np.float32), coverage)
+
+    def rectangle(
+        self, place: tuple[float, float], size_m: tuple[float, float], angle_rad: float = 0.0, corner_m: float = 0.0
+    ) -> Patch:
+        """A rectangle (length along u, width along v) about `place`, its corners rounded by `corner_m`."""
+        half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
+        radius_m = min(math.hypot(*size_m) / 2, 2 * self.reach_m + math.hypot(*place))
+        rows, columns, u, v = self._local(*place, angle_rad, radius_m)
+        du, dv = np.abs(u) - half_u, np.abs(v) - half_v
+        if corner_m == 0:
+            return self._patch(rows, columns, u, v, -np.maximum(du, dv))
+        outside = np.hypot(np.maximum(du, 0), np.maximum(dv, 0)) + np.minimum(np.maximum(du, dv), 0)
+        return self._patch(rows, columns, u, v, corner_m - outside)
+
+    def disc(self, place: tuple[float, float], radius_m: float, raggedness: float = 0.0, stretch: float = 1.0) -> Patch:
+        """A disc; with `raggedness` its outline wanders by about that part of the radius, as a crown's."""
+        angle = float(self.rng.uniform(0, math.pi))
+        rows, columns, u, v = self._local(*place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch))
+        inside = radius_m - np.hypot(u / stretch, v)
+        patch = self._patch(rows, columns, u, v, inside)
+        if raggedness and not patch.empty:
+            wander = 0.6 * self.noise("mottle", patch) + 0.6 * self.noise("clump", patch)
+            inside = inside + radius_m * raggedness * np.clip(wander, -2, 2)
+            patch = self._patch(rows, columns, u, v, inside)
+        return patch
+
+    def everywhere(self, angle_rad: float = 0.0, wander_m: float = 0.0) -> Patch:
+        """The whole canvas in the frame's coordinates; with `wander_m` the v axis meanders, as a track does."""
+        rows, columns, u, v = self._local(0.0, 0.0, angle_rad, 3 * self.reach_m)
+        if wander_m:
+            period = float(self.rng.uniform(40, 90))
+            v = v + np.float32(wander_m) * np.sin(2 * math.pi * u / period + self.rng.uniform(0, 6)).astype(np.float32)
+        return Patch(rows, columns, u, v, np.full_like(u, 1e3), np.ones_like(u))
+
+    def band(self, base: Patch, centre_v_m: float, width_m: float, roughness_m: float = 0.0) -> Patch:
+        """A strip of `base` along u about `centre_v_m`, for roads, pavements, kerbs and long markings."""
+        inside = width_m / 2 - np.abs(base.v - centre_v_m)
+        if roughness_m:
+            inside = inside + roughness_m * self.noise("mottle", base)
+        return self._patch(base.rows, base.columns, base.u, base.v - centre_v_m, inside)
+
+    def paint(self, patch: Patch, colour: Array, strength: float | Array = 1.0) -> None:
+        """Lays reflectance (`[3]` or `[h, w, 3]`) over the patch."""
+        if patch.empty:
+            return
+        weight = (patch.coverage * strength)[..., None]
+        region = self.reflectance[patch.rows, patch.columns]
+        region += weight * (colour - region)
+
+    def shade(self, patch: Patch, factor: float | Array) -> None:
+        """Multiplies the reflectance under the patch (stains, wear, wet)."""
+        if not patch.empty:
+            region = self.reflectance[patch.rows, patch.columns]
+            region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
+
+    def raise_to(self, patch: Patch, height_m: float | Array) -> None:
+        """Sets the height to `height_m` (above the ground) where that is higher than what stands there."""
+        if not patch.empty:
+            region = self.height[patch.rows, patch.columns]
+            np.maximum(region, np.where(patch.coverage > 0.5, height_m, 0), out=region, casting="same_kind")
+
+    def base_height(self, place: tuple[float, float]) -> float:
+        """Height of whatever stands at a place, for things put on roofs."""
+        column, row = self.to_pixels(*place)
+        limit = self.pixels - 1
+        return float(self.height[int(np.clip(row, 0, limit)), int(np.clip(column, 0, limit))])
+
+    def _sunlight(self) -> Array:
+        """Part of the direct sun each pixel gets: its slope, and the shadows found by walking towards the sun."""
+        tangent = math.tan(self.sun_elevation_rad)
+        step_x, step_y = math.cos(self.sun_azimuth_rad), -math.sin(self.sun_azimuth_rad)
+        height, n = self.height, self.pixels
+        horizon = np.full_like(height, -1e3)
+        distance_px = 1.0
+        furthest_px = min(float(height.max()) / tangent / self.gsd_m + 1, n - 1)
+        while distance_px <= furthest_px:
+            dx, dy = round(distance_px * step_x), round(distance_px * step_y)
+            here = (slice(max(0, -dy), n - max(0, dy)), slice(max(0, -dx), n - max(0, dx)))
+            there = (slice(max(0, dy), n - max(0, -dy)), slice(max(0, dx), n - max(0, -dx)))
+            drop = np.float32(distance_px * self.gsd_m * tangent)
+            np.maximum(horizon[here], height[there] - drop, out=horizon[here])
+            distance_px += 1.0 if distance_px < 40 else 2.0
+        lit = np.clip(1.0 - (horizon - height) / 0.25, 0, 1)
+        lit = ndimage.gaussian_filter(lit.astype(np.float32), 0.7)
+
+        gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), self.gsd_m)
+        # A wall is not a slope: beyond 60 degrees the roof above and the ground below are both level.
+        level = np.hypot(gradient_x, gradient_y) > 1.8
+        gradient_x[level], gradient_y[level] = 0, 0
+        towards_sun = gradient_x * step_x + gradient_y * step_y
+        cosine = (math.sin(self.sun_elevation_rad) - math.cos(self.sun_elevation_rad) * towards_sun) / np.sqrt(
+            1 + gradient_x**2 + gradient_y**2
+        )
+        return (lit * np.clip(cosine, 0, None)).astype(np.float32)
+
+    def photograph(self, sensor: Sensor) -> NDArray[np.uint8]:
+        """Lights the canvas and takes its picture, `[3, size, size]` sRGB bytes."""
+        rng = self.rng
+        overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
+        sun = np.float32(1.15 * (1 - overcast))
+        sky_strength = 0.22 + 0.75 * overcast
+        sky = np.asarray([0.88, 1.0, 1.22], np.float32) * sky_strength if overcast < 0.2 else np.float32(sky_strength)
+        around = ndimage.uniform_filter(self.height, max(3, round(3.0 / self.gsd_m)))
+        openness = 1 - 0.45 * np.clip((around - self.height) / 3.0, 0, 1)
+        light = (
+            sun * self._sunlight()[..., None] * np.asarray([1.03, 1.0, 0.95], np.float32) + sky * openness[..., None]
+        )
+        cut = slice(self.margin_px, self.margin_px + self.size_px)
+        # Blur and saturation belong before the cut and the tone curve: optics act on light, and need no padding.
+        picture = np.clip(self.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
+        for channel in range(3):
+            ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
+        picture = picture[cut, cut]
+        grey = picture.mean(2, keepdims=True)
+        picture = (grey + sensor.saturation * (picture - grey)) * np.asarray(sensor.tint, np.float32) + sensor.haze
+        # A soft shoulder instead of hard clipping, as camera tone curves have.
+        picture = np.clip(picture, 0, None)
+        picture = np.where(picture < 0.6, picture, 0.6 + 0.4 * np.tanh((picture - 0.6) / 0.4))
+        encoded = picture ** np.float32(1 / 2.2)
+        encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
+        return np.ascontiguousarray((np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1))

@@ -1,0 +1,174 @@
+"""Random scenes: how many vehicles, where, which way, under which camera and sun (PAPER 5, 6)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+
+from skyproof.errors import ConfigurationError
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.scene import Camera, Placement, Scene, Sun
+
+__all__ = ["SceneSettings", "rectangles_overlap", "sample_scenes"]
+
+Rectangle = tuple[float, float, float, float, float]
+"""Centre x, centre y, heading, length, width; metres and radians."""
+
+TRIES = 2000
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """How scenes are drawn; the defaults are the paper's test set (PAPER 5, 6).
+
+    Attributes:
+        size_px: the image is size_px x size_px.
+        gsd_m: metres per pixel, the background set's.
+        vehicles_minimum, vehicles_maximum: per image, every number equally likely; 1 and 1 in the attack.
+        tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
+        sun_elevation_minimum_rad, sun_elevation_maximum_rad: uniform between; the sun's azimuth is uniform.
+        gap_m: the least free room between two vehicles.
+        margin_m: the least distance of a vehicle's centre from the image's edge.
+    """
+
+    size_px: int = 384
+    gsd_m: float = 0.125
+    vehicles_minimum: int = 1
+    vehicles_maximum: int = 5
+    tilt_maximum_rad: float = math.radians(20)
+    sun_elevation_minimum_rad: float = math.radians(25)
+    sun_elevation_maximum_rad: float = math.radians(65)
+    gap_m: float = 0.4
+    margin_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.vehicles_minimum <= self.vehicles_maximum:
+            raise ConfigurationError(
+                f"vehicles_minimum {self.vehicles_minimum} and vehicles_maximum {self.vehicles_maximum} do not fit; "
+                "give 0 <= minimum <= maximum."
+            )
+        if not 0 <= self.tilt_maximum_rad < math.pi / 2:
+            raise ConfigurationError(f"tilt_maximum_rad is {self.tilt_maximum_rad}; give 0 to below half of pi.")
+        if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
+            raise ConfigurationError(
+                "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
+            )
+        if self.half_m <= 0:
+            raise ConfigurationError(
+                f"An image of {self.size_px} px of {self.gsd_m} m has no room inside a margin of {self.margin_m} m; "
+                "choose a larger image or a smaller margin."
+            )
+
+    @property
+    def half_m(self) -> float:
+        """Vehicle centres lie within plus or minus this on both axes."""
+        return self.size_px * self.gsd_m / 2 - self.margin_m
+
+
+def sample_scenes(
+    settings: SceneSettings,
+    backgrounds: BackgroundSet,
+    split: str,
+    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
+    count: int,
+    *,
+    generator: torch.Generator,
+    prefix: str = "scene",
+) -> list[Scene]:
+    """Draws scenes: uniform positions and headings, no two vehicles overlapping, uniform vehicles and backgrounds.
+
+    Args:
+        settings: how.
+        backgrounds: the ground under them.
+        split: of the backgrounds.
+        vehicle_sizes_m: per vehicle id its length, width and height; every id is equally likely.
+        count: how many scenes.
+        generator: every scene takes one 63-bit seed from it and draws all else from that seed.
+        prefix: ids are `<prefix>-<number>`.
+
+    Raises:
+        ConfigurationError: another resolution than the backgrounds', no tile large enough, no vehicles to choose
+            from, or too many vehicles for the image.
+    """
+    if not math.isclose(settings.gsd_m, backgrounds.gsd_m, rel_tol=1e-6):
+        raise ConfigurationError(
+            f"The scenes ask for {settings.gsd_m} m per pixel but {backgrounds.folder} has {backgrounds.gsd_m} m; "
+            "use one and the same."
+        )
+    if settings.vehicles_maximum > 0 and not vehicle_sizes_m:
+        raise ConfigurationError("There is no vehicle to place; give a fleet with at least one.")
+    scenes = []
+    for number in range(count):
+        seed = int(torch.randint(2**63 - 1, (1,), generator=generator))
+        own = torch.Generator().manual_seed(seed)
+        window = backgrounds.sample_window(split, settings.size_px, generator=own)
+        radius, camera_turn, sun_turn, sun_height = torch.rand(4, dtype=torch.float64, generator=own).tolist()
+        low, high = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
+        scenes.append(
+            Scene(
+                id=f"{prefix}-{number:06d}",
+                background=window,
+                camera=Camera(
+                    # The square root makes the point uniform on the disc's area.
+                    tilt_rad=math.asin(math.sqrt(radius) * math.sin(settings.tilt_maximum_rad)),
+                    azimuth_rad=2 * math.pi * camera_turn,
+                    gsd_m=settings.gsd_m,
+                    size_px=settings.size_px,
+                ),
+                sun=Sun(azimuth_rad=2 * math.pi * sun_turn, elevation_rad=low + (high - low) * sun_height),
+                placements=_sample_placements(settings, vehicle_sizes_m, generator=own),
+                seed=seed,
+            )
+        )
+    return scenes
+
+
+def _sample_placements(
+    settings: SceneSettings, vehicle_sizes_m: Mapping[str, tuple[float, float, float]], *, generator: torch.Generator
+) -> tuple[Placement, ...]:
+    """Draws all vehicles at once until none overlap, so that free layouts stay equally likely."""
+    span = settings.vehicles_maximum - settings.vehicles_minimum + 1
+    number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
+    if number == 0:
+        return ()
+    names = sorted(vehicle_sizes_m)
+    chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
+    for _ in range(TRIES):
+        draws = torch.rand(number, 3, dtype=torch.float64, generator=generator).tolist()
+        placements = tuple(
+            Placement(name, (2 * x - 1) * settings.half_m, (2 * y - 1) * settings.half_m, 2 * math.pi * turn)
+            for name, (x, y, turn) in zip(chosen, draws, strict=True)
+        )
+        rectangles = [_footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements]
+        if not any(rectangles_overlap(rectangles[i], rectangles[j]) for i in range(number) for j in range(i)):
+            return placements
+    raise ConfigurationError(
+        f"No room was found for {number} vehicles in an image of {settings.size_px} px; "
+        "lower vehicles_maximum or choose a larger image."
+    )
+
+
+def _footprint(
+    placement: Placement, vehicle_sizes_m: Mapping[str, tuple[float, float, float]], gap_m: float
+) -> Rectangle:
+    length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
+    return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
+
+
+def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
+    """True where two turned rectangles share area, by the separating axis test."""
+    dx, dy = second[0] - first[0], second[1] - first[1]
+    for heading in (first[2], second[2]):
+        for axis_rad in (heading, heading + math.pi / 2):
+            distance = abs(dx * math.cos(axis_rad) + dy * math.sin(axis_rad))
+            if distance >= _half_extent(first, axis_rad) + _half_extent(second, axis_rad):
+                return False
+    return True
+
+
+def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
+    _, _, heading, length, width = rectangle
+    return (length * abs(math.cos(axis_rad - heading)) + width * abs(math.sin(axis_rad - heading))) / 2

@@ -1,0 +1,157 @@
+"""Background sets: windows, their rotation, sampling, determinism, damage."""
+
+import json
+import math
+
+import pytest
+import torch
+
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.scenes.backgrounds import (
+    BackgroundSet,
+    BackgroundTile,
+    save_tile,
+    write_index,
+    write_procedural_backgrounds,
+)
+from skyproof.scenes.scene import BackgroundWindow
+
+
+def _set(folder, image, split="train"):
+    tile = BackgroundTile("one", "tiles/one.png", split, image.shape[2], image.shape[1], "made")
+    save_tile(folder, tile, image)
+    write_index(folder, 0.125, [tile])
+    return BackgroundSet.open(folder)
+
+
+@pytest.fixture
+def noise():
+    return torch.randint(256, (3, 60, 80), dtype=torch.uint8, generator=torch.Generator().manual_seed(3))
+
+
+def test_whole_pixel_window_is_an_exact_copy(tmp_path, noise):
+    backgrounds = _set(tmp_path, noise)
+    even = backgrounds.window(BackgroundWindow("one", 30.0, 25.0, 0.0), 20)
+    assert torch.equal(even, noise[:, 15:35, 20:40].float() / 255)
+    odd = backgrounds.window(BackgroundWindow("one", 30.5, 25.5, 0.0), 21)
+    assert torch.equal(odd, noise[:, 15:36, 20:41].float() / 255)
+
+
+def test_half_pixel_shift_averages_neighbours(tmp_path, noise):
+    window = _set(tmp_path, noise).window(BackgroundWindow("one", 30.5, 25.0, 0.0), 20)
+    expected = (noise[:, 15:35, 20:40].float() + noise[:, 15:35, 21:41].float()) / 2 / 255
+    torch.testing.assert_close(window, expected, atol=2e-5, rtol=0)
+
+
+def test_quarter_turn_is_counter_clockwise(tmp_path):
+    # A red mark right of the middle of the tile and a green one above it. The window's x axis points up the
+    # screen after a quarter turn, so that green lies to its right and red below.
+    image = torch.zeros(3, 40, 40, dtype=torch.uint8)
+    image[0, 20, 26] = 255
+    image[1, 13, 20] = 255
+    window = _set(tmp_path, image).window(BackgroundWindow("one", 20.5, 20.5, math.pi / 2), 21)
+    # Offsets from the middle pixel (10, 10): red at (+6, 0) turns to (0, +6), green at (0, -7) to (+7, 0).
+    assert window[0].argmax() == (10 + 6) * 21 + 10
+    assert window[1].argmax() == 10 * 21 + 10 + 7
+    assert float(window.max()) == pytest.approx(1, abs=1e-4)
+
+
+def test_small_turn_moves_a_mark_the_right_way(tmp_path):
+    image = torch.zeros(3, 80, 80, dtype=torch.uint8)
+    image[:, 39:42, 59:62] = 255
+    turn = 0.3
+    window = _set(tmp_path, image).window(BackgroundWindow("one", 40.5, 40.5, turn), 51)
+    weights = window[0] / window[0].sum()
+    steps = torch.arange(51) + 0.5 - 25.5
+    # The camera turned left, so the mark at distance 20 turns right: below the x axis.
+    assert float((weights.sum(0) * steps).sum()) == pytest.approx(20 * math.cos(turn), abs=0.05)
+    assert float((weights.sum(1) * steps).sum()) == pytest.approx(20 * math.sin(turn), abs=0.05)
+
+
+def test_sampled_windows_are_inside_and_use_all_of_the_tile(tmp_path, noise):
+    backgrounds = _set(tmp_path, noise, "attack")
+    generator = torch.Generator().manual_seed(0)
+    xs, turns = [], []
+    for _ in range(300):
+        window = backgrounds.sample_window("attack", 40, generator=generator)
+        for dx, dy in ((-20, -20), (20, -20), (20, 20), (-20, 20)):
+            x = window.centre_x_px + math.cos(window.rotation_rad) * dx + math.sin(window.rotation_rad) * dy
+            y = window.centre_y_px - math.sin(window.rotation_rad) * dx + math.cos(window.rotation_rad) * dy
+            assert -1e-9 <= x <= 80 + 1e-9
+            assert -1e-9 <= y <= 60 + 1e-9
+        backgrounds.window(window, 40)
+        xs.append(window.centre_x_px)
+        turns.append(window.rotation_rad)
+    assert min(xs) < 30
+    assert max(xs) > 50
+    assert max(turns) > 6
+    assert min(turns) < 0.3
+
+
+def test_no_room_and_no_such_split_raise(tmp_path, noise):
+    backgrounds = _set(tmp_path, noise)
+    generator = torch.Generator().manual_seed(0)
+    with pytest.raises(ConfigurationError, match="at least 71 px"):
+        backgrounds.sample_window("train", 50, generator=generator)
+    with pytest.raises(ConfigurationError, match="no test tile"):
+        backgrounds.sample_window("test", 10, generator=generator)
+
+
+def test_window_outside_or_of_another_set_raises(tmp_path, noise):
+    backgrounds = _set(tmp_path, noise)
+    with pytest.raises(StoredFileError, match="reaches out"):
+        backgrounds.window(BackgroundWindow("one", 5.0, 30.0, 0.0), 20)
+    with pytest.raises(StoredFileError, match="no tile 'two'"):
+        backgrounds.window(BackgroundWindow("two", 30.0, 30.0, 0.0), 20)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda index: index.pop("gsd_m"),
+        lambda index: index.update(format_version=99),
+        lambda index: index.update(tiles=[]),
+        lambda index: index["tiles"][0].pop("split"),
+        lambda index: index["tiles"][0].update(split="holiday"),
+    ],
+)
+def test_damaged_index_raises(tmp_path, noise, damage):
+    _set(tmp_path, noise)
+    path = tmp_path / "index.json"
+    index = json.loads(path.read_text())
+    damage(index)
+    path.write_text(json.dumps(index))
+    with pytest.raises(StoredFileError, match=r"index\.json"):
+        BackgroundSet.open(tmp_path)
+
+
+def test_missing_index_and_damaged_tile_raise(tmp_path, noise):
+    with pytest.raises(StoredFileError, match=r"index\.json is missing"):
+        BackgroundSet.open(tmp_path / "nowhere")
+    backgrounds = _set(tmp_path, noise)
+    file = tmp_path / "tiles" / "one.png"
+    file.write_bytes(file.read_bytes()[:500])
+    with pytest.raises(StoredFileError, match=r"one\.png"):
+        backgrounds.pixels("one")
+
+
+def test_same_seed_same_bytes_whatever_the_counts(tmp_path):
+    before = torch.random.get_rng_state()
+    first = write_procedural_backgrounds(tmp_path / "a", {"train": 2, "test": 1}, 128, seed=5)
+    write_procedural_backgrounds(tmp_path / "b", {"test": 2}, 128, seed=5)
+    write_procedural_backgrounds(tmp_path / "c", {"test": 1}, 128, seed=6)
+    name = "tiles/test-00000.png"
+    assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
+    assert (tmp_path / "b" / "tiles/test-00001.png").read_bytes() != (tmp_path / "b" / name).read_bytes()
+    assert len(first.tiles("train")) == 2
+    assert first.tiles("test")[0].sun_elevation_rad > 0
+    assert torch.equal(before, torch.random.get_rng_state())
+
+
+def test_progress_and_unknown_split(tmp_path):
+    calls = []
+    write_procedural_backgrounds(tmp_path, {"train": 2}, 64, seed=0, progress=lambda *call: calls.append(call))
+    assert calls == [(1, 2), (2, 2)]
+    with pytest.raises(ConfigurationError, match="holiday"):
+        write_procedural_backgrounds(tmp_path, {"holiday": 1}, 64, seed=0)

@@ -1,0 +1,130 @@
+"""Scene sampling: counts, places, no overlap, camera disc, determinism."""
+
+import math
+
+import pytest
+import torch
+
+from skyproof.errors import ConfigurationError
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.sampling import SceneSettings, rectangles_overlap, sample_scenes
+
+SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}
+
+
+@pytest.fixture(scope="module")
+def backgrounds(tmp_path_factory):
+    tiles = [BackgroundTile(f"{split}-0", "none.png", split, 560, 600, "made") for split in ("train", "test")]
+    return BackgroundSet(tmp_path_factory.mktemp("set"), 0.125, tiles)
+
+
+def _sample(backgrounds, count=300, seed=0, sizes=SIZES, **settings):
+    generator = torch.Generator().manual_seed(seed)
+    return sample_scenes(SceneSettings(**settings), backgrounds, "test", sizes, count, generator=generator)
+
+
+def _points(placement, step=0.1):
+    """Ground points densely covering a vehicle, `[n, 2]` m."""
+    length, width, _ = SIZES[placement.vehicle]
+    u = torch.arange(-length / 2, length / 2 + 1e-9, step)
+    v = torch.arange(-width / 2, width / 2 + 1e-9, step)
+    u, v = torch.meshgrid(u, v, indexing="ij")
+    c, s = math.cos(placement.heading_rad), math.sin(placement.heading_rad)
+    return torch.stack([placement.x_m + c * u - s * v, placement.y_m + s * u + c * v], -1).reshape(-1, 2)
+
+
+def test_vehicles_keep_their_distance(backgrounds):
+    scenes = _sample(backgrounds, 120, size_px=192, vehicles_minimum=4)
+    pairs = 0
+    for scene in scenes:
+        points = [_points(placement) for placement in scene.placements]
+        for i in range(len(points)):
+            for j in range(i):
+                pairs += 1
+                # Points every 0.1 m: the nearest two are at most 0.15 m further apart than the outlines.
+                assert float(torch.cdist(points[i], points[j]).min()) > 0.4 - 1e-4
+    assert pairs > 600
+
+
+def test_separating_axes_agree_with_points():
+    generator = torch.Generator().manual_seed(1)
+    disagreements = found = 0
+    for _ in range(400):
+        draws = torch.rand(6, generator=generator).tolist()
+        first = (0.0, 0.0, draws[0] * 7, 4.4, 1.8)
+        second = ((draws[1] - 0.5) * 9, (draws[2] - 0.5) * 9, draws[3] * 7, 5.0, 2.0)
+        grid = torch.stack(torch.meshgrid(*[torch.arange(-4, 4, 0.04)] * 2, indexing="ij"), -1).reshape(-1, 2)
+        inside = torch.ones(len(grid), dtype=torch.bool)
+        for x, y, heading, length, width in (first, second):
+            d = grid - torch.tensor([x, y])
+            u = d[:, 0] * math.cos(heading) + d[:, 1] * math.sin(heading)
+            v = -d[:, 0] * math.sin(heading) + d[:, 1] * math.cos(heading)
+            inside &= (u.abs() < length / 2) & (v.abs() < width / 2)
+        found += bool(inside.any())
+        disagreements += rectangles_overlap(first, second) != bool(inside.any())
+    assert 50 < found < 350
+    assert disagreements <= 4, "only slivers thinner than the point grid may differ"
+
+
+def test_counts_are_uniform_and_places_fill_the_image(backgrounds):
+    scenes = _sample(backgrounds, 1000)
+    counts = torch.bincount(torch.tensor([len(scene.placements) for scene in scenes]), minlength=6)
+    assert counts[0] == 0
+    assert (counts[1:] > 150).all()
+    places = torch.tensor([[p.x_m, p.y_m, p.heading_rad] for scene in scenes for p in scene.placements])
+    assert places[:, :2].abs().max() <= 22.0
+    assert places[:, :2].abs().max() > 21.5
+    assert (places[:, :2].mean(0).abs() < 1).all()
+    # A uniform place on [-22, 22] has a standard deviation of 44 / sqrt(12) = 12.7.
+    torch.testing.assert_close(places[:, :2].std(0), torch.full((2,), 12.7), atol=0.6, rtol=0)
+    assert torch.histc(places[:, 2], 8, 0, 2 * math.pi).min() > 0.08 * len(places)
+    assert {p.vehicle for scene in scenes for p in scene.placements} == set(SIZES)
+
+
+def test_exactly_one_and_none(backgrounds):
+    assert all(len(s.placements) == 1 for s in _sample(backgrounds, 50, vehicles_minimum=1, vehicles_maximum=1))
+    empty = _sample(backgrounds, 5, sizes={}, vehicles_minimum=0, vehicles_maximum=0)
+    assert all(s.placements == () for s in empty)
+    assert {len(s.placements) for s in _sample(backgrounds, 60, vehicles_minimum=0, vehicles_maximum=1)} == {0, 1}
+
+
+def test_camera_is_a_uniform_point_on_the_disc(backgrounds):
+    scenes = _sample(backgrounds, 2000, vehicles_maximum=1)
+    radius = torch.tensor([math.sin(s.camera.tilt_rad) for s in scenes]) / math.sin(math.radians(20))
+    azimuth = torch.tensor([s.camera.azimuth_rad for s in scenes])
+    assert radius.max() <= 1
+    # On a uniform disc the squared radius is uniform: half of the points lie outside 0.707 of the radius.
+    squared = torch.histc(radius**2, 5, 0, 1) / len(scenes)
+    assert (squared - 0.2).abs().max() < 0.04
+    assert (torch.histc(azimuth, 4, 0, 2 * math.pi) / len(scenes) - 0.25).abs().max() < 0.04
+    elevation = torch.rad2deg(torch.tensor([s.sun.elevation_rad for s in scenes]))
+    assert 25 <= elevation.min() < 26
+    assert 64 < elevation.max() <= 65.001
+
+
+def test_same_seed_same_scenes_and_prefixes_of_longer_sets(backgrounds):
+    before = torch.random.get_rng_state()
+    first = _sample(backgrounds, 20)
+    assert first == _sample(backgrounds, 20)
+    assert first == _sample(backgrounds, 30)[:20]
+    assert first != _sample(backgrounds, 20, seed=1)
+    assert len({scene.seed for scene in first}) == 20
+    assert len({scene.id for scene in first}) == 20
+    assert all(scene.background.tile == "test-0" for scene in first)
+    assert torch.equal(before, torch.random.get_rng_state())
+
+
+@pytest.mark.parametrize(
+    ("settings", "sizes", "message"),
+    [
+        ({"size_px": 64, "vehicles_minimum": 40, "vehicles_maximum": 40}, SIZES, "No room"),
+        ({"gsd_m": 0.25}, SIZES, "0.25"),
+        ({}, {}, "no vehicle"),
+        ({"vehicles_minimum": 3, "vehicles_maximum": 2}, SIZES, "minimum"),
+        ({"size_px": 24}, SIZES, "margin"),
+        ({"size_px": 500}, SIZES, "no test tile"),
+    ],
+)
+def test_impossible_settings_raise(backgrounds, settings, sizes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        _sample(backgrounds, 2, sizes=sizes, **settings)
