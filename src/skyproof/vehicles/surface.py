@@ -219,7 +219,12 @@ def _upper_side(
     up = (along / side).clamp(max=1.0)
     inward = ((along - side) / rail_y[:, None]).clamp(0.0, 1.0)
     # Windows bulge by 1.5 cm.
-    y = shoulder[:, :1] + up * (rail_y - shoulder[:, 0])[:, None] + 0.06 * up * (1 - up) * share - inward * rail_y[:, None]
+    y = (
+        shoulder[:, :1]
+        + up * (rail_y - shoulder[:, 0])[:, None]
+        + 0.06 * up * (1 - up) * share
+        - inward * rail_y[:, None]
+    )
     z = belt[:, None] + up * (rail_z - belt)[:, None] + (top - rail_z)[:, None] * (1 - (1 - inward) ** 2)
     y[:, -1] = 0.0
     return torch.stack([y, z], dim=-1), rail_z, rail_y
