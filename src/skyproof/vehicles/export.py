@@ -42,4 +42,6 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     )
     visual = trimesh.visual.TextureVisuals(uv=np.stack([uvs[:, 0], 1 - uvs[:, 1]], -1), material=material)
     mesh = trimesh.Trimesh(vertices[pairs[:, 0]], corners.reshape(-1, 3), visual=visual, process=False)
-    write_bytes(Path(path), mesh.export(file_type="glb"))
+    data = mesh.export(file_type="glb")
+    assert isinstance(data, bytes)
+    write_bytes(Path(path), data)

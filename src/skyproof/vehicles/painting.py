@@ -17,7 +17,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 __all__ = ["paint_vehicle"]
 
 Mask = Bool[Tensor, "512 256"]
-Colour = Float[Tensor, "3"] | tuple[float, float, float]
+Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)

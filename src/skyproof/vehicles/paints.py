@@ -38,7 +38,7 @@ _TONES: dict[str, list[tuple[float, float, float]]] = {
 }
 
 
-def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Float[Tensor, "3"]]:
+def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Float[Tensor, " 3"]]:
     """Draws a colour name and its sRGB in [0, 1]."""
     draws = torch.rand(3, generator=generator)
     shares = torch.tensor(list(PAINT_SHARES.values()))

@@ -35,10 +35,10 @@ class Body:
 
     dimensions: BodyDimensions
     half: Float[Tensor, "33 17 3"]
-    station: Float[Tensor, "33"]
-    belt_z: Float[Tensor, "33"]
-    rail_z: Float[Tensor, "33"]
-    rail_y: Float[Tensor, "33"]
+    station: Float[Tensor, " 33"]
+    belt_z: Float[Tensor, " 33"]
+    rail_z: Float[Tensor, " 33"]
+    rail_y: Float[Tensor, " 33"]
 
     @property
     def vertices(self) -> Float[Tensor, "994 3"]:
@@ -48,7 +48,7 @@ class Body:
         return torch.cat([rings, self.half[0, :1], self.half[-1, :1]]).float()
 
 
-def interpolate(at: Float[Tensor, "..."], x: Float[Tensor, " K"], y: Float[Tensor, " K"]) -> Float[Tensor, "..."]:
+def interpolate(at: Float[Tensor, " *at"], x: Float[Tensor, " K"], y: Float[Tensor, " K"]) -> Float[Tensor, " *at"]:
     """Piecewise linear y(at), constant beyond the ends; x ascending."""
     right = torch.searchsorted(x, at.contiguous()).clamp(1, len(x) - 1)
     share = ((at - x[right - 1]) / (x[right] - x[right - 1])).clamp(0.0, 1.0)
@@ -123,7 +123,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
     return curves
 
 
-def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -> Float[Tensor, "27"]:
+def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -> Float[Tensor, " 27"]:
     """Stations of the rings between the caps: even along the centre line, but with a ring at each edge of the body."""
     at = profile["at"]
     height = profile["top"] - profile["depth"]
@@ -146,8 +146,8 @@ def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -
 
 
 def _sections(
-    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]], station: Float[Tensor, "27"]
-) -> tuple[Float[Tensor, "27 17 3"], Float[Tensor, "27"], Float[Tensor, "27"], Float[Tensor, "27"]]:
+    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]], station: Float[Tensor, " 27"]
+) -> tuple[Float[Tensor, "27 17 3"], Float[Tensor, " 27"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
     """The left half of each ring, and belt height, rail height and rail half width of each ring."""
     top, belt, depth = (interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth"))
     from_tail = d.length - station
@@ -177,7 +177,7 @@ def _sections(
 
 
 def _lower_side(
-    d: BodyDimensions, station: Float[Tensor, "27"], half_width: Float[Tensor, "27"], belt: Float[Tensor, "27"]
+    d: BodyDimensions, station: Float[Tensor, " 27"], half_width: Float[Tensor, " 27"], belt: Float[Tensor, " 27"]
 ) -> Float[Tensor, "27 6 2"]:
     """(y, z) from the sill, or the ground under a tyre, up to the shoulder."""
     # The bumpers' lower edges are higher than the sill.
@@ -198,8 +198,8 @@ def _lower_side(
 
 
 def _upper_side(
-    d: BodyDimensions, shoulder: Float[Tensor, "27 2"], top: Float[Tensor, "27"], belt: Float[Tensor, "27"]
-) -> tuple[Float[Tensor, "27 10 2"], Float[Tensor, "27"], Float[Tensor, "27"]]:
+    d: BodyDimensions, shoulder: Float[Tensor, "27 2"], top: Float[Tensor, " 27"], belt: Float[Tensor, " 27"]
+) -> tuple[Float[Tensor, "27 10 2"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
     """(y, z) from the shoulder over the roof rail to the middle of the roof (or bonnet, or boot)."""
     height = top - belt
     crown = torch.minimum(0.5 * height, torch.full_like(height, 0.045))
@@ -230,7 +230,7 @@ def _upper_side(
     return torch.stack([y, z], dim=-1), rail_z, rail_y
 
 
-def _sink_bed(upper: Float[Tensor, "27 10 2"], depth: Float[Tensor, "27"]) -> None:
+def _sink_bed(upper: Float[Tensor, "27 10 2"], depth: Float[Tensor, " 27"]) -> None:
     """Lowers the inner points of a pickup's bed rings, leaving a rim of 9 cm."""
     inside = depth > 0
     rim = upper[:, 0, 0]

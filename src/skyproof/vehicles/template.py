@@ -20,17 +20,17 @@ TOPOLOGY_RAIL = 11  # roof rail: below it the windows, above it the roof
 
 # Texels of a 512 map between two columns, for underside, lower side, window height and half roof. They share out
 # 256 texels so that a saloon's painted parts come to about 1 cm per texel; the underside gets what is left.
-_TEXELS = (2 * [19.0], 5 * [18.4], 4 * [15.5], 5 * [12.8])
+_TEXELS = (2 * [19.0], 5 * [18.8], 4 * [16.0], 5 * [12.0])
 
 
-def column_u(dtype: torch.dtype = torch.float64) -> Float[Tensor, "33"]:
+def column_u(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
     """u of the 33 UV columns; the first (0) and the last (1) are the seam in the middle of the underside."""
     widths = torch.tensor([width for group in _TEXELS for width in group], dtype=torch.float64)
     half = torch.cat([widths.new_zeros(1), widths.cumsum(0)]) / (2 * widths.sum())
     return torch.cat([half, 1.0 - half[:-1].flip(0)]).to(dtype)
 
 
-def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, "33"]:
+def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
     """v of the nose pole, the 31 rings and the tail pole: even, so 16 texels of a 512 map to each interval."""
     return torch.linspace(0.0, 1.0, RINGS + 2, dtype=torch.float64).to(dtype)
 
@@ -74,7 +74,7 @@ def make_template() -> Template:
     )
 
 
-def _fan(ring: Int[Tensor, "33"], pole: int | Int[Tensor, "32"]) -> Int[Tensor, "32 3"]:
+def _fan(ring: Int[Tensor, " 33"], pole: int | Int[Tensor, " 32"]) -> Int[Tensor, "32 3"]:
     """Triangles from the pole to each edge of a ring, outward at the nose; reverse them at the tail."""
     apex = torch.as_tensor(pole).expand(COLUMNS)
     return torch.stack([apex, ring[:-1], ring[1:]], dim=1)

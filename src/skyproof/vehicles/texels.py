@@ -23,8 +23,8 @@ __all__ = ["texel_sizes"]
 def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
     """Median size of a texel over the vehicles of a batch.
 
-    The regions are roof, bonnet, sides (between sill and shoulder), glass and underside; bonnet and roof are the painted
-    texels inside the roof rail before and behind the first glass of the middle column.
+    The regions are roof, bonnet, sides (between sill and shoulder), glass and underside. Bonnet and roof are the
+    painted texels inside the roof rail before and behind the first glass of the middle column.
 
     Args:
         vehicles: procedural vehicles on the template of `make_template`.
