@@ -284,9 +284,9 @@ def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) 
         stretch = _between(c.station, front + 0.12, rear - 0.05)
         c.fill(roof & stretch & _between(c.y - (c.rail_y - 0.07), -0.022, 0.022), rail, Part.TRIM)
     if body_type not in ("van", "pickup") and chance[3] < 0.22:
-        length = 0.45 if chance[4] < 0.6 else rear - front - 0.45
+        length = 0.45 if chance[4] < 0.6 else min(rear - front - 0.45, 1.10)
         pane = (
-            roof & (c.y < min(0.40, float(c.body.rail_y[15]) - 0.14)) & _between(c.station - front, 0.14, 0.14 + length)
+            roof & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14)) & _between(c.station - front, 0.14, 0.14 + length)
         )
         c.fill(pane, glass * 0.8, Part.GLASS)
     if body_type != "van":

@@ -18,7 +18,7 @@ _CAP_RINGS = 2  # rings inside each bumper's face
 _CAP_SCALES = (0.45, 0.86)
 _CAP_DEPTH_M = 0.06
 _SMOOTHING_M = 0.13
-_FLAT_TYRE_M = 0.09  # half the length of the tyre's contact, so that at least one ring reaches the ground
+_FLAT_TYRE_M = 0.125  # half the length of the tyre's contact, so that at least one ring reaches the ground
 
 
 @dataclass(frozen=True)
