@@ -76,6 +76,24 @@ def test_the_underside_is_at_both_edges_of_the_map(body_type: str) -> None:
     assert not (parts[:, :, 64:448] == Part.UNDERSIDE).any()
 
 
+@pytest.mark.parametrize("body_type", TYPES)
+def test_the_windscreen_reaches_across(body_type: str) -> None:
+    for texture, parts in zip(_fleet(body_type).textures, _fleet(body_type).parts, strict=True):
+        first = int((parts[:, 256] == Part.GLASS).int().argmax())
+        across = parts[first + 12, 200:312] == Part.GLASS
+        assert across.sum() > 100
+        pane = texture[:, first + 14, 212:300].float().mean(0) / 255
+        assert pane.min() > 0.08  # lighter than the black frame
+        assert pane.max() < 0.3
+
+
+def test_a_saloon_has_whole_wheels_on_the_ground() -> None:
+    parts = _fleet("saloon").parts[:, :, :256]
+    wheels = (parts == Part.WHEEL).sum((1, 2))
+    assert wheels.min() > 5000  # two discs of 0.32 m radius at 1 cm per texel are 6400, and some tread
+    assert wheels.max() < 12000
+
+
 def test_glass_is_darker_than_white_paint_and_wheels_are_low() -> None:
     fleet = _fleet("van")
     brightness = fleet.textures.float().mean(1) / 255

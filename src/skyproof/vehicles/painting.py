@@ -86,7 +86,7 @@ def paint_vehicle(
     canvas = _canvas(body, paint)
     _paint_seams(canvas, body_type)
     _paint_lower_body(canvas, body_type, chance[0])
-    _paint_ends(canvas, body_type, chance[1])
+    _paint_ends(canvas, body_type, paint, chance[1])
     glass = torch.tensor([0.115, 0.140, 0.165]) * (0.75 + 0.7 * chance[2])
     _paint_glass(canvas, body_type, glass, panel_van=chance[3] < 0.7)
     _paint_roof(canvas, body_type, glass, chance[4:9])
@@ -195,16 +195,17 @@ def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
         c.fill(c.side & (from_hub < 0.66 * radius) & spokes, (0.50, 0.51, 0.52), Part.WHEEL)
 
 
-def _paint_ends(c: _Canvas, body_type: str, chance: float) -> None:
+def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> None:
     """Bumpers, grille, lights, number plates."""
     d = c.body.dimensions
     half = d.width / 2
     above_floor = ~c.floor
     nose, tail = above_floor & (c.behind < 0.46), above_floor & (c.ahead < 0.36)
     low = d.clearance + 0.16
-    paint = c.colour[:, TEXTURE_SIZE // 2, -1] if body_type not in ("pickup",) else torch.tensor(_CHROME)
     plain_van = body_type == "van" and chance < 0.6
     bumper = torch.tensor((0.13, 0.13, 0.135)) if plain_van else paint
+    if body_type == "pickup":
+        bumper = torch.tensor(_CHROME)
     bumper_z = 0.74 * d.nose_height
     bonnet = c.column > TOPOLOGY_BELT + 2
     c.fill(nose & (c.z < bumper_z), bumper, Part.BUMPER)
