@@ -27,7 +27,7 @@ _FORMAT_VERSION = 1
 
 
 def _default_weights() -> dict[str, float]:
-    # Our choice, near European traffic: mostly passenger cars, one commercial vehicle in seven.
+    # Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
     return {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26, "pickup": 0.04, "van": 0.10}
 
 

@@ -22,9 +22,9 @@ PAINT_SHARES: dict[str, float] = {
     "brown": 0.03,
     "yellow": 0.01,
 }
-_WHITE_VANS = 0.7  # our estimate of delivery vans on European roads; the rest follows the table
+_WHITE_VANS = 0.7  # our estimate, not published; the rest follows the table
 
-# Typical diffuse sRGB of each colour space, judged from vehicles in aerial photographs.
+# Typical diffuse sRGB of each colour space: our estimates, not measured.
 _TONES: dict[str, list[tuple[float, float, float]]] = {
     "white": [(0.90, 0.90, 0.89), (0.86, 0.87, 0.87), (0.88, 0.86, 0.82)],
     "black": [(0.07, 0.07, 0.08), (0.10, 0.10, 0.11), (0.07, 0.08, 0.12)],
