@@ -1,0 +1,47 @@
+"""Handing a vehicle to other programs: GLB with its texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from skyproof.files import write_bytes
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["export_glb"]
+
+
+def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
+    """Writes one vehicle as binary glTF 2.0, its texture inside, whole or not at all.
+
+    glTF has y up and looks along +z: its (x, y, z) is our (y, z, x), so the vehicle's nose points along glTF's +z, its
+    left side along +x, and it stands on y = 0, in metres. glTF's texture origin is the top-left corner of the image, as
+    ours is (row 0 at v = 0); trimesh counts v from the bottom and turns it round in the file, so it is given 1 - v.
+
+    Args:
+        vehicles: the batch it is taken from.
+        index: its place in the batch.
+        path: a name ending in .glb.
+
+    Raises:
+        RunFolderError: the file cannot be written.
+    """
+    template = vehicles.template
+    faces, face_uvs = template.faces.cpu().numpy(), template.face_uvs.cpu().numpy()
+    # glTF has one index for position and UV: a vertex for each pair that occurs.
+    pairs, corners = np.unique(np.stack([faces, face_uvs], -1).reshape(-1, 2), axis=0, return_inverse=True)
+    vertices = vehicles.vertices[index].detach().cpu().double().numpy()[:, [1, 2, 0]]
+    uvs = template.uvs.detach().cpu().double().numpy()[pairs[:, 1]]
+    texture = vehicles.texture[index if len(vehicles.texture) > 1 else 0].detach().cpu()
+    image = Image.fromarray((texture.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy())
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.5, name=vehicles.ids[index]
+    )
+    visual = trimesh.visual.TextureVisuals(uv=np.stack([uvs[:, 0], 1 - uvs[:, 1]], -1), material=material)
+    mesh = trimesh.Trimesh(vertices[pairs[:, 0]], corners.reshape(-1, 3), visual=visual, process=False)
+    data = mesh.export(file_type="glb")
+    assert isinstance(data, bytes)
+    write_bytes(Path(path), data)

@@ -1,0 +1,175 @@
+"""A fleet: many procedural vehicles on one template, drawn from a seed, stored compactly, handed out in batches."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, UInt8
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+from torch import Tensor
+
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import finished_folder, read_json, write_bytes, write_json
+from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
+from skyproof.vehicles.painting import paint_vehicle
+from skyproof.vehicles.surface import build_body
+from skyproof.vehicles.template import make_template
+from skyproof.vehicles.vehicle import Template, VehicleBatch
+
+__all__ = ["Fleet", "FleetSettings", "sample_fleet"]
+
+_FORMAT_VERSION = 1
+
+
+def _default_weights() -> dict[str, float]:
+    # Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
+    return {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26, "pickup": 0.04, "van": 0.10}
+
+
+@dataclass(frozen=True)
+class FleetSettings:
+    """What a fleet consists of.
+
+    Attributes:
+        count: number of vehicles.
+        weights: relative frequency of each body type; a type left out does not occur.
+        first_number: number of the first vehicle, so that two fleets can have different ids.
+    """
+
+    count: int = 60
+    weights: dict[str, float] = field(default_factory=_default_weights)
+    first_number: int = 0
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise ConfigurationError(f"A fleet needs at least 1 vehicle, not {self.count}.")
+        unknown = sorted(set(self.weights) - set(BODY_RANGES))
+        if unknown:
+            raise ConfigurationError(f"Unknown body types {unknown}; choose from {', '.join(sorted(BODY_RANGES))}.")
+        if not self.weights or min(self.weights.values()) < 0 or sum(self.weights.values()) <= 0:
+            raise ConfigurationError("Body type weights must not be negative, and at least one must be above 0.")
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Vehicles by id.
+
+    Attributes:
+        settings: what it was drawn from.
+        template: the shared mesh.
+        ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the last hyphen.
+        vertices: `[N, V, 3]` metres, vehicle frame.
+        textures: `[N, 3, 512, 512]` sRGB as bytes.
+        parts: `[N, 512, 512]` values of `Part`.
+    """
+
+    settings: FleetSettings
+    template: Template
+    ids: tuple[str, ...]
+    vertices: Float[Tensor, "N V 3"]
+    textures: UInt8[Tensor, "N 3 512 512"]
+    parts: UInt8[Tensor, "N 512 512"]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def batch(self, ids: Sequence[str]) -> VehicleBatch:
+        """The named vehicles in the order given; an id may occur more than once.
+
+        Raises:
+            ConfigurationError: an id that is not in this fleet.
+        """
+        rows = torch.tensor([self._row(vehicle_id) for vehicle_id in ids], dtype=torch.int64)
+        texture = self.textures[rows].float() / 255
+        return VehicleBatch(self.template, self.vertices[rows], texture, self.parts[rows], tuple(ids))
+
+    def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
+        """Length, width (without mirrors) and height in metres."""
+        vertices = self.vertices[self._row(vehicle_id)]
+        length, width, height = (vertices.amax(0) - vertices.amin(0)).tolist()
+        return length, width, height
+
+    def save(self, folder: Path) -> None:
+        """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all.
+
+        Raises:
+            RunFolderError: the folder exists already, or the disk cannot take it.
+        """
+        tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
+        with finished_folder(Path(folder)) as partial:
+            write_bytes(partial / "fleet.safetensors", save_tensors({k: v.contiguous() for k, v in tensors.items()}))
+            description = {"format": _FORMAT_VERSION, "ids": list(self.ids), "settings": asdict(self.settings)}
+            write_json(partial / "fleet.json", description)
+
+    @staticmethod
+    def load(folder: Path) -> Fleet:
+        """Reads what `save` wrote.
+
+        Raises:
+            StoredFileError: the folder is missing, damaged or of another format version.
+        """
+        folder = Path(folder)
+        description = read_json(folder / "fleet.json")
+        version = description.get("format") if isinstance(description, dict) else None
+        if version != _FORMAT_VERSION:
+            raise StoredFileError(
+                f"{folder} holds fleet format {json.dumps(version)}, this version reads {_FORMAT_VERSION}; "
+                "make the fleet again."
+            )
+        try:
+            tensors = load_tensors((folder / "fleet.safetensors").read_bytes())
+            ids = tuple(str(vehicle_id) for vehicle_id in description["ids"])
+            settings = FleetSettings(**description["settings"])
+            fleet = Fleet(settings, make_template(), ids, tensors["vertices"], tensors["textures"], tensors["parts"])
+            fleet._check_shapes()
+        except Exception as error:  # safetensors raises its own type, and whatever a damaged file provokes means damage
+            raise StoredFileError(f"{folder} holds a damaged fleet ({error}); make the fleet again.") from error
+        return fleet
+
+    def _row(self, vehicle_id: str) -> int:
+        try:
+            return self.ids.index(vehicle_id)
+        except ValueError:
+            raise ConfigurationError(
+                f"No vehicle {vehicle_id!r} in this fleet of {len(self)} ({self.ids[0]} ... {self.ids[-1]})."
+            ) from None
+
+    def _check_shapes(self) -> None:
+        count = len(self.ids)
+        wanted = {
+            "vertices": ((count, len(self.template.mirror), 3), torch.float32),
+            "textures": ((count, 3, 512, 512), torch.uint8),
+            "parts": ((count, 512, 512), torch.uint8),
+        }
+        for name, (shape, dtype) in wanted.items():
+            tensor = getattr(self, name)
+            if tuple(tensor.shape) != shape or tensor.dtype != dtype:
+                raise ValueError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected {dtype} {shape}")
+
+
+def sample_fleet(settings: FleetSettings, *, generator: torch.Generator) -> Fleet:
+    """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
+
+    Args:
+        settings: how many, and of which types.
+        generator: CPU generator; the same state gives the same fleet, byte for byte.
+    """
+    types = list(settings.weights)
+    weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
+    chosen = torch.multinomial(weights, settings.count, replacement=True, generator=generator).tolist()
+    ids, vertices, textures, parts = [], [], [], []
+    for number, choice in enumerate(chosen, start=settings.first_number):
+        body = build_body(sample_dimensions(types[choice], generator=generator))
+        texture, labels = paint_vehicle(body, types[choice], generator=generator)
+        ids.append(f"{types[choice]}-{number:04d}")
+        vertices.append(body.vertices)
+        textures.append(texture)
+        parts.append(labels)
+    return Fleet(
+        settings, make_template(), tuple(ids), torch.stack(vertices), torch.stack(textures), torch.stack(parts)
+    )

@@ -1,0 +1,143 @@
+"""Fleets: from a seed, to disk and back, and out as GLB."""
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.vehicles.export import export_glb
+from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+
+
+@lru_cache
+def _fleet(seed: int = 0) -> Fleet:
+    return sample_fleet(FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(seed))
+
+
+def _same(one: Fleet, other: Fleet) -> bool:
+    tensors = all(torch.equal(getattr(one, n), getattr(other, n)) for n in ("vertices", "textures", "parts"))
+    return tensors and one.ids == other.ids and one.settings == other.settings
+
+
+def test_the_seed_decides_everything() -> None:
+    again = sample_fleet(FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(0))
+    assert _same(_fleet(), again)
+    assert not _same(_fleet(), _fleet(1))
+
+
+def test_the_global_seed_does_not_matter() -> None:
+    before = torch.random.get_rng_state()
+    _fleet(2)
+    assert torch.equal(before, torch.random.get_rng_state())
+
+
+def test_ids_carry_body_type_and_number() -> None:
+    types, numbers = zip(*(vehicle_id.rsplit("-", 1) for vehicle_id in _fleet().ids), strict=True)
+    assert set(types) <= set(FleetSettings().weights)
+    assert numbers == ("0010", "0011", "0012", "0013", "0014")
+
+
+def test_batch_repeats_and_orders() -> None:
+    fleet = _fleet()
+    batch = fleet.batch([fleet.ids[3], fleet.ids[0], fleet.ids[3]])
+    assert batch.ids == (fleet.ids[3], fleet.ids[0], fleet.ids[3])
+    assert torch.equal(batch.vertices[0], fleet.vertices[3])
+    assert torch.equal(batch.vertices[0], batch.vertices[2])
+    assert torch.equal((batch.texture[1] * 255).round().to(torch.uint8), fleet.textures[0])
+    with pytest.raises(ConfigurationError, match="No vehicle 'tank-0001'"):
+        fleet.batch(["tank-0001"])
+
+
+def test_size() -> None:
+    fleet = _fleet()
+    length, width, height = fleet.size_m(fleet.ids[1])
+    x, y, z = fleet.vertices[1].unbind(1)
+    assert (length, width, height) == pytest.approx((float(x.max() - x.min()), 2 * float(y.max()), float(z.max())))
+    assert length > width > height * 0.7
+
+
+def test_settings_refuse_nonsense() -> None:
+    for wrong in ({"count": 0}, {"weights": {"tank": 1.0}}, {"weights": {"van": -1.0}}, {"weights": {}}):
+        with pytest.raises(ConfigurationError):
+            FleetSettings(**wrong)
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    _fleet().save(tmp_path / "fleet")
+    assert _same(_fleet(), Fleet.load(tmp_path / "fleet"))
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["fleet", "fleet.json", "fleet.safetensors"]
+    with pytest.raises(RunFolderError, match="exists already"):
+        _fleet().save(tmp_path / "fleet")
+
+
+@pytest.mark.parametrize("damage", ["missing", "no tensors", "cut", "other version", "list", "ids", "not json", "key"])
+def test_damaged_folders_are_named_in_one_sentence(tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "fleet"
+    _fleet().save(folder)
+    tensors, description = folder / "fleet.safetensors", folder / "fleet.json"
+    content = json.loads(description.read_text())
+    if damage == "missing":
+        folder = tmp_path / "elsewhere"
+    elif damage == "no tensors":
+        tensors.unlink()
+    elif damage == "cut":
+        tensors.write_bytes(tensors.read_bytes()[:5000])
+    elif damage == "other version":
+        description.write_text(json.dumps(content | {"format": 99}))
+    elif damage == "list":
+        description.write_text("[]")
+    elif damage == "ids":
+        description.write_text(json.dumps(content | {"ids": content["ids"][:2]}))
+    elif damage == "not json":
+        description.write_text("{")
+    else:
+        del content["settings"]
+        description.write_text(json.dumps(content))
+    with pytest.raises(StoredFileError, match=folder.name) as caught:
+        Fleet.load(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_glb_round_trip(tmp_path: Path) -> None:
+    fleet = _fleet()
+    batch = fleet.batch(fleet.ids)
+    export_glb(batch, 1, tmp_path / "vehicle.glb")
+    mesh = next(iter(trimesh.load_scene(tmp_path / "vehicle.glb").geometry.values()))
+
+    template = batch.template
+    wanted = batch.vertices[1][template.faces].numpy()[..., [1, 2, 0]]
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], wanted, atol=1e-5)
+    assert mesh.volume > 0
+    image = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(image, fleet.textures[1].permute(1, 2, 0).numpy())
+    uv = np.asarray(mesh.visual.uv)[mesh.faces]
+    wanted_uv = template.uvs[template.face_uvs].numpy()
+    # In memory trimesh counts v from the bottom.
+    np.testing.assert_allclose(uv[..., 0], wanted_uv[..., 0], atol=1e-6)
+    np.testing.assert_allclose(1 - uv[..., 1], wanted_uv[..., 1], atol=1e-6)
+
+
+def test_glb_file_counts_v_from_the_top(tmp_path: Path) -> None:
+    """Read without trimesh: glTF 2.0, 3.8.1.3: UV (0, 0) is the upper left corner of the image."""
+    fleet = _fleet()
+    export_glb(fleet.batch(fleet.ids[:1]), 0, tmp_path / "vehicle.glb")
+    data = (tmp_path / "vehicle.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    gltf, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    attributes = gltf["meshes"][0]["primitives"][0]["attributes"]
+
+    def read(name: str, width: int) -> np.ndarray:
+        accessor = gltf["accessors"][attributes[name]]
+        view = gltf["bufferViews"][accessor["bufferView"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        return np.frombuffer(binary, np.float32, accessor["count"] * width, start).reshape(-1, width)
+
+    position, uv = read("POSITION", 3), read("TEXCOORD_0", 2)
+    nose, tail = position[:, 2].argmax(), position[:, 2].argmin()
+    assert uv[nose, 1] == pytest.approx(0.0, abs=1e-6)
+    assert uv[tail, 1] == pytest.approx(1.0, abs=1e-6)
