@@ -83,8 +83,8 @@ def average_precision(
 def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
     """The score threshold of the largest F1, and that F1 (PAPER 18).
 
-    Detections of equal score stand or fall together. The threshold lies midway to the next lower score, so that rounding
-    on another machine moves no detection across it; `score >= threshold` counts as detected.
+    Detections of equal score stand or fall together. The threshold lies midway to the next lower score, so that
+    rounding on another machine moves no detection across it; `score >= threshold` counts as detected.
 
     Returns:
         (threshold, f1); (1.0, 0.0) when nothing was hit.

@@ -90,7 +90,7 @@ def _build(name: str, size: str) -> TrainableDetector:
 
 
 def weights_digest(detector: nn.Module) -> str:
-    """SHA-256 over names, shapes and bytes of all parameters and buffers: equal before and after an attack (PAPER 23)."""
+    """SHA-256 over names, shapes and bytes of parameters and buffers: equal before and after an attack (PAPER 23)."""
     digest = hashlib.sha256()
     for name, tensor in sorted(detector.state_dict().items()):
         digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
@@ -144,7 +144,11 @@ def load_detector(folder: Path) -> tuple[TrainableDetector, DetectorCard]:
             raise
         raise StoredFileError(f"{folder / 'detector.json'} names an unknown detector: {error}") from error
     try:
-        detector.load_state_dict(load_file(path))
+        tensors = load_file(path)
+        # BatchNorm fills in a missing counter silently, even when loaded strictly.
+        if tensors.keys() != detector.state_dict().keys():
+            raise RuntimeError("other tensor names")
+        detector.load_state_dict(tensors)
     except (SafetensorError, OSError) as error:
         raise StoredFileError(f"{path} is damaged ({error}); train the detector again.") from error
     except RuntimeError as error:

@@ -79,7 +79,7 @@ class RetinaNetDetector(_TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_retinanet(size))
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "n 4"]]) -> Float[Tensor, " B"]:
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
         """torchvision's focal and box losses per image, each divided by that image's positive anchors.
 
         With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
@@ -131,7 +131,7 @@ class FasterRcnnDetector(_TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_faster_rcnn(size))
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "n 4"]]) -> Float[Tensor, " B"]:
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
         """Proposal loss plus region loss per image, deterministic (PAPER 21, 22)."""
         features, image_list = self._features(images)
         objectness, deltas, anchors = self._proposal_outputs(features, image_list)

@@ -1,7 +1,8 @@
 """YOLOv5 through Ultralytics: the only file that imports it.
 
-NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it; installing
-the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network services too.
+NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it;
+installing the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network
+services too.
 
 What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the anchor-free head and
 the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the paper may have used, is not in the package.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -42,6 +44,7 @@ class YoloV5Detector(TrainableDetector):
     """
 
     name = "yolov5"
+    model: Any
 
     def __init__(self, size: str) -> None:
         super().__init__()
@@ -56,7 +59,7 @@ class YoloV5Detector(TrainableDetector):
         self.model.args = DEFAULT_CFG
         self._criterion: Any = None
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "n 4"]]) -> Float[Tensor, " B"]:
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
         """Ultralytics' own v8DetectionLoss (box, class, distribution) image by image on one forward pass.
 
         Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
@@ -114,19 +117,23 @@ class YoloV5Detector(TrainableDetector):
 
 @contextmanager
 def _quiet_import() -> Iterator[None]:
-    """Imports Ultralytics without network, log lines, a settings file at home, or a patched `torch.save`.
+    """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or a patched torch.
 
     Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder and replaces
-    `torch.save`; all three are undone.
+    `torch.save`; all three are undone. Where the program imported Ultralytics before us, its settings stay as they are.
     """
     logger = logging.getLogger("ultralytics")
     level, environment, save = logger.level, dict(os.environ), torch.save
     with tempfile.TemporaryDirectory(prefix="skyproof-yolo-") as folder:
         os.environ.update({"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"})
+        first = "ultralytics" not in sys.modules
+        logger.setLevel(logging.ERROR)
         try:
-            import ultralytics.utils  # noqa: F401
+            from ultralytics.utils import SETTINGS
 
             logger.setLevel(logging.ERROR)
+            if first:
+                SETTINGS["sync"] = False
             yield
         except ModuleNotFoundError as error:
             raise ConfigurationError(
