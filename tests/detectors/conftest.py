@@ -2,28 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 import torch
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from synthetic import bar_images
+from detector_images import NAMES, bar_images
 
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector
-
-YOLO = pytest.param(
-    "yolov5",
-    marks=[
-        pytest.mark.yolo,
-        pytest.mark.skipif(importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"),
-    ],
-)
-NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 
 @pytest.fixture(scope="session", params=NAMES)

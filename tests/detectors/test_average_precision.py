@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from synthetic import labelled_images
+from detector_images import labelled_images
 
 from skyproof.detectors.average_precision import PrecisionRecall, average_precision, best_f1_threshold
 from skyproof.detectors.detector import Detections

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from synthetic import bar_images
+from detector_images import NAMES, bar_images
 
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.folder import build_detector, weights_digest
@@ -114,3 +114,15 @@ def test_same_generator_same_weights_and_global_state_untouched() -> None:
     }
     assert len(digests) == 2
     assert torch.equal(state, torch.get_rng_state())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_full_size_gives_finite_losses_and_detections(name: str) -> None:
+    detector = build_detector(name, "full", generator=torch.Generator().manual_seed(0)).eval().requires_grad_(False)
+    images = IMAGES[1:3].clone().requires_grad_()
+    losses = detector.loss(images, BOXES[1:3]) + detector.loss(images, NOTHING[1:3])
+    losses.sum().backward()
+    assert torch.isfinite(losses).all()
+    assert images.grad is not None
+    assert torch.isfinite(images.grad).all()
+    assert len(detector.detect(IMAGES[1:3])) == 2

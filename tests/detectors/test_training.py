@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from synthetic import bar_images, labelled_images
+from detector_images import bar_images, labelled_images
 
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.folder import build_detector, load_detector, weights_digest

@@ -1,10 +1,22 @@
-"""Small stand-in images: dark ground with bright bars as vehicles."""
+"""Which detectors to test, and small stand-in images: dark ground with bright bars as vehicles."""
 
 from __future__ import annotations
 
+import importlib.util
+
+import pytest
 import torch
 
 from skyproof.scenes.labelled import LabelledImages
+
+YOLO = pytest.param(
+    "yolov5",
+    marks=[
+        pytest.mark.yolo,
+        pytest.mark.skipif(importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"),
+    ],
+)
+NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 
 def labelled_images(
