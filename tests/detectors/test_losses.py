@@ -95,9 +95,11 @@ def test_images_are_never_resized(trained: TrainableDetector) -> None:
     assert (large_boxes - small_best).abs().amax(dim=1).min() < 4
 
 
-def test_too_small_images_are_refused(trained: TrainableDetector) -> None:
+def test_too_small_images_and_missing_targets_are_refused(trained: TrainableDetector) -> None:
     with pytest.raises(ConfigurationError, match="at least 96 px"):
         trained.detect(torch.zeros(1, 3, 64, 200))
+    with pytest.raises(ConfigurationError, match="one tensor of boxes per image"):
+        trained.loss(IMAGES, BOXES[:2])
 
 
 def test_unknown_names_and_sizes_are_refused() -> None:

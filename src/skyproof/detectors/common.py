@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,7 +13,16 @@ from torchvision import ops
 from skyproof.detectors.detector import Candidates, Detections
 from skyproof.errors import ConfigurationError
 
-__all__ = ["LOWEST_SCORE", "MOST_DETECTIONS", "SMALLEST_IMAGE_PX", "check_images", "pad_to_stride", "suppress"]
+__all__ = [
+    "LOWEST_SCORE",
+    "MOST_DETECTIONS",
+    "SMALLEST_IMAGE_PX",
+    "as_targets",
+    "check_images",
+    "check_targets",
+    "pad_to_stride",
+    "suppress",
+]
 
 LOWEST_SCORE = 0.01
 MOST_DETECTIONS = 100
@@ -29,6 +40,18 @@ def check_images(images: Tensor) -> None:
         raise ConfigurationError(
             f"A detector expects images [B, 3, H, W] with H and W of at least {SMALLEST_IMAGE_PX} px, "
             f"but got {list(images.shape)}; use larger tiles."
+        )
+
+
+def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
+    """Refuses a loss whose truth does not belong to its images.
+
+    Raises:
+        ConfigurationError: one box tensor per image is expected.
+    """
+    if len(targets) != len(images):
+        raise ConfigurationError(
+            f"A loss expects one tensor of boxes per image, but got {len(targets)} for {len(images)}."
         )
 
 

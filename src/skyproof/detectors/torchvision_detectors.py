@@ -24,7 +24,7 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.retinanet import RetinaNetHead
 from torchvision.models.detection.rpn import RPNHead, concat_box_prediction_layers
 
-from skyproof.detectors.common import as_targets, check_images, pad_to_stride, suppress
+from skyproof.detectors.common import as_targets, check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.detectors.slim import FEATURE_CHANNELS, SlimBackbone
 from skyproof.errors import ConfigurationError
@@ -88,6 +88,7 @@ class RetinaNetDetector(_TorchvisionDetector):
         With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
         would have, so that one seen vehicle costs about one (PAPER 21, 22). Anchors without a vehicle all count.
         """
+        check_targets(images, targets)
         outputs, anchors = self._outputs(images)
         losses = []
         for index, boxes in enumerate(targets):
@@ -136,9 +137,9 @@ class FasterRcnnDetector(_TorchvisionDetector):
 
     def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
         """Proposal loss plus region loss per image, deterministic (PAPER 21, 22)."""
+        check_targets(images, targets)
         features, image_list = self._features(images)
-        objectness, deltas, anchors = self._proposal_outputs(features, image_list)
-        proposals = self._proposals(objectness, deltas, anchors, image_list)
+        objectness, deltas, anchors, proposals = self._proposal_outputs(features, image_list)
         # As in torchvision the true boxes join the proposals, so that regions learn before proposals are good.
         regions = [torch.cat([own, boxes]) for own, boxes in zip(proposals, targets, strict=True)]
         logits, region_deltas = self._region_outputs(features, regions, image_list)
@@ -155,8 +156,7 @@ class FasterRcnnDetector(_TorchvisionDetector):
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
         """Every proposal's refined box and its class score; rows beyond an image's proposals are not valid."""
         features, image_list = self._features(images)
-        objectness, deltas, anchors = self._proposal_outputs(features, image_list)
-        proposals = self._proposals(objectness, deltas, anchors, image_list)
+        *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
         counts = [len(own) for own in proposals]
         boxes = self.model.roi_heads.box_coder.decode(region_deltas, proposals)[:, 1]
@@ -167,23 +167,21 @@ class FasterRcnnDetector(_TorchvisionDetector):
             pad_sequence([torch.ones_like(own[:, 0], dtype=torch.bool) for own in proposals], batch_first=True),
         )
 
-    def _proposal_outputs(self, features: list[Tensor], image_list: ImageList) -> tuple[Tensor, Tensor, Tensor]:
-        """Objectness `[B, A]`, box deltas `[B, A, 4]` and the shared anchors `[A, 4]`."""
+    def _proposal_outputs(
+        self, features: list[Tensor], image_list: ImageList
+    ) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
+        """Objectness `[B, A]`, box deltas `[B, A, 4]`, the shared anchors `[A, 4]`, and per image its proposals."""
         network = self.model.rpn
         per_level = network.head(features)
         anchors = network.anchor_generator(image_list, features)[0]
-        self._level_sizes = [level[0].numel() for level in per_level[0]]
+        level_sizes = [level[0].numel() for level in per_level[0]]
         objectness, deltas = concat_box_prediction_layers(*per_level)
         batch = len(image_list.image_sizes)
-        return objectness.view(batch, -1), deltas.view(batch, -1, 4), anchors
-
-    @torch.no_grad()
-    def _proposals(self, objectness: Tensor, deltas: Tensor, anchors: Tensor, image_list: ImageList) -> list[Tensor]:
-        network = self.model.rpn
-        boxes = network.box_coder.decode_single(deltas.flatten(0, 1), anchors.repeat(len(deltas), 1))
-        return network.filter_proposals(
-            boxes.view_as(deltas), objectness.reshape(-1, 1), image_list.image_sizes, self._level_sizes
-        )[0]
+        objectness, deltas = objectness.view(batch, -1), deltas.view(batch, -1, 4)
+        # As in torchvision no gradient flows through where the proposals lie.
+        boxes = network.box_coder.decode_single(deltas.detach().flatten(0, 1), anchors.repeat(batch, 1))
+        proposals, _ = network.filter_proposals(boxes.view_as(deltas), objectness, image_list.image_sizes, level_sizes)
+        return objectness, deltas, anchors, proposals
 
     def _region_outputs(
         self, features: list[Tensor], regions: list[Tensor], image_list: ImageList

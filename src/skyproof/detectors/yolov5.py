@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.detectors.common import check_images, pad_to_stride, suppress
+from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.errors import ConfigurationError
 
@@ -65,6 +65,7 @@ class YoloV5Detector(TrainableDetector):
         Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
         ten points a vehicle gets. Called per image, its factor "batch size" is 1 (PAPER 21, 22).
         """
+        check_targets(images, targets)
         outputs = self._outputs(images)
         criterion = self._criterion_on(images.device)
         height, width = (side * 8 for side in outputs["feats"][0].shape[-2:])
