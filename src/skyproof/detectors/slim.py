@@ -1,0 +1,55 @@
+"""The small backbone of the slim detectors: trained from nothing on a CPU in minutes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+from torchvision.ops import FeaturePyramidNetwork
+
+__all__ = ["FEATURE_CHANNELS", "SlimBackbone"]
+
+FEATURE_CHANNELS = 64
+
+
+def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Residual(nn.Module):
+    """Two 3x3 convolutions beside the identity; the second starts at zero, so that depth costs no trainability."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = _convolution(channels, channels)
+        self.second = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.normalise = nn.BatchNorm2d(channels)
+        nn.init.zeros_(self.normalise.weight)
+
+    def forward(self, features: Float[Tensor, "B C h w"]) -> Float[Tensor, "B C h w"]:
+        return functional.relu(features + self.normalise(self.second(self.first(features))))
+
+
+class SlimBackbone(nn.Module):
+    """Four stages of 24, 48, 96 and 128 channels with a feature pyramid of 64 channels at strides 8 and 16.
+
+    A vehicle of 36x15 px spans 4.5x2 cells at stride 8; stride 32 would hold no vehicle.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.out_channels = FEATURE_CHANNELS
+        self.to_stride_4 = nn.Sequential(_convolution(3, 24, stride=2), _convolution(24, 48, stride=2), _Residual(48))
+        self.to_stride_8 = nn.Sequential(_convolution(48, 96, stride=2), _Residual(96))
+        self.to_stride_16 = nn.Sequential(_convolution(96, 128, stride=2), _Residual(128))
+        self.pyramid = FeaturePyramidNetwork([96, 128], FEATURE_CHANNELS)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> OrderedDict[str, Tensor]:
+        stride_8 = self.to_stride_8(self.to_stride_4(images))
+        return self.pyramid(OrderedDict([("0", stride_8), ("1", self.to_stride_16(stride_8))]))

@@ -1,0 +1,269 @@
+"""RetinaNet and Faster R-CNN: torchvision's own classes, with per-image losses over all negatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
+from torchvision import ops
+from torchvision.models.detection import (
+    FasterRCNN,
+    RetinaNet,
+    fasterrcnn_resnet50_fpn_v2,
+    retinanet_resnet50_fpn_v2,
+)
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.models.detection.image_list import ImageList
+from torchvision.models.detection.retinanet import RetinaNetHead
+from torchvision.models.detection.rpn import RPNHead, concat_box_prediction_layers
+
+from skyproof.detectors.common import as_targets, check_images, check_targets, pad_to_stride, suppress
+from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.slim import FEATURE_CHANNELS, SlimBackbone
+from skyproof.errors import ConfigurationError
+
+__all__ = ["FasterRcnnDetector", "RetinaNetDetector"]
+
+# Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the diagonal.
+SLIM_SIDES_PX = ((20.0, 30.0), (28.0, 42.0))
+SLIM_RATIOS = (0.45, 1.0, 2.2)
+# torchvision's full models start at 32 px, too coarse for 15 px wide vehicles: half of its sizes, same count.
+FULL_SIDES_PX = (16.0, 32.0, 64.0, 128.0, 256.0)
+FULL_RATIOS = (0.5, 1.0, 2.0)
+# Measured: anchors a vehicle makes positive in RetinaNet (slim 8.8, full 7.8). With an empty truth the focal sum is
+# divided by it, so that a seen vehicle costs about one (PAPER 22).
+POSITIVES_PER_VEHICLE = 8.0
+# Faster R-CNN's proposal network answers a seen vehicle from more anchors, and cross-entropy does not saturate: the sum
+# is about 60 per vehicle for the trained slim detector.
+EMPTY_PROPOSAL_DIVISOR = 64.0
+PRIOR_PROBABILITY = 0.01
+PROPOSALS = {"slim": 100, "full": 300}
+
+
+class _TorchvisionDetector(TrainableDetector):
+    """Normalising, padding and anchors without torchvision's transform, which would resize the images silently."""
+
+    def __init__(self, size: str, model: RetinaNet | FasterRCNN) -> None:
+        super().__init__()
+        self.size = size
+        self.model = model
+        # Calling the wrapped model directly would resize; without its transform it fails loudly instead.
+        self.model.transform = nn.Identity()
+
+    def _features(self, images: Tensor) -> tuple[list[Tensor], ImageList]:
+        check_images(images)
+        # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the image.
+        padded = pad_to_stride((images - 0.45) / 0.25, value=0.0)
+        sizes = [(images.shape[-2], images.shape[-1])] * len(images)
+        return list(self.model.backbone(padded).values()), ImageList(padded, sizes)
+
+    @torch.no_grad()
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`."""
+        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
+
+
+class RetinaNetDetector(_TorchvisionDetector):
+    """torchvision's RetinaNet for one class, never resizing (PAPER 15).
+
+    Args:
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from scratch).
+    """
+
+    name = "retinanet"
+
+    def __init__(self, size: str) -> None:
+        super().__init__(size, _build_retinanet(size))
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """torchvision's focal and box losses per image, each divided by that image's positive anchors.
+
+        With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
+        would have, so that one seen vehicle costs about one (PAPER 21, 22). Anchors without a vehicle all count.
+        """
+        check_targets(images, targets)
+        outputs, anchors = self._outputs(images)
+        losses = []
+        for index, boxes in enumerate(targets):
+            if len(boxes):
+                matched = self.model.proposal_matcher(ops.box_iou(boxes, anchors))
+            else:
+                matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
+            target = as_targets(boxes)
+            # torchvision's one class of num_classes=1 has label 0: RetinaNet keeps no background class.
+            target["labels"] = torch.zeros_like(target["labels"])
+            own = {key: value[index : index + 1] for key, value in outputs.items()}
+            terms = self.model.head.compute_loss([target], own, [anchors], [matched])
+            divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
+            losses.append((terms["classification"] + terms["bbox_regression"]) / divisor)
+        return torch.stack(losses)
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor's decoded box and sigmoid score."""
+        outputs, anchors = self._outputs(images)
+        deltas = outputs["bbox_regression"]
+        boxes = self.model.box_coder.decode_single(deltas.flatten(0, 1), anchors.repeat(len(images), 1))
+        scores = outputs["cls_logits"][..., 0].sigmoid()
+        return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
+
+    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        features, image_list = self._features(images)
+        # Images of one batch share their size and so their anchors.
+        return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
+
+
+class FasterRcnnDetector(_TorchvisionDetector):
+    """torchvision's Faster R-CNN for one class, never resizing, nothing drawn at random (PAPER 15, 22).
+
+    Differences from torchvision: instead of a random sample of anchors and regions all of them count. The proposal
+    network's sums are divided by its positive anchors (as RetinaNet's are; by a constant with an empty truth), because
+    a mean over all anchors would drown the vehicles; the regions' cross-entropy is the mean over all proposals.
+
+    Args:
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from scratch).
+    """
+
+    name = "faster_rcnn"
+
+    def __init__(self, size: str) -> None:
+        super().__init__(size, _build_faster_rcnn(size))
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """Proposal loss plus region loss per image, deterministic (PAPER 21, 22)."""
+        check_targets(images, targets)
+        features, image_list = self._features(images)
+        objectness, deltas, anchors, proposals = self._proposal_outputs(features, image_list)
+        # As in torchvision the true boxes join the proposals, so that regions learn before proposals are good.
+        regions = [torch.cat([own, boxes]) for own, boxes in zip(proposals, targets, strict=True)]
+        logits, region_deltas = self._region_outputs(features, regions, image_list)
+        counts = [len(own) for own in regions]
+        losses = []
+        for index, (own_logits, own_deltas) in enumerate(
+            zip(logits.split(counts), region_deltas.split(counts), strict=True)
+        ):
+            truth = targets[index]
+            proposal_loss = self._proposal_loss(objectness[index], deltas[index], anchors, truth)
+            losses.append(proposal_loss + self._region_loss(own_logits, own_deltas, regions[index], truth))
+        return torch.stack(losses)
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every proposal's refined box and its class score; rows beyond an image's proposals are not valid."""
+        features, image_list = self._features(images)
+        *_, proposals = self._proposal_outputs(features, image_list)
+        logits, region_deltas = self._region_outputs(features, proposals, image_list)
+        counts = [len(own) for own in proposals]
+        boxes = self.model.roi_heads.box_coder.decode(region_deltas, proposals)[:, 1]
+        scores = logits.softmax(dim=1)[:, 1]
+        return Candidates(
+            pad_sequence(boxes.split(counts), batch_first=True),
+            pad_sequence(scores.split(counts), batch_first=True),
+            pad_sequence([torch.ones_like(own[:, 0], dtype=torch.bool) for own in proposals], batch_first=True),
+        )
+
+    def _proposal_outputs(
+        self, features: list[Tensor], image_list: ImageList
+    ) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
+        """Objectness `[B, A]`, box deltas `[B, A, 4]`, the shared anchors `[A, 4]`, and per image its proposals."""
+        network = self.model.rpn
+        per_level = network.head(features)
+        anchors = network.anchor_generator(image_list, features)[0]
+        level_sizes = [level[0].numel() for level in per_level[0]]
+        objectness, deltas = concat_box_prediction_layers(*per_level)
+        batch = len(image_list.image_sizes)
+        objectness, deltas = objectness.view(batch, -1), deltas.view(batch, -1, 4)
+        # As in torchvision no gradient flows through where the proposals lie.
+        boxes = network.box_coder.decode_single(deltas.detach().flatten(0, 1), anchors.repeat(batch, 1))
+        proposals, _ = network.filter_proposals(boxes.view_as(deltas), objectness, image_list.image_sizes, level_sizes)
+        return objectness, deltas, anchors, proposals
+
+    def _region_outputs(
+        self, features: list[Tensor], regions: list[Tensor], image_list: ImageList
+    ) -> tuple[Tensor, Tensor]:
+        heads = self.model.roi_heads
+        named = {str(level): feature for level, feature in enumerate(features)}
+        return heads.box_predictor(heads.box_head(heads.box_roi_pool(named, regions, image_list.image_sizes)))
+
+    def _proposal_loss(self, objectness: Tensor, deltas: Tensor, anchors: Tensor, truth: Tensor) -> Tensor:
+        network = self.model.rpn
+        labels, matched = network.assign_targets_to_anchors([anchors], [as_targets(truth)])
+        counted, positive = labels[0] >= 0, labels[0] > 0
+        entropy = functional.binary_cross_entropy_with_logits(objectness[counted], labels[0][counted], reduction="sum")
+        if not len(truth):
+            return entropy / EMPTY_PROPOSAL_DIVISOR
+        divisor = positive.sum().clamp(min=POSITIVES_PER_VEHICLE)
+        wanted = network.box_coder.encode_single(matched[0][positive], anchors[positive])
+        return (entropy + functional.smooth_l1_loss(deltas[positive], wanted, beta=1 / 9, reduction="sum")) / divisor
+
+    def _region_loss(self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor) -> Tensor:
+        heads = self.model.roi_heads
+        target = as_targets(truth)
+        matched, labels = heads.assign_targets_to_proposals([regions], [truth], [target["labels"]])
+        entropy = functional.cross_entropy(logits, labels[0])
+        if not len(truth):
+            return entropy
+        positive = labels[0] > 0
+        wanted = heads.box_coder.encode_single(truth[matched[0][positive]], regions[positive])
+        box = functional.smooth_l1_loss(deltas[positive, 4:], wanted, beta=1 / 9, reduction="sum")
+        return entropy + box / len(regions)
+
+
+def _build_retinanet(size: str) -> RetinaNet:
+    if size == "full":
+        model = retinanet_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=1)
+        thirds = tuple(tuple(side * 2 ** (step / 3) for step in range(3)) for side in FULL_SIDES_PX)
+        model.anchor_generator = AnchorGenerator(thirds, (FULL_RATIOS,) * len(thirds))
+        return model
+    _check_slim(size)
+    anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
+    head = RetinaNetHead(
+        FEATURE_CHANNELS, anchors.num_anchors_per_location()[0], 1, norm_layer=partial(nn.GroupNorm, 8)
+    )
+    for branch in (head.classification_head, head.regression_head):
+        # Two of torchvision's four convolutions are enough for one class and halve the time.
+        branch.conv = branch.conv[:2]
+    return RetinaNet(SlimBackbone(), num_classes=1, anchor_generator=anchors, head=head)
+
+
+def _build_faster_rcnn(size: str) -> FasterRCNN:
+    limits = {
+        f"rpn_{stage}_nms_top_n_{mode}": count
+        for mode in ("train", "test")
+        for stage, count in (("pre", 3 * PROPOSALS.get(size, 0)), ("post", PROPOSALS.get(size, 0)))
+    }
+    if size == "full":
+        model = fasterrcnn_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=2, **limits)
+        model.rpn.anchor_generator = AnchorGenerator(
+            tuple((side,) for side in FULL_SIDES_PX), (FULL_RATIOS,) * len(FULL_SIDES_PX)
+        )
+    else:
+        _check_slim(size)
+        anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
+        model = FasterRCNN(
+            SlimBackbone(),
+            rpn_anchor_generator=anchors,
+            rpn_head=RPNHead(FEATURE_CHANNELS, anchors.num_anchors_per_location()[0]),
+            rpn_fg_iou_thresh=0.6,
+            # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is enough.
+            box_roi_pool=ops.MultiScaleRoIAlign(["0", "1"], output_size=5, sampling_ratio=1),
+            box_head=TwoMLPHead(FEATURE_CHANNELS * 5 * 5, 192),
+            box_predictor=FastRCNNPredictor(192, 2),
+            **limits,
+        )
+        for layer in model.rpn.head.conv.modules():
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+    # All negatives count from the first step on, so they must start as improbable as in RetinaNet.
+    nn.init.constant_(model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY))
+    return model
+
+
+def _check_slim(size: str) -> None:
+    if size != "slim":
+        raise ConfigurationError(f'A detector size is "slim" or "full", not "{size}".')

@@ -1,0 +1,368 @@
+"""Training a detector from nothing: one plain loop that survives a kill (PAPER 16, 18)."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from skyproof.detectors.augmentation import jitter, turn
+from skyproof.detectors.average_precision import average_precision, best_f1_threshold
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
+from skyproof.detectors.folder import DetectorCard, installed_version, load_detector, plain_state, save_detector
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.files import read_jsonl, write_bytes, write_jsonl
+from skyproof.scenes.labelled import LabelledImages
+
+__all__ = ["TRAINING_PRESETS", "TrainingSettings", "detect_all", "train", "validate"]
+
+CHECKPOINT = "checkpoint.safetensors"
+PADDING_GREY = 0.45
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How long and how fast.
+
+    Attributes:
+        steps: optimiser steps.
+        batch_size: images a step.
+        learning_rate: its peak; linear rise over the first `warm_up` of the steps, then half a cosine down to 0.
+        weight_decay: AdamW's, on matrices and kernels only.
+        warm_up: fraction of the steps.
+        largest_gradient_norm: gradients are scaled down to it.
+        average_decay: of the running average of the weights, which is what is validated and stored.
+        jitter: strength of the photometric augmentation; 0 is none, 1 is mild.
+        validate_every: steps between validations; the last step is always validated.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    steps: int = 1000
+    batch_size: int = 16
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.02
+    warm_up: float = 0.1
+    largest_gradient_norm: float = 10.0
+    average_decay: float = 0.99
+    jitter: float = 1.0
+    validate_every: int = 250
+    checkpoint_every: int = 100
+
+
+# Measured on 2,000 synthetic tiles of 192 px: centre AP 0.97 to 0.99 within 240 CPU-seconds.
+_CPU = TrainingSettings(steps=800, batch_size=8, validate_every=200)
+# The paper trains 10,000 iterations (PAPER 16) with batch 640 or 128; its learning rates are not given.
+_GPU = TrainingSettings(
+    steps=10_000,
+    batch_size=64,
+    learning_rate=5e-4,
+    weight_decay=0.05,
+    average_decay=0.999,
+    validate_every=1000,
+    checkpoint_every=500,
+)
+TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
+    ("retinanet", "slim"): _CPU,
+    ("faster_rcnn", "slim"): _CPU,
+    ("yolov5", "slim"): _CPU,
+    ("retinanet", "full"): _GPU,
+    ("faster_rcnn", "full"): _GPU,
+    ("yolov5", "full"): _GPU,
+}
+
+
+def train(
+    detector: TrainableDetector,
+    training: LabelledImages,
+    validation: LabelledImages,
+    settings: TrainingSettings,
+    folder: Path,
+    *,
+    generator: torch.Generator,
+    on_step: Callable[[dict[str, Any]], None] | None = None,
+) -> DetectorCard:
+    """Trains `detector` where it lies, and leaves the best averaged weights in it and in `folder`.
+
+    A finished folder is loaded and not trained again. An unfinished one goes on from its checkpoint with the same
+    order of images and the same augmentation; on a CPU with the same number of threads the result is the same bit for
+    bit as without the interruption.
+
+    Args:
+        detector: fresh from `build_detector`, on the device to train on.
+        training: images with or without vehicles; ignore regions are painted over with the image's mean colour.
+        validation: chooses the best weights (centre AP, then F1) and freezes the threshold (PAPER 18).
+        settings: see `TRAINING_PRESETS`.
+        folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors` until finished.
+        generator: one number is drawn from it: the seed of order and augmentation.
+        on_step: called with each row of `steps.jsonl`, for progress display.
+
+    Returns:
+        The card of the stored detector.
+
+    Raises:
+        ConfigurationError: no training image, no vehicle to validate with, or the loss stopped being finite.
+        RunFolderError: the folder holds a training with other settings, or the disk is full.
+        StoredFileError: the checkpoint is damaged.
+    """
+    folder = Path(folder)
+    seed = int(torch.randint(2**62, (1,), generator=generator))
+    identity = {"name": detector.name, "size": detector.size, "seed": seed, "settings": asdict(settings)}
+    _check(training, validation, settings)
+    if (folder / "detector.json").exists():
+        return _finished(detector, folder, identity)
+    run = _Run(detector, settings, identity)
+    run.resume(folder)
+    while run.step < settings.steps:
+        started = time.perf_counter()
+        loss = run.advance(training, seed)
+        row = {
+            "kind": "step",
+            "step": run.step,
+            "loss": loss,
+            "learning_rate": _learning_rate(run.step - 1, settings),
+            "seconds": round(time.perf_counter() - started, 4),
+        }
+        rows = [row]
+        if run.step % settings.validate_every == 0 or run.step == settings.steps:
+            started = time.perf_counter()
+            scores = validate(run.averaged, validation)
+            run.keep_if_best(scores)
+            seconds = round(time.perf_counter() - started, 4)
+            rows.append({"kind": "validation", "step": run.step, **scores, "seconds": seconds})
+        run.rows.extend(rows)
+        if run.step % settings.checkpoint_every == 0 or run.step == settings.steps:
+            run.store(folder)
+        for each in rows:
+            if on_step is not None:
+                on_step(each)
+    return _finish(run, training, folder)
+
+
+def validate(detector: Detector, validation: LabelledImages) -> dict[str, float]:
+    """Centre AP, IoU-0.5 AP, best F1 (centre) and its threshold (PAPER 17, 18)."""
+    found = detect_all(detector, validation.images)
+    centre = average_precision(found, validation, criterion="centre_1m")
+    overlap = average_precision(found, validation, criterion="iou_50")
+    threshold, f1 = best_f1_threshold(centre)
+    return {"ap_centre_1m": centre.ap, "ap_iou_50": overlap.ap, "f1": f1, "threshold": threshold}
+
+
+def detect_all(detector: Detector, images: Sequence[Tensor], *, batch_size: int = 16) -> list[Detections]:
+    """Runs `detect` over images of bytes, in batches of equal size, on the detector's own device."""
+    parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
+    device = parameter.device if parameter is not None else torch.device("cpu")
+    found: list[Detections] = []
+    start = 0
+    while start < len(images):
+        stop = start + 1
+        while stop < len(images) and stop - start < batch_size and images[stop].shape == images[start].shape:
+            stop += 1
+        batch = torch.stack([images[index] for index in range(start, stop)]).to(device).float() / 255
+        found.extend(detector.detect(batch.contiguous(memory_format=torch.channels_last)))
+        start = stop
+    return found
+
+
+class _Run:
+    """Everything that changes during a training, so that a checkpoint can hold all of it."""
+
+    def __init__(self, detector: TrainableDetector, settings: TrainingSettings, identity: dict[str, Any]) -> None:
+        self.detector = detector.train().to(memory_format=torch.channels_last)
+        self.averaged = copy.deepcopy(detector).eval().requires_grad_(False)
+        self.settings = settings
+        self.identity = identity
+        self.step = 0
+        self.rows: list[dict[str, Any]] = []
+        self.best: dict[str, float] = {}
+        self.best_state: dict[str, Tensor] = {}
+        decayed = [parameter for parameter in detector.parameters() if parameter.ndim > 1]
+        others = [parameter for parameter in detector.parameters() if parameter.ndim <= 1]
+        groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+
+    def advance(self, training: LabelledImages, seed: int) -> float:
+        """One optimiser step; returns the mean loss."""
+        settings = self.settings
+        device = next(self.detector.parameters()).device
+        images, targets = _batch(training, self.step, settings, seed)
+        images = images.to(device).contiguous(memory_format=torch.channels_last)
+        for group in self.optimiser.param_groups:
+            group["lr"] = _learning_rate(self.step, settings)
+        loss = self.detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
+        if not torch.isfinite(loss):
+            raise ConfigurationError(
+                f"The training loss is {float(loss)} at step {self.step}; train again with a lower learning rate "
+                f"than {settings.learning_rate}."
+            )
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.detector.parameters(), settings.largest_gradient_norm)
+        self.optimiser.step()
+        self.step += 1
+        self._average()
+        return float(loss.detach())
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        # Early on the average must forget the untrained weights quickly.
+        decay = min(self.settings.average_decay, self.step / (self.step + 10))
+        current = self.detector.state_dict()
+        for name, kept in self.averaged.state_dict().items():
+            if kept.is_floating_point():
+                kept.lerp_(current[name], 1 - decay)
+            else:
+                kept.copy_(current[name])
+
+    def keep_if_best(self, scores: dict[str, float]) -> None:
+        # Centre AP is compared to 0.01 points: below that F1 decides.
+        def rank(values: dict[str, float]) -> tuple[float, float]:
+            return round(values["ap_centre_1m"], 4), values["f1"]
+
+        if not self.best or rank(scores) >= rank(self.best):
+            self.best = {**scores, "step": self.step}
+            self.best_state = plain_state(self.averaged)
+
+    def store(self, folder: Path) -> None:
+        tensors = {f"weights.{name}": tensor for name, tensor in plain_state(self.detector).items()}
+        tensors |= {f"averaged.{name}": tensor for name, tensor in plain_state(self.averaged).items()}
+        tensors |= {f"best.{name}": tensor for name, tensor in self.best_state.items()}
+        for index, entry in self.optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{index}.{key}": value.cpu().contiguous() for key, value in entry.items()}
+        record = {"identity": self.identity, "step": self.step, "best": self.best}
+        write_jsonl(folder / "steps.jsonl", self.rows)
+        # Step and tensors in one file: a kill between two files could not be told from a whole checkpoint.
+        write_bytes(folder / CHECKPOINT, save(tensors, metadata={"run": json.dumps(record)}))
+
+    def resume(self, folder: Path) -> None:
+        path = folder / CHECKPOINT
+        if not path.exists():
+            return
+        try:
+            with safe_open(path, framework="pt") as file:
+                record = json.loads(file.metadata()["run"])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+            _same_training(record["identity"], self.identity, folder)
+            self.detector.load_state_dict(_part(tensors, "weights."))
+            self.averaged.load_state_dict(_part(tensors, "averaged."))
+            state: dict[int, dict[str, Tensor]] = {}
+            for name, tensor in _part(tensors, "optimiser.").items():
+                index, key = name.split(".")
+                state.setdefault(int(index), {})[key] = tensor
+            groups = self.optimiser.state_dict()["param_groups"]
+            self.optimiser.load_state_dict({"state": state, "param_groups": groups})
+            self.best_state = _part(tensors, "best.")
+            self.step, self.best = int(record["step"]), record["best"]
+        except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
+            raise StoredFileError(f"{path} is damaged ({error}); remove it and train again.") from error
+        self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _learning_rate(step: int, settings: TrainingSettings) -> float:
+    rise = max(1, round(settings.warm_up * settings.steps))
+    if step < rise:
+        return settings.learning_rate * (step + 1) / rise
+    progress = (step - rise) / max(1, settings.steps - rise)
+    return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
+
+
+def _batch(
+    training: LabelledImages, step: int, settings: TrainingSettings, seed: int
+) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
+    """The images of one step: they depend on seed and step alone, which is what makes resuming exact."""
+    count = len(training)
+    positions = range(step * settings.batch_size, (step + 1) * settings.batch_size)
+    orders = {
+        epoch: torch.randperm(count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63))
+        for epoch in {position // count for position in positions}
+    }
+    generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
+    images, targets = [], []
+    for position in positions:
+        index = int(orders[position // count][position % count])
+        image = _hide_ignored(training.images[index].float() / 255, training.boxes[index], training.ignore[index])
+        turns, mirror = (
+            torch.randint(8, (1,), generator=generator).item() % 4,
+            bool(torch.rand(1, generator=generator) < 0.5),
+        )
+        image, boxes = turn(image, training.boxes[index].float(), quarter_turns=int(turns), mirror=mirror)
+        images.append(image)
+        targets.append(boxes)
+    height, width = (max(image.shape[axis] for image in images) for axis in (1, 2))
+    batch = torch.full((len(images), 3, height, width), PADDING_GREY)
+    for row, image in zip(batch, images, strict=True):
+        row[:, : image.shape[1], : image.shape[2]] = image
+    return jitter(batch, settings.jitter, generator=generator), targets
+
+
+def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
+    """Paints ignore regions with the mean colour, so that their content is taught neither as vehicle nor as ground."""
+    if not len(ignore):
+        return image
+    hidden = torch.zeros(image.shape[1:], dtype=torch.bool)
+    for regions, value in ((ignore, True), (boxes, False)):
+        for left, top, right, bottom in regions.clamp(min=0).tolist():
+            hidden[math.floor(top) : math.ceil(bottom), math.floor(left) : math.ceil(right)] = value
+    return torch.where(hidden, image.mean(dim=(1, 2), keepdim=True), image)
+
+
+def _check(training: LabelledImages, validation: LabelledImages, settings: TrainingSettings) -> None:
+    if settings.steps < 1 or settings.batch_size < 1 or not settings.learning_rate > 0:
+        raise ConfigurationError(f"Training expects steps, batch_size and learning_rate above 0, but got {settings}.")
+    if not len(training) or not any(len(boxes) for boxes in training.boxes):
+        raise ConfigurationError("Training expects images with at least one vehicle; none was given.")
+    if not any(len(boxes) for boxes in validation.boxes):
+        raise ConfigurationError("Validation expects at least one vehicle: without one no threshold can be chosen.")
+    if training.gsd_m != validation.gsd_m:
+        raise ConfigurationError(
+            f"Training images have {training.gsd_m} m per pixel, validation images {validation.gsd_m}; resample one."
+        )
+
+
+def _same_training(stored: Any, wanted: Any, folder: Path) -> None:
+    if stored != json.loads(json.dumps(wanted)):
+        raise RunFolderError(
+            f"{folder} holds a training with other settings or another seed; choose another folder or remove it first."
+        )
+
+
+def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any]) -> DetectorCard:
+    stored, card = load_detector(folder)
+    _same_training(card.training.get("identity"), identity, folder)
+    detector.load_state_dict(stored.state_dict())
+    detector.eval()
+    return card
+
+
+def _finish(run: _Run, training: LabelledImages, folder: Path) -> DetectorCard:
+    run.detector.load_state_dict(run.best_state)
+    run.detector.eval()
+    first = training.images[0]
+    card = DetectorCard(
+        name=run.detector.name,
+        size=run.detector.size,
+        threshold=run.best["threshold"],
+        gsd_m=training.gsd_m,
+        image_size_px=(first.shape[1], first.shape[2]),
+        parameters=sum(parameter.numel() for parameter in run.detector.parameters()),
+        training={"identity": run.identity, "images": len(training), "best_step": run.best["step"]},
+        validation={key: run.best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
+        skyproof_version=installed_version(),
+    )
+    save_detector(folder, run.detector, card)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    return card

@@ -1,0 +1,53 @@
+"""Which detectors to test, and small stand-in images: dark ground with bright bars as vehicles."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+import torch
+
+from skyproof.scenes.labelled import LabelledImages
+
+YOLO = pytest.param(
+    "yolov5",
+    marks=[
+        pytest.mark.yolo,
+        pytest.mark.skipif(importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"),
+    ],
+)
+NAMES = ["retinanet", "faster_rcnn", YOLO]
+
+
+def labelled_images(
+    images: list[torch.Tensor], boxes: list[torch.Tensor], ignore: list[torch.Tensor], gsd_m: float = 0.125
+) -> LabelledImages:
+    """LabelledImages of images whose counts and sizes differ.
+
+    The class allows that, but its annotations name the counts and sizes, so the run-time check of the test run wants
+    them equal over the list; filling the fields goes around the check of the constructor.
+    """
+    labelled = object.__new__(LabelledImages)
+    ids = [str(index) for index in range(len(images))]
+    for name, value in (("images", images), ("boxes", boxes), ("ignore", ignore), ("ids", ids), ("gsd_m", gsd_m)):
+        object.__setattr__(labelled, name, value)
+    return labelled
+
+
+def bar_images(count: int, size_px: int = 96, *, seed: int) -> LabelledImages:
+    """Images with 0 to 2 bright bars of 36x15 px, along either axis, on noise."""
+    generator = torch.Generator().manual_seed(seed)
+    images, boxes = [], []
+    for index in range(count):
+        image = 0.3 + 0.05 * torch.randn(3, size_px, size_px, generator=generator)
+        own = []
+        for slot in range(index % 3):
+            length, width = (36, 15) if torch.rand(1, generator=generator) < 0.5 else (15, 36)
+            left = int(torch.randint(0, size_px - length, (1,), generator=generator))
+            top = slot * size_px // 2 + int(torch.randint(0, size_px // 2 - width, (1,), generator=generator))
+            image[:, top : top + width, left : left + length] = 0.6 + 0.4 * torch.rand(3, 1, 1, generator=generator)
+            own.append([left, top, left + length, top + width])
+        images.append((image.clamp(0, 1) * 255).to(torch.uint8))
+        boxes.append(torch.tensor(own, dtype=torch.float32).reshape(-1, 4))
+    none = [torch.zeros(0, 4)] * count
+    return labelled_images(images, boxes, none)

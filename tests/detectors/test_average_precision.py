@@ -1,0 +1,119 @@
+"""Average precision against faster-coco-eval, and the F1 threshold by hand (PAPER 17, 18)."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from detector_images import labelled_images
+
+from skyproof.detectors.average_precision import PrecisionRecall, average_precision, best_f1_threshold
+from skyproof.detectors.detector import Detections
+from skyproof.errors import ConfigurationError
+from skyproof.scenes.labelled import LabelledImages
+
+
+def labelled(boxes: list[torch.Tensor], ignore: list[torch.Tensor] | None = None) -> LabelledImages:
+    images = [torch.zeros(3, 96, 96, dtype=torch.uint8)] * len(boxes)
+    none = [torch.zeros(0, 4)] * len(boxes)
+    return labelled_images(images, boxes, ignore or none)
+
+
+def random_case(seed: int) -> tuple[list[Detections], LabelledImages]:
+    generator = torch.Generator().manual_seed(seed)
+    found, truth = [], []
+    for index in range(25):
+        corners = 300 * torch.rand(index % 5, 2, generator=generator)
+        own = torch.cat([corners, corners + 15 + 25 * torch.rand(len(corners), 2, generator=generator)], dim=1)
+        hit = own[torch.rand(len(own), generator=generator) < 0.8]
+        moved = hit + 6 * torch.randn(hit.shape, generator=generator)
+        strays = 300 * torch.rand(3, 2, generator=generator)
+        boxes = torch.cat([moved, torch.cat([strays, strays + 30], dim=1)])
+        boxes = torch.cat([torch.minimum(boxes[:, :2], boxes[:, 2:] - 1), boxes[:, 2:]], dim=1)
+        scores = (torch.rand(len(boxes), generator=generator) * 0.98 + 0.01).sort(descending=True).values
+        found.append(Detections(boxes[torch.randperm(len(boxes), generator=generator)], scores))
+        truth.append(own)
+    return found, labelled(truth)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_equals_coco_at_iou_one_half(seed: int) -> None:
+    coco_eval = pytest.importorskip("faster_coco_eval", reason="faster-coco-eval is not installed")
+    found, truth = random_case(seed)
+    annotations, results = [], []
+    for image, boxes in enumerate(truth.boxes):
+        for x1, y1, x2, y2 in boxes.tolist():
+            box = [x1, y1, x2 - x1, y2 - y1]
+            area = box[2] * box[3]
+            annotations.append(
+                {
+                    "id": len(annotations) + 1,
+                    "image_id": image,
+                    "category_id": 1,
+                    "bbox": box,
+                    "area": area,
+                    "iscrowd": 0,
+                }
+            )
+        own = found[image]
+        for (x1, y1, x2, y2), score in zip(own.boxes.tolist(), own.scores.tolist(), strict=True):
+            results.append({"image_id": image, "category_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score})
+    dataset = {
+        "images": [{"id": image, "width": 400, "height": 400} for image in range(len(truth))],
+        "categories": [{"id": 1, "name": "vehicle"}],
+        "annotations": annotations,
+    }
+    coco = coco_eval.COCO(dataset)
+    evaluation = coco_eval.COCOeval_faster(coco, coco.loadRes(results), "bbox")
+    evaluation.run()
+    curve = average_precision(found, truth, criterion="iou_50")
+    assert 0.1 < curve.ap < 0.95
+    assert curve.ap == pytest.approx(float(evaluation.stats[1]), abs=1e-3)
+
+
+def test_perfect_and_empty_detections() -> None:
+    boxes = torch.tensor([[10.0, 10, 46, 25]])
+    truth = labelled([boxes, torch.zeros(0, 4)])
+    nothing = Detections(torch.zeros(0, 4), torch.zeros(0))
+    perfect = average_precision([Detections(boxes, torch.ones(1)), nothing], truth, criterion="centre_1m")
+    assert perfect.ap == 1.0
+    assert average_precision([nothing, nothing], truth, criterion="centre_1m").ap == 0.0
+    no_vehicle = average_precision([nothing], labelled([torch.zeros(0, 4)]), criterion="centre_1m")
+    assert no_vehicle.ap != no_vehicle.ap
+    with pytest.raises(ConfigurationError, match="2"):
+        average_precision([nothing], truth, criterion="centre_1m")
+
+
+def test_detections_in_ignore_regions_do_not_count() -> None:
+    boxes = torch.tensor([[10.0, 10, 46, 25], [60.0, 60, 90, 80]])
+    ignore = [torch.tensor([[50.0, 50, 96, 96]])]
+    found = [Detections(boxes, torch.tensor([0.5, 0.4]))]
+    curve = average_precision(found, labelled([boxes[:1]], ignore), criterion="centre_1m")
+    assert curve.precision.tolist() == [1.0]
+
+
+def curve(scores: list[float], hits: list[int], vehicles: int) -> PrecisionRecall:
+    positives = torch.tensor(hits, dtype=torch.float64).cumsum(0)
+    precision = positives / torch.arange(1, len(hits) + 1, dtype=torch.float64)
+    return PrecisionRecall(torch.tensor(scores, dtype=torch.float64), precision, positives / vehicles, 0.0, vehicles)
+
+
+def test_f1_threshold_lies_midway_below_the_best_detection() -> None:
+    # F1 after each: 2/5, 4/6, 4/7, 6/8, 6/9 with four vehicles.
+    threshold, f1 = best_f1_threshold(curve([0.9, 0.8, 0.7, 0.6, 0.2], [1, 1, 0, 1, 0], 4))
+    assert threshold == pytest.approx(0.4)
+    assert f1 == pytest.approx(0.75)
+
+
+def test_f1_threshold_never_splits_a_tie() -> None:
+    # After the first of the tied pair F1 would be 1, but its twin of the same score is a false alarm.
+    threshold, f1 = best_f1_threshold(curve([0.8, 0.8, 0.3], [1, 0, 0], 1))
+    assert threshold == pytest.approx(0.55)
+    assert f1 == pytest.approx(2 / 3)
+
+
+def test_f1_threshold_without_any_hit_or_below_the_last() -> None:
+    assert best_f1_threshold(curve([0.8], [0], 1)) == (1.0, 0.0)
+    assert best_f1_threshold(curve([], [], 1)) == (1.0, 0.0)
+    threshold, f1 = best_f1_threshold(curve([0.8], [1], 1))
+    assert threshold == pytest.approx((0.8 + 0.01) / 2)
+    assert f1 == 1.0

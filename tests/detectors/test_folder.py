@@ -1,0 +1,113 @@
+"""Detector folders: round trip, and one clear sentence for every kind of damage."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from skyproof.detectors.folder import (
+    DetectorCard,
+    build_detector,
+    load_detector,
+    read_card,
+    save_detector,
+    weights_digest,
+)
+from skyproof.errors import StoredFileError
+
+CARD = DetectorCard(
+    name="retinanet",
+    size="slim",
+    threshold=0.42,
+    gsd_m=0.125,
+    image_size_px=(96, 128),
+    parameters=7,
+    training={"images": 3},
+    validation={"ap_centre_1m": 0.9, "ap_iou_50": 0.8, "f1": 0.7},
+    skyproof_version="0.1.0",
+)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stored") / "detector"
+    save_detector(folder, build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)), CARD)
+    return folder
+
+
+@pytest.fixture
+def folder(stored: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(stored, tmp_path / "copy"))
+
+
+def test_round_trip(folder: Path) -> None:
+    original = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)).eval()
+    detector, card = load_detector(folder)
+    assert card == CARD == read_card(folder)
+    assert not detector.training
+    assert weights_digest(detector) == weights_digest(original)
+    images = torch.rand(2, 3, 96, 128, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(detector.candidates(images).scores, original.candidates(images).scores)
+    assert sorted(path.name for path in folder.iterdir()) == ["detector.json", "weights.safetensors"]
+
+
+def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
+    detector, _ = load_detector(stored)
+    digest = weights_digest(detector)
+    buffer = next(buffer for name, buffer in detector.named_buffers() if name.endswith("running_mean"))
+    buffer.add_(1e-6)
+    assert weights_digest(detector) != digest
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": 2}, "format 2"),
+        ({"format": None}, "format None"),
+        ({"name": "ssd"}, "unknown detector"),
+        ({"size": "full size"}, "unknown detector"),
+        ({"name": "faster_rcnn"}, "does not fit"),
+        ({"threshold": "high"}, "garbles"),
+        ({"weights_sha256": "0"}, "not the file"),
+    ],
+)
+def test_other_contents_of_detector_json(folder: Path, change: dict, message: str) -> None:
+    record = json.loads((folder / "detector.json").read_text())
+    (folder / "detector.json").write_text(json.dumps(record | change))
+    with pytest.raises(StoredFileError, match=message):
+        load_detector(folder)
+
+
+def test_missing_field_and_missing_files(folder: Path) -> None:
+    record = json.loads((folder / "detector.json").read_text())
+    del record["gsd_m"]
+    (folder / "detector.json").write_text(json.dumps(record))
+    with pytest.raises(StoredFileError, match="gsd_m"):
+        read_card(folder)
+    (folder / "detector.json").write_text("[1]")
+    with pytest.raises(StoredFileError, match="format None"):
+        read_card(folder)
+    (folder / "detector.json").unlink()
+    with pytest.raises(StoredFileError, match="missing"):
+        load_detector(folder)
+
+
+def test_missing_or_damaged_weights(folder: Path) -> None:
+    path = folder / "weights.safetensors"
+    tensors = load_file(path)
+    name = next(iter(tensors))
+    for damaged in ({**tensors, name: torch.zeros(3)}, {key: value for key, value in tensors.items() if key != name}):
+        save_file(damaged, path)
+        with pytest.raises(StoredFileError, match="does not fit"):
+            load_detector(folder)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(StoredFileError, match="damaged"):
+        load_detector(folder)
+    path.unlink()
+    with pytest.raises(StoredFileError, match="missing"):
+        load_detector(folder)

@@ -1,0 +1,130 @@
+"""Per-image losses, candidates and detections of every detector (PAPER 21-23)."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from detector_images import NAMES, bar_images
+
+from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.folder import build_detector, weights_digest
+from skyproof.errors import ConfigurationError
+
+LABELLED = bar_images(6, seed=1)
+IMAGES = torch.stack(list(LABELLED.images)).float() / 255
+BOXES = list(LABELLED.boxes)
+NOTHING = [torch.zeros(0, 4)] * len(BOXES)
+
+
+@pytest.mark.parametrize("targets", [BOXES, NOTHING], ids=["truth", "empty"])
+def test_loss_of_an_image_does_not_depend_on_its_batch(trained: TrainableDetector, targets: list) -> None:
+    together = trained.loss(IMAGES, targets)
+    alone = torch.cat([trained.loss(IMAGES[i : i + 1], targets[i : i + 1]) for i in range(len(IMAGES))])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
+
+
+def test_loss_is_deterministic(trained: TrainableDetector) -> None:
+    torch.manual_seed(0)
+    first = trained.loss(IMAGES, BOXES)
+    torch.manual_seed(1)
+    assert torch.equal(first, trained.loss(IMAGES, BOXES))
+
+
+def test_empty_truth_costs_where_a_vehicle_is_seen_and_little_where_none_is(trained: TrainableDetector) -> None:
+    losses = trained.loss(IMAGES, NOTHING)
+    count = torch.tensor([len(boxes) for boxes in BOXES])
+    assert torch.isfinite(losses).all()
+    assert (losses > 0).all()
+    assert losses[count == 1].min() > losses[count == 0].max()
+    assert losses[count == 1].max() < 10
+
+
+def test_gradient_reaches_the_vehicle_and_a_step_lowers_its_score(trained: TrainableDetector) -> None:
+    images = IMAGES[1:2].clone().requires_grad_()
+    before = trained.candidates(images).scores.max()
+    trained.loss(images, NOTHING[:1]).sum().backward()
+    gradient = images.grad
+    assert gradient is not None
+    assert torch.isfinite(gradient).all()
+    step = images.detach() - 0.05 * gradient.sign()
+    assert trained.candidates(step.clamp(0, 1)).scores.max() < before
+
+
+def test_weights_and_buffers_stay_as_they_are_during_an_attack(trained: TrainableDetector) -> None:
+    digest = weights_digest(trained)
+    images = IMAGES.clone().requires_grad_()
+    (trained.loss(images, NOTHING).sum() + trained.candidates(images).scores.sum()).backward()
+    trained.detect(IMAGES)
+    assert weights_digest(trained) == digest
+
+
+def test_loss_is_finite_in_train_mode(trained: TrainableDetector) -> None:
+    detector = build_detector(trained.name, "slim", generator=torch.Generator().manual_seed(3)).train()
+    for targets in (BOXES, NOTHING):
+        detector.zero_grad()
+        loss = detector.loss(IMAGES, targets).mean()
+        loss.backward()
+        gradients = [parameter.grad for parameter in detector.parameters() if parameter.grad is not None]
+        assert torch.isfinite(loss)
+        assert all(torch.isfinite(gradient).all() for gradient in gradients)
+
+
+def test_candidates_are_differentiable_and_detections_sorted(trained: TrainableDetector) -> None:
+    assert isinstance(trained, Detector)
+    images = IMAGES.clone().requires_grad_()
+    found = trained.candidates(images)
+    assert found.valid.dtype == torch.bool
+    found.scores[found.valid].max().backward()
+    assert images.grad is not None
+    assert images.grad.abs().sum() > 0
+    for detections in trained.detect(IMAGES):
+        assert len(detections.scores) <= 100
+        assert (detections.scores >= 0.01).all()
+        assert torch.equal(detections.scores, detections.scores.sort(descending=True).values)
+        assert (detections.boxes >= 0).all()
+        assert (detections.boxes <= 96).all()
+
+
+def test_images_are_never_resized(trained: TrainableDetector) -> None:
+    """A vehicle keeps its pixels when the tile around it grows, also to a size that is no multiple of the stride."""
+    index = 1
+    large = torch.full((1, 3, 150, 171), 0.3)
+    large[:, :, :96, :96] = IMAGES[index]
+    small_best = trained.detect(IMAGES[index : index + 1])[0].boxes[0]
+    large_boxes = trained.detect(large)[0].boxes
+    assert (large_boxes - small_best).abs().amax(dim=1).min() < 4
+
+
+def test_too_small_images_and_missing_targets_are_refused(trained: TrainableDetector) -> None:
+    with pytest.raises(ConfigurationError, match="at least 96 px"):
+        trained.detect(torch.zeros(1, 3, 64, 200))
+    with pytest.raises(ConfigurationError, match="one tensor of boxes per image"):
+        trained.loss(IMAGES, BOXES[:2])
+
+
+def test_unknown_names_and_sizes_are_refused() -> None:
+    for name, size in (("ssd", "slim"), ("retinanet", "tiny"), ("faster_rcnn", "tiny")):
+        with pytest.raises(ConfigurationError):
+            build_detector(name, size, generator=torch.Generator())
+
+
+def test_same_generator_same_weights_and_global_state_untouched() -> None:
+    state = torch.get_rng_state()
+    digests = {
+        weights_digest(build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(seed)))
+        for seed in (5, 5, 6)
+    }
+    assert len(digests) == 2
+    assert torch.equal(state, torch.get_rng_state())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_full_size_gives_finite_losses_and_detections(name: str) -> None:
+    detector = build_detector(name, "full", generator=torch.Generator().manual_seed(0)).eval().requires_grad_(False)
+    images = IMAGES[1:3].clone().requires_grad_()
+    losses = detector.loss(images, BOXES[1:3]) + detector.loss(images, NOTHING[1:3])
+    losses.sum().backward()
+    assert torch.isfinite(losses).all()
+    assert images.grad is not None
+    assert torch.isfinite(images.grad).all()
+    assert len(detector.detect(IMAGES[1:3])) == 2

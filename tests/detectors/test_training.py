@@ -1,0 +1,137 @@
+"""Training: augmentation that moves boxes rightly, learning, the stored folder, and resuming after a kill."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from detector_images import bar_images, labelled_images
+
+from skyproof.detectors.augmentation import jitter, turn
+from skyproof.detectors.folder import build_detector, load_detector, weights_digest
+from skyproof.detectors.training import TRAINING_PRESETS, TrainingSettings, train
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+
+SETTINGS = TrainingSettings(steps=6, batch_size=2, learning_rate=1e-3, validate_every=3, checkpoint_every=2)
+TRAINING, VALIDATION = bar_images(7, seed=2), bar_images(3, seed=3)
+
+
+def run(folder: Path, settings: TrainingSettings = SETTINGS, on_step: Any = None, seed: int = 0) -> Any:
+    generator = torch.Generator().manual_seed(seed)
+    detector = build_detector("retinanet", "slim", generator=generator)
+    card = train(detector, TRAINING, VALIDATION, settings, folder, generator=generator, on_step=on_step)
+    return detector, card
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
+def test_boxes_follow_the_mask_through_every_turn(quarter_turns: int, mirror: bool) -> None:
+    boxes = torch.tensor([[3.0, 5, 12, 9], [20, 1, 25, 14]])
+    image = torch.zeros(3, 17, 31)
+    for channel, (left, top, right, bottom) in enumerate(boxes.int().tolist()):
+        image[channel, top:bottom, left:right] = 1
+    turned, moved = turn(image, boxes, quarter_turns=quarter_turns, mirror=mirror)
+    for channel, box in enumerate(moved.tolist()):
+        rows, columns = turned[channel].nonzero(as_tuple=True)
+        mask_box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        assert box == [float(value) for value in mask_box]
+
+
+def test_jitter_stays_in_range_is_mild_and_repeatable() -> None:
+    images = torch.rand(8, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    first = jitter(images, 1.0, generator=torch.Generator().manual_seed(1))
+    assert first.min() >= 0
+    assert first.max() <= 1
+    assert 0.01 < (first - images).abs().mean() < 0.25
+    assert torch.equal(first, jitter(images, 1.0, generator=torch.Generator().manual_seed(1)))
+    assert torch.equal(images, jitter(images, 0.0, generator=torch.Generator().manual_seed(1)))
+
+
+def test_a_killed_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    straight, card = run(tmp_path / "straight")
+
+    def kill(row: dict[str, Any]) -> None:
+        if row["kind"] == "step" and row["step"] == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "killed", on_step=kill)
+    assert not (tmp_path / "killed" / "detector.json").exists()
+    seen: list[int] = []
+    resumed, resumed_card = run(tmp_path / "killed", on_step=lambda row: seen.append(row["step"]))
+    # Killed after step 5, stored at step 4: steps 5 and 6 are done again, then step 6's validation.
+    assert seen == [5, 6, 6]
+    assert weights_digest(resumed) == weights_digest(straight)
+    assert resumed_card == card
+
+    def rows(name: str) -> list[dict[str, Any]]:
+        lines = (tmp_path / name / "steps.jsonl").read_text().splitlines()
+        return [{key: value for key, value in json.loads(line).items() if key != "seconds"} for line in lines]
+
+    assert rows("killed") == rows("straight")
+    assert [row["step"] for row in rows("straight") if row["kind"] == "validation"] == [3, 6]
+
+
+def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> None:
+    first, card = run(tmp_path / "run")
+    seen: list[dict[str, Any]] = []
+    second, again = run(tmp_path / "run", on_step=seen.append)
+    assert not seen
+    assert again == card
+    assert weights_digest(second) == weights_digest(first) == weights_digest(load_detector(tmp_path / "run")[0])
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "detector.json",
+        "steps.jsonl",
+        "weights.safetensors",
+    ]
+    for settings, seed in ((replace(SETTINGS, steps=7), 0), (SETTINGS, 1)):
+        with pytest.raises(RunFolderError, match="other settings"):
+            run(tmp_path / "run", settings, seed=seed)
+
+
+def test_damaged_checkpoint_and_other_settings_are_refused(tmp_path: Path) -> None:
+    def kill(row: dict[str, Any]) -> None:
+        if row["step"] == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, on_step=kill)
+    with pytest.raises(RunFolderError, match="other settings"):
+        run(tmp_path, replace(SETTINGS, learning_rate=2e-3))
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(StoredFileError, match="damaged"):
+        run(tmp_path)
+
+
+def test_ignored_vehicles_are_hidden_and_mixed_sizes_and_empty_images_allowed(tmp_path: Path) -> None:
+    small, large = bar_images(4, seed=4), bar_images(3, 128, seed=5)
+    region = torch.tensor([[0.0, 0, 50, 50]])
+    mixed = labelled_images([*small.images, *large.images], [*small.boxes, *large.boxes], [region] * 7)
+    generator = torch.Generator().manual_seed(0)
+    detector = build_detector("faster_rcnn", "slim", generator=generator)
+    card = train(detector, mixed, mixed, replace(SETTINGS, steps=2), tmp_path, generator=generator)
+    assert card.image_size_px == (96, 96)
+
+
+def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
+    empty = bar_images(1, seed=0)
+    for training, validation, settings in (
+        (empty, VALIDATION, SETTINGS),
+        (TRAINING, empty, SETTINGS),
+        (TRAINING, labelled_images(VALIDATION.images, VALIDATION.boxes, VALIDATION.ignore, 0.25), SETTINGS),
+        (TRAINING, VALIDATION, replace(SETTINGS, steps=0)),
+    ):
+        generator = torch.Generator().manual_seed(0)
+        detector = build_detector("retinanet", "slim", generator=generator)
+        with pytest.raises(ConfigurationError):
+            train(detector, training, validation, settings, tmp_path, generator=generator)
+
+
+def test_every_detector_has_a_preset() -> None:
+    names, sizes = ("retinanet", "faster_rcnn", "yolov5"), ("slim", "full")
+    assert set(TRAINING_PRESETS) == {(name, size) for name in names for size in sizes}

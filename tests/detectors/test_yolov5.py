@@ -1,0 +1,52 @@
+"""YOLOv5 through Ultralytics: what its import may do, and what is said when it is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import skyproof
+from skyproof.detectors.yolov5 import YoloV5Detector
+from skyproof.errors import ConfigurationError
+
+
+def test_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "ultralytics"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "ultralytics", None)
+    with pytest.raises(ConfigurationError, match=r"skyproof\[yolo\]"):
+        YoloV5Detector("slim")
+
+
+@pytest.mark.yolo
+def test_import_leaves_home_environment_and_torch_alone(tmp_path: Path) -> None:
+    pytest.importorskip("ultralytics", reason="ultralytics is not installed")
+    program = """
+import os, socket, torch
+def refuse(*arguments, **named): raise AssertionError("network")
+socket.socket.connect = socket.getaddrinfo = refuse
+before, save = dict(os.environ), torch.save
+from skyproof.detectors.yolov5 import YoloV5Detector
+detector = YoloV5Detector("slim")
+assert dict(os.environ) == before and torch.save is save
+from ultralytics.utils import SETTINGS
+assert SETTINGS["sync"] is False, SETTINGS
+print(sum(parameter.numel() for parameter in detector.parameters()))
+"""
+    source = str(Path(skyproof.__file__).parents[1])
+    environment = os.environ | {
+        "HOME": str(tmp_path),
+        "XDG_CONFIG_HOME": str(tmp_path / "config"),
+        "PYTHONPATH": source,
+    }
+    result = subprocess.run(
+        [sys.executable, "-c", program], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split() == ["2508659"]
+    assert result.stderr == ""
+    assert list(tmp_path.iterdir()) == []
