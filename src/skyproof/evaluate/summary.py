@@ -151,7 +151,7 @@ class _Table:
             net = cluster_interval(both, _net(len(own)), self.weights)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
         row |= self._set_scores(members, detectors, renderer, match)
-        row |= {"match": match, "clusters": self.tiles[members[0], detectors[0]], "draws": len(members)}
+        row |= {"clusters": self.tiles[members[0], detectors[0]], "draws": len(members)}
         row |= {"asr_low": asr.low, "asr_high": asr.high, "er_low": er.low, "er_high": er.high}
         random = self._stack(control, detectors) if control else None
         row["random_easr"] = None if random is None else float(_mean(overall_attack_success_rate)(random.sum(axis=1)))
@@ -164,7 +164,7 @@ class _Table:
     def _stack(self, camouflages: list[str], detectors: list[str]) -> Int[np.ndarray, "S C 3"]:
         return np.stack([self.counts[camouflage, d] for camouflage in camouflages for d in detectors])
 
-    def _set_scores(self, members: list[str], detectors: list[str], renderer: str, match: str) -> dict[str, float]:
+    def _set_scores(self, members: list[str], detectors: list[str], renderer: str, match: str) -> dict[str, Any]:
         """AP before and after, APD (PAPER 41) and false alarms; nan where any of the sets was not scored."""
 
         def mean_of(camouflages: list[str], field: str) -> float:
@@ -176,6 +176,7 @@ class _Table:
             "ap_original": before,
             "ap_adversarial": after,
             "apd": before - after,
+            "match": match,
             "false_alarms_per_km2_original": mean_of([ORIGINAL], "false_alarms_per_km2"),
             "false_alarms_per_km2_adversarial": mean_of(members, "false_alarms_per_km2"),
         }
