@@ -1,0 +1,1 @@
+"""Evaluation: one outcome per vehicle, success rates, intervals over background tiles, the table of results."""

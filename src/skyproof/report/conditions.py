@@ -1,0 +1,87 @@
+"""Success by condition: sun, tilt, heading, body type; the mean over detectors with its cluster interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyproof.evaluate.intervals import Interval, cluster_interval, resample
+from skyproof.evaluate.outcomes import Outcome
+from skyproof.evaluate.rates import overall_attack_success_rate
+from skyproof.evaluate.summary import cluster_counts
+from skyproof.report.words import body_name
+
+__all__ = ["Bin", "Panel", "condition_panels"]
+
+
+@dataclass(frozen=True)
+class Bin:
+    """One condition: how many vehicles (each counted once, whatever the number of detectors) and their EASR."""
+
+    label: str
+    vehicles: int
+    rate: Interval
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One small diagram: its bins, and the EASR of all vehicles together."""
+
+    title: str
+    bins: Sequence[Bin]
+    overall: float
+
+
+_HEADINGS = ((45, "towards sun\n(0–45°)"), (135, "across\n(45–135°)"), (181, "away\n(135–180°)"))
+
+
+def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Generator) -> list[Panel]:
+    """EASR by condition for the outcomes of one camouflage, renderer and match; empty without outcomes."""
+    if not outcomes:
+        return []
+    labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [
+        _numeric("Sun above the horizon", [o.sun_elevation_deg for o in outcomes], lambda o: o.sun_elevation_deg),
+        _numeric("Camera off the vertical", [o.tilt_deg for o in outcomes], lambda o: o.tilt_deg),
+        ("Vehicle's heading and the sun", _heading_label, [label for _, label in _HEADINGS]),
+        ("Body type", lambda o: body_name(o.body_type).replace(" ", "\n"), None),
+    ]
+    overall = _rate(outcomes, generator).estimate
+    panels = []
+    for title, labeller, order in labellers:
+        groups: dict[str, list[Outcome]] = {label: [] for label in order or ()}
+        for outcome in outcomes:
+            groups.setdefault(labeller(outcome), []).append(outcome)
+        names = order or sorted(groups)
+        bins = [
+            Bin(name, len({(o.scene, o.placement) for o in groups[name]}), _rate(groups[name], generator))
+            for name in names
+            if groups[name]
+        ]
+        panels.append(Panel(title, bins, overall))
+    return panels
+
+
+def _numeric(
+    title: str, values: Sequence[float], read: Callable[[Outcome], float]
+) -> tuple[str, Callable[[Outcome], str], list[str]]:
+    """Three bins of about equally many vehicles, cut at whole degrees so that labels are exact."""
+    cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])})
+    edges = [float(np.floor(min(values))), *map(float, cuts), float(np.ceil(max(values)))]
+    labels = [f"{low:.0f}–{high:.0f}°" for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return title, lambda outcome: labels[int(np.searchsorted(cuts, read(outcome), side="right"))], labels
+
+
+def _heading_label(outcome: Outcome) -> str:
+    return next(label for limit, label in _HEADINGS if outcome.heading_to_sun_deg < limit)
+
+
+def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interval:
+    tiles = {tile: index for index, tile in enumerate(sorted({o.background for o in outcomes}))}
+    detectors = sorted({o.detector for o in outcomes})
+    counts = np.stack([cluster_counts([o for o in outcomes if o.detector == name], tiles) for name in detectors])
+    weights = resample(len(tiles), generator=generator)
+    return cluster_interval(
+        counts, lambda c: overall_attack_success_rate(c).mean(axis=-1), weights, limits=(-np.inf, 1.0)
+    )

@@ -1,0 +1,150 @@
+"""The report's diagrams, each as one inline SVG."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+
+from skyproof.report.conditions import Panel
+from skyproof.report.run import Headline
+from skyproof.report.words import detector_name
+
+__all__ = ["condition_figure", "forest_figure", "loss_figure"]
+
+# Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
+BLUE, ORANGE, GREEN, PURPLE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#767676", "#1b2733"
+_CYCLE = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
+_STYLE: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 11,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "svg.fonttype": "path",
+}
+
+
+def forest_figure(headline: Headline) -> str:
+    """Per detector: share hidden (EASR), net of the random control, and the control itself, with 95 % intervals."""
+    rows = headline.by_detector
+    with plt.rc_context(_STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}):
+        figure, axes = plt.subplots(figsize=(8.5, 1.3 + 0.72 * len(rows)), layout="constrained")
+        series = [
+            ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [(row, "easr") for row in rows]),
+            ("net of the random pattern", "D", GREEN, 0.0, [(row, "net_easr") for row in rows]),
+            (
+                "random pattern",
+                "s",
+                GREY,
+                0.22,
+                [(headline.control.get(row["detector"], {}), "easr") for row in rows],
+            ),
+        ]
+        for label, marker, colour, shift, points in series:
+            drawn = False
+            for place, (row, key) in enumerate(points):
+                if row.get(key) is None:
+                    continue
+                _point(axes, row, key, place + shift, marker, colour, None if drawn else label)
+                drawn = True
+        axes.set_yticks(range(len(rows)), [detector_name(row["detector"]) for row in rows])
+        axes.invert_yaxis()
+        axes.axvline(0, color=GREY, linewidth=1)
+        left = min([0.0, *(v for row in rows for k in ("easr_low", "net_easr_low") if (v := row[k]) is not None)])
+        axes.set_xlim(100 * left - 4, 104)
+        axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
+        axes.grid(axis="x", color="#e3e7eb")
+        axes.set_axisbelow(True)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=10)
+        return _svg(figure)
+
+
+def _point(axes: Any, row: Mapping[str, Any], key: str, y: float, marker: str, colour: str, label: str | None) -> None:
+    low, high = row[f"{key}_low"], row[f"{key}_high"]
+    if low is not None and high is not None:
+        axes.plot([100 * low, 100 * high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
+    axes.plot([100 * row[key]], [y], marker, color=colour, markersize=7, label=label, markeredgecolor="white")
+
+
+def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]]) -> str:
+    """Loss against step; each curve is (step, loss) pairs, smoothed over a fiftieth of its length on top of raw."""
+    with plt.rc_context(_STYLE | {"svg.hashsalt": title}):
+        figure, axes = plt.subplots(figsize=(5.6, 3.2), layout="constrained")
+        positive = True
+        for index, (name, points) in enumerate(curves.items()):
+            colour, line = _CYCLE[index % len(_CYCLE)]
+            steps, losses = np.array(points, dtype=float).T
+            positive &= bool((losses > 0).all())
+            window = max(1, len(losses) // 50)
+            smooth = np.convolve(losses, np.full(window, 1 / window), mode="valid")
+            # At most 600 points: more cannot be seen, and would only make the page heavy.
+            every = max(1, len(losses) // 600)
+            axes.plot(steps[::every], losses[::every], color=colour, alpha=0.25, linewidth=0.8)
+            axes.plot(
+                steps[window - 1 :][::every],
+                smooth[::every],
+                line,
+                color=colour,
+                linewidth=1.8,
+                label=detector_name(name),
+            )
+        if positive:
+            axes.set_yscale("log")
+        axes.set_title(title, loc="left", fontsize=11, fontweight="bold")
+        axes.set_xlabel("step")
+        axes.set_ylabel("loss")
+        axes.grid(color="#e3e7eb")
+        axes.legend(fontsize=9)
+        return _svg(figure)
+
+
+def condition_figure(panels: Sequence[Panel]) -> str:
+    """Small multiples: share hidden by condition, with intervals and the number of vehicles under each bar."""
+    columns = 2
+    lines = math.ceil(len(panels) / columns)
+    with plt.rc_context(_STYLE | {"svg.hashsalt": "conditions"}):
+        figure, grid = plt.subplots(
+            lines, columns, figsize=(9.2, 2.9 * lines), layout="constrained", squeeze=False, sharey=True
+        )
+        for axes, panel in zip(grid.flat, panels, strict=False):
+            for place, bar in enumerate(panel.bins):
+                if bar.rate.estimate != bar.rate.estimate:
+                    continue
+                if bar.rate.low == bar.rate.low:
+                    ends = [100 * bar.rate.low, 100 * bar.rate.high]
+                    axes.plot([place, place], ends, color=BLUE, linewidth=2.2, solid_capstyle="butt")
+                axes.plot([place], [100 * bar.rate.estimate], "o", color=BLUE, markersize=7, markeredgecolor="white")
+            labels = [f"{bar.label}\nn = {bar.vehicles}" for bar in panel.bins]
+            axes.set_xticks(range(len(panel.bins)), labels, fontsize=9)
+            axes.set_xlim(-0.6, len(panel.bins) - 0.4)
+            axes.axhline(100 * panel.overall, color=GREY, linewidth=1, linestyle="--")
+            axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
+            axes.grid(axis="y", color="#e3e7eb")
+            axes.set_axisbelow(True)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("share hidden (%)")
+        for axes in list(grid.flat)[len(panels) :]:
+            axes.set_visible(False)
+        return _svg(figure)
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    plt.close(figure)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]

@@ -1,0 +1,238 @@
+"""Writes a run folder's `report.html`: one self-contained page, made from the folder's files alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from PIL import Image
+
+from skyproof.errors import StoredFileError
+from skyproof.files import write_bytes
+from skyproof.report import words
+from skyproof.report.conditions import Panel, condition_panels
+from skyproof.report.figures import condition_figure, forest_figure, loss_figure
+from skyproof.report.pairs import Pair, image_uri, make_pairs
+from skyproof.report.run import MAIN_MATCH, Headline, Run, read_run
+
+__all__ = ["write_report"]
+
+_SEED = 20240
+_FEW_TILES = 20
+
+
+@dataclass(frozen=True)
+class _Section:
+    """What the page shows of one camouflage under one renderer."""
+
+    headline: Headline
+    answer: Sequence[str]
+    forest: Markup
+    pairs: Sequence[Pair]
+    pairs_detector: str
+    texture: str | None
+    on_vehicle: str | None
+    loss: Markup | None
+    conditions: Markup | None
+    readings: Sequence[str]
+
+
+def write_report(run_folder: Path) -> Path:
+    """Writes `report.html` into a run folder and returns its path.
+
+    Parts whose files are missing are left out, and the page says so.
+
+    Raises:
+        StoredFileError: results.json or config.json is missing or damaged; names the file.
+        RunFolderError: the page cannot be written.
+    """
+    run = read_run(run_folder)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("skyproof.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters = (words.percent, words.interval, words.number, words.probability, words.detector_name)
+    environment.filters |= {function.__name__: function for function in filters}
+    sections = [_section(run, headline) for headline in run.headlines()]
+    if not sections:
+        raise StoredFileError(f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first.")
+    page = environment.get_template("report.html.j2").render(
+        run=run,
+        title=run.config.get("title", "Camouflage robustness of overhead vehicle detectors"),
+        sections=sections,
+        imagery=_imagery(run),
+        tables=_tables(run),
+        training=_training(run),
+        clean=run.clean,
+        advice=_advice(sections, run),
+        limits=_limits(sections, run),
+        settings=list(_flat(run.config)),
+    )
+    path = run.folder / "report.html"
+    write_bytes(path, page.encode())
+    return path
+
+
+def _section(run: Run, headline: Headline) -> _Section:
+    name = headline.camouflage
+    detector = next(row["detector"] for row in headline.by_detector if row["detector"] != "mean")
+    own = [
+        o for o in run.outcomes or () if (o.camouflage, o.renderer, o.match) == (name, headline.renderer, MAIN_MATCH)
+    ]
+    panels = condition_panels(own, generator=np.random.default_rng(_SEED))
+    return _Section(
+        headline=headline,
+        answer=words.answer(headline),
+        forest=Markup(forest_figure(headline)),
+        pairs=make_pairs(run, name, headline.renderer, detector),
+        pairs_detector=detector,
+        texture=_picture(run.folder / "camouflages" / name / "texture.png"),
+        on_vehicle=_picture(run.folder / "camouflages" / name / "on_vehicle.png"),
+        loss=_attack_loss(run, name),
+        conditions=Markup(condition_figure(panels)) if panels else None,
+        readings=_readings(panels),
+    )
+
+
+def _picture(path: Path) -> str | None:
+    if not path.exists():
+        return None
+    try:
+        with Image.open(path) as opened:
+            return image_uri(opened.convert("RGB"), lossless=True)
+    except OSError as error:
+        raise StoredFileError(f"{path} is not a readable image ({error}); run its stage again.") from error
+
+
+def _attack_loss(run: Run, name: str) -> Markup | None:
+    steps = run.steps("camouflages", name)
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for row in steps:
+        for detector, loss in (row.get("losses") or {"all": row["loss"]}).items():
+            curves.setdefault(detector, []).append((row["step"], loss))
+    return Markup(loss_figure(f"Attack {name}: loss per detector", curves)) if curves else None
+
+
+def _training(run: Run) -> Markup | None:
+    curves = {name: [(row["step"], row["loss"]) for row in run.steps("detectors", name)] for name in run.detectors}
+    curves = {name: points for name, points in curves.items() if points}
+    return Markup(loss_figure("Training of the detectors", curves)) if curves else None
+
+
+def _imagery(run: Run) -> str:
+    imagery = run.config.get("imagery", "procedural")
+    if imagery == "procedural":
+        return "procedurally generated ground"
+    return "real imagery (" + ", ".join(imagery if isinstance(imagery, list) else [str(imagery)]) + ")"
+
+
+def _tables(run: Run) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """The rows by match criterion and renderer, each with its heading; the main criterion first."""
+    criteria = {MAIN_MATCH: "found = centre within 1.0 m", "iou_50": "found = boxes overlap by IoU ≥ 0.5"}
+    tables = []
+    for match, meaning in criteria.items():
+        for renderer in dict.fromkeys(row["renderer"] for row in run.rows):
+            rows = [row for row in run.rows if (row["match"], row["renderer"]) == (match, renderer)]
+            if rows:
+                tables.append((f"Renderer {renderer}, {meaning}", rows))
+    return tables
+
+
+def _readings(panels: Sequence[Panel]) -> list[str]:
+    """One sentence per panel: whether the intervals of its extremes part company."""
+    sentences = []
+    for panel in panels:
+        known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+        if len(known) < 2:
+            continue
+        least = min(known, key=lambda bar: bar.rate.estimate)
+        most = max(known, key=lambda bar: bar.rate.estimate)
+        ends = [f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ") for bar in (most, least)]
+        if most.rate.low > least.rate.high:
+            sentences.append(
+                f"{panel.title}: most hidden at {ends[0]}, least at {ends[1]}; the intervals do not overlap."
+            )
+        else:
+            sentences.append(f"{panel.title}: no clear difference; the intervals overlap.")
+    return sentences
+
+
+def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
+    """What the numbers suggest for the detectors; never how to hide."""
+    headline = sections[0].headline
+    single = [row for row in headline.by_detector if row["detector"] != "mean" and row["easr"] is not None]
+    advice = []
+    if len(single) > 1:
+        ranked = sorted(single, key=lambda row: row["easr"])
+        best, worst = ranked[0], ranked[-1]
+        apart = best["easr_high"] is not None and worst["easr_low"] is not None
+        if apart and best["easr_high"] < worst["easr_low"]:
+            advice.append(
+                f"{words.detector_name(best['detector'])} withstands {headline.camouflage} better than "
+                f"{words.detector_name(worst['detector'])} ({words.percent(best['easr'])} against "
+                f"{words.percent(worst['easr'])} hidden): harden the weaker one first."
+            )
+        else:
+            advice.append("The detectors' intervals overlap: do not choose between them by this result.")
+    random = headline.row.get("random_easr")
+    if random is not None and random > 0.1:
+        advice.append(
+            f"Unlearnt random patterns already hide {words.percent(random)}: the detectors depend on ordinary vehicle "
+            "colours. Train with more varied vehicle textures before anything else."
+        )
+    net_low = headline.row["net_easr_low"]
+    if net_low is not None and net_low > 0:
+        advice.append(
+            "The optimised pattern does more than chance, so variety alone may not suffice: put such camouflaged "
+            "vehicles, with their true labels, into training, then measure again with a newly optimised pattern. A "
+            "detector hardened against a known pattern is not thereby hardened against the next."
+        )
+    advice.append("After hardening, check accuracy on clean images and false alarms as well; robustness can cost both.")
+    advice.append("Quote net success with its interval, not the gross rate, when comparing detectors or suppliers.")
+    return advice
+
+
+def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
+    row = sections[0].headline.row
+    tiles = row.get("clusters")
+    limits = []
+    if run.synthetic_only:
+        limits.append(
+            "Ground and vehicles are synthetic. How far these rates carry over to real cameras is not measured here."
+        )
+    else:
+        limits.append(
+            "The ground is real, the vehicles are rendered. Success on painted vehicles is not measured here."
+        )
+    if tiles is not None:
+        few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
+        limits.append(f"The intervals rest on {tiles} background tiles.{few}")
+    limits.append(
+        "The intervals cover which scenes were drawn. They do not cover another training of the detectors, another run "
+        "of the attack, or other random patterns than those drawn."
+    )
+    limits.append(
+        "The pattern was optimised knowing these detectors' weights: a worst case for them. Detectors that the pattern "
+        "has not seen will usually lose fewer vehicles."
+    )
+    slim = [words.detector_name(name) for name, one in run.detectors.items() if one.get("size") == "slim"]
+    if slim:
+        limits.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
+    limits.append("McNemar's test treats vehicles as independent; where a tile holds many, trust the interval more.")
+    return limits
+
+
+def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        return [
+            pair for key, inner in value.items() for pair in _flat(inner, f"{prefix}.{key}" if prefix else str(key))
+        ]
+    return [(prefix, ", ".join(map(str, value)) if isinstance(value, list) else str(value))]

@@ -1,0 +1,118 @@
+"""A run folder, read: what must be there is checked, what may be there is taken when it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from skyproof.errors import StoredFileError
+from skyproof.evaluate.outcomes import Outcome, read_outcomes
+from skyproof.files import read_json, read_jsonl
+
+__all__ = ["Headline", "Run", "read_run"]
+
+_ROW_KEYS = frozenset(
+    "camouflage renderer detector vehicles easr easr_low easr_high net_easr net_easr_low net_easr_high asr er "
+    "ap_original ap_adversarial apd match".split()
+)
+MAIN_MATCH = "centre_1m"
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One camouflage under one renderer: the row to quote, the rows by detector and those of its random control."""
+
+    camouflage: str
+    renderer: str
+    row: Mapping[str, Any]
+    by_detector: Sequence[Mapping[str, Any]]
+    control: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run folder holds.
+
+    Attributes:
+        folder: the run folder.
+        config, environment: as written; environment is empty where missing.
+        rows: of `results.json`.
+        timings, clean: rows, empty where missing.
+        detectors, camouflages: by name, the JSON beside the weights or texture; empty where missing.
+        outcomes: None where missing.
+    """
+
+    folder: Path
+    config: Mapping[str, Any]
+    environment: Mapping[str, Any]
+    rows: Sequence[Mapping[str, Any]]
+    timings: Sequence[Mapping[str, Any]]
+    clean: Sequence[Mapping[str, Any]]
+    detectors: Mapping[str, Mapping[str, Any]]
+    camouflages: Mapping[str, Mapping[str, Any]]
+    outcomes: Sequence[Outcome] | None
+
+    @property
+    def synthetic_only(self) -> bool:
+        """Whether the ground is procedural, so that no pixel comes from a real camera."""
+        return self.config.get("imagery", "procedural") == "procedural"
+
+    def steps(self, kind: str, name: str) -> list[Mapping[str, Any]]:
+        """The log of a training ("detectors") or an attack ("camouflages"); empty where missing."""
+        return _optional(self.folder / kind / name / "steps.jsonl", read_jsonl, [])
+
+    def headlines(self) -> list[Headline]:
+        """One entry per learnt or given camouflage and renderer, at the main match criterion."""
+        rows = [row for row in self.rows if row["match"] == MAIN_MATCH]
+        found = []
+        for name, renderer in dict.fromkeys((row["camouflage"], row["renderer"]) for row in rows):
+            own = [row for row in rows if (row["camouflage"], row["renderer"]) == (name, renderer)]
+            control_name = "R-" + name.partition("-")[2]
+            if name.startswith("R-"):
+                continue
+            control = {
+                row["detector"]: row for row in rows if (row["camouflage"], row["renderer"]) == (control_name, renderer)
+            }
+            mean = [row for row in own if row["detector"] == "mean"]
+            single = [row for row in own if row["detector"] != "mean"]
+            found.append(Headline(name, renderer, (mean or single)[0], single + mean, control))
+        return found
+
+
+def read_run(folder: Path) -> Run:
+    """Reads a run folder.
+
+    Raises:
+        StoredFileError: results.json or config.json is missing or damaged, or an optional file is damaged.
+    """
+    folder = Path(folder)
+    results = read_json(folder / "results.json")
+    rows = results.get("rows") if isinstance(results, dict) else None
+    if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) and r.keys() >= _ROW_KEYS for r in rows):
+        raise StoredFileError(
+            f"{folder / 'results.json'} holds no rows of this version's form; run the evaluation again."
+        )
+    outcomes_path = folder / "evaluation" / "outcomes.parquet"
+    return Run(
+        folder=folder,
+        config=read_json(folder / "config.json"),
+        environment=_optional(folder / "environment.json", read_json, {}),
+        rows=rows,
+        timings=_optional(folder / "timings.json", read_json, []),
+        clean=_optional(folder / "evaluation" / "clean.json", read_json, []),
+        detectors=_folders(folder / "detectors", "detector.json"),
+        camouflages=_folders(folder / "camouflages", "camouflage.json"),
+        outcomes=read_outcomes(outcomes_path) if outcomes_path.exists() else None,
+    )
+
+
+def _optional(path: Path, read: Callable[[Path], Any], otherwise: Any) -> Any:
+    return read(path) if path.exists() else otherwise
+
+
+def _folders(parent: Path, file: str) -> dict[str, Mapping[str, Any]]:
+    if not parent.is_dir():
+        return {}
+    return {path.parent.name: read_json(path) for path in sorted(parent.glob(f"*/{file}"))}

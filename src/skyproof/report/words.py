@@ -1,0 +1,101 @@
+"""Numbers as words a reader can trust: percentages, intervals, and the one-sentence answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from skyproof.report.run import Headline
+
+__all__ = ["NAMES", "answer", "body_name", "detector_name", "interval", "number", "percent", "probability"]
+
+NAMES = {
+    "retinanet": "RetinaNet",
+    "faster_rcnn": "Faster R-CNN",
+    "yolov5": "YOLOv5",
+    "fcos": "FCOS",
+    "mean": "mean of detectors",
+}
+_THIN = "\u202f"
+
+
+def detector_name(name: str) -> str:
+    """The detector's usual spelling."""
+    return NAMES.get(name, name)
+
+
+def body_name(name: str) -> str:
+    """A body type's id as words."""
+    return name.replace("_", " ")
+
+
+def percent(fraction: float | None, digits: int = 0) -> str:
+    """A fraction as a percentage; a dash where undefined. Never a rounded "-0"."""
+    if fraction is None or fraction != fraction:
+        return "–"
+    text = f"{100 * fraction:.{digits}f}"
+    return (text.lstrip("-") if float(text) == 0 else text.replace("-", "−")) + f"{_THIN}%"
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """An interval of fractions, "79 to 88 %"; a dash where undefined."""
+    if low is None or high is None or low != low:
+        return "–"
+    return f"{percent(low).removesuffix(_THIN + '%')} to {percent(high)}"
+
+
+def number(value: float | None, digits: int = 0) -> str:
+    """A number with thousands separators; a dash where undefined."""
+    return "–" if value is None or value != value else f"{value:,.{digits}f}".replace(",", _THIN)
+
+
+def probability(value: float | None) -> str:
+    """A p-value to one useful digit."""
+    if value is None:
+        return "–"
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def answer(headline: Headline) -> list[str]:
+    """The result in plain sentences, with its uncertainty."""
+    row, several = headline.row, headline.row["detector"] == "mean"
+    whose = "these detectors" if several else detector_name(row["detector"])
+    if row["easr"] is None:
+        silent = [detector_name(r["detector"]) for r in headline.by_detector if r["easr"] is None and r is not row]
+        who = ", ".join(silent) or whose
+        return [f"The success rate is undefined, because {who} found none of the vehicles even without camouflage."]
+    sentences = [
+        f"Of the vehicles that {whose} found before, the camouflage {headline.camouflage} hides "
+        f"{percent(row['easr'])} ({_sure(row, 'easr')})."
+    ]
+    if row["easr"] < 0:
+        sentences = [
+            f"With the camouflage {headline.camouflage}, {whose} found {percent(-row['easr'])} more vehicles than "
+            f"before, not fewer ({_sure(row, 'easr')} for the share hidden)."
+        ]
+    if several:
+        rates = [r["easr"] for r in headline.by_detector if r["detector"] != "mean" and r["easr"] is not None]
+        sentences.append(f"Detector by detector it is {percent(min(rates))} to {percent(max(rates))}.")
+    return sentences + _net_sentences(row)
+
+
+def _net_sentences(row: Mapping[str, Any]) -> Sequence[str]:
+    if row["net_easr"] is None:
+        return ["No random control was run beside it, so it is not known how much of this is due to optimisation."]
+    random = row.get("random_easr")
+    random = row["easr"] - row["net_easr"] if random is None else random
+    net = f"net {percent(row['net_easr'])} ({_sure(row, 'net_easr')})"
+    control = f"A random pattern of the same kind hides {percent(random)}."
+    low, high = row["net_easr_low"], row["net_easr_high"]
+    if low is None or high is None:
+        return [control, f"The difference, {net}, has no interval: too few background tiles."]
+    if low > 0:
+        return [control, f"So {net} is due to optimisation."]
+    if high < 0:
+        return [control, f"So optimisation did worse than chance: {net}."]
+    return [control, f"The difference, {net}, cannot be told from zero."]
+
+
+def _sure(row: Mapping[str, Any], key: str) -> str:
+    low, high = row[f"{key}_low"], row[f"{key}_high"]
+    return "no interval: too few background tiles" if low is None else f"95{_THIN}% interval {interval(low, high)}"

@@ -1,0 +1,141 @@
+"""A small complete run folder of made-up images and numbers; `python tests/report/fabricate.py FOLDER` writes one."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from skyproof.evaluate.outcomes import Outcome, write_outcomes
+from skyproof.evaluate.summary import SetScore, summarise
+from skyproof.files import write_json, write_jsonl
+
+DETECTORS = ("retinanet", "faster_rcnn")
+HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}
+BODIES = ("saloon", "hatchback", "estate", "pick-up", "van")
+
+
+def fabricate(folder, scenes=40):
+    """Writes the folder; everything follows from one seed."""
+    rng = np.random.default_rng(1)
+    names = ["test", *(f"test-{camouflage}" for camouflage in HIDES)]
+    coco = {name: {"images": [], "annotations": []} for name in names}
+    detections = {(name, detector): [] for name in names for detector in DETECTORS}
+    outcomes = []
+    for index in range(scenes):
+        scene, ground = f"scene-{index:04d}", rng.normal(110, 14, (192, 192, 3))
+        count, sun, tilt = int(rng.integers(1, 5)), rng.uniform(15, 65), rng.uniform(0, 20)
+        corners = [(x, y) for x in (20, 110) for y in (20, 110)][:count]
+        boxes = [(x, y, x + 36, y + 16) for x, y in corners]
+        found = {(name, d): [] for name in names for d in DETECTORS}
+        for place, box in enumerate(boxes):
+            body, heading = str(rng.choice(BODIES)), rng.uniform(0, 360)
+            for d in DETECTORS:
+                before = rng.random() < 0.95
+                if before:
+                    found["test", d].append((box, 0.9))
+                for camouflage, rate in HIDES.items():
+                    after = rng.random() > rate * (0.6 + 0.01 * sun) if before else rng.random() < 0.05
+                    if after:
+                        found[f"test-{camouflage}", d].append((box, 0.8))
+                    for match in ("centre_1m", "iou_50"):
+                        outcomes.append(
+                            Outcome(
+                                scene=scene, placement=place, vehicle=f"{body}-0001", body_type=body,
+                                background=f"tile-{index // 2}", camouflage=camouflage, renderer="torch",
+                                detector=d, match=match, detected_original=bool(before),
+                                detected_adversarial=bool(after), score_original=0.9 if before else 0.0,
+                                score_adversarial=0.8 if after else 0.0,
+                                distance_original_m=0.1 if before else float("nan"),
+                                distance_adversarial_m=0.2 if after else float("nan"), visible_fraction=1.0,
+                                sun_elevation_deg=sun, sun_azimuth_deg=120.0, tilt_deg=tilt,
+                                camera_azimuth_deg=30.0, heading_deg=heading,
+                                heading_to_sun_deg=abs((heading - 120 + 180) % 360 - 180),
+                            )
+                        )  # fmt: skip
+        for name in names:
+            if rng.random() < 0.3:
+                found[name, DETECTORS[0]].append(((150, 70, 176, 86), 0.7))
+            coco[name]["images"].append({"id": index, "file_name": f"images/{scene}.png", "width": 192, "height": 192})
+            picture = Image.fromarray(ground.clip(0, 255).astype(np.uint8))
+            for place, box in enumerate(boxes):
+                fill = (200, 40, 40) if name == "test" else tuple(int(v) for v in rng.integers(60, 180, 3))
+                ImageDraw.Draw(picture).rectangle(box, fill=fill)
+                annotation = {"id": len(coco[name]["annotations"]), "image_id": index, "category_id": 1}
+                annotation |= {"bbox": [box[0], box[1], 36, 16], "vehicle": "saloon-0001", "placement": place}
+                coco[name]["annotations"].append(annotation)
+            path = folder / "datasets" / name / "images" / f"{scene}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            picture.save(path)
+            for d in DETECTORS:
+                rows = found[name, d]
+                row = {"image": scene, "boxes": [list(b) for b, _ in rows], "scores": [s for _, s in rows]}
+                detections[name, d].append(row)
+    for name in names:
+        write_json(folder / "datasets" / name / "annotations.json", coco[name])
+    for (name, d), rows in detections.items():
+        write_jsonl(folder / "evaluation" / "detections" / name / f"{d}.jsonl", rows)
+    write_outcomes(folder / "evaluation" / "outcomes.parquet", outcomes)
+    sets = [
+        SetScore(camouflage, "torch", d, match, 0.97 if camouflage == "original" else 0.4, 12.0)
+        for camouflage in ("original", *HIDES)
+        for d in DETECTORS
+        for match in ("centre_1m", "iou_50")
+    ]
+    write_json(folder / "results.json", {"rows": summarise(outcomes, sets, generator=rng)})
+    _write_rest(folder, rng)
+    return folder
+
+
+def _write_rest(folder, rng):
+    title = "How robust are two vehicle detectors to camouflage? (fabricated)"
+    write_json(
+        folder / "config.json", {"title": title, "imagery": "procedural", "attack": {"steps": 300, "rate": 0.02}}
+    )
+    write_json(
+        folder / "environment.json",
+        {
+            "skyproof": "0.1.0",
+            "python": "3.11",
+            "torch": "2.11",
+            "device": "cpu",
+            "seed": 0,
+            "commands": ["skyproof demo"],
+        },
+    )
+    write_json(folder / "timings.json", [{"stage": "train", "seconds": 812.3}, {"stage": "attack", "seconds": 301.0}])
+    clean = [
+        {
+            "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap, "ap_iou_50": ap - 0.05,
+            "precision": 0.9, "recall": ap, "threshold": 0.5, "note": note,
+        }
+        for d in DETECTORS
+        for dataset, ap, note in (
+            ("synthetic test", 0.97, ""),
+            ("KIT AIS Munich", 0.21, "trained on synthetic images only; resampled to 0.125 m"),
+        )
+    ]  # fmt: skip
+    write_json(folder / "evaluation" / "clean.json", clean)
+    for d in DETECTORS:
+        validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
+        about = {"name": d, "size": "slim", "threshold": 0.5, "parameters": 712_345, "validation": validation}
+        write_json(folder / "detectors" / d / "detector.json", about)
+        losses = 2 * np.exp(-np.arange(400) / 80) + 0.1 + 0.05 * rng.random(400)
+        rows = [{"step": i, "loss": float(loss)} for i, loss in enumerate(losses)]
+        write_jsonl(folder / "detectors" / d / "steps.jsonl", rows)
+    attack = folder / "camouflages" / "T-U"
+    write_json(attack / "camouflage.json", {"name": "T-U"})
+    fading = np.exp(-np.arange(300) / 100)
+    rows = [
+        {"step": i, "loss": float(f), "losses": {d: float(f * (0.5 + 0.1 * rng.random())) for d in DETECTORS}}
+        for i, f in enumerate(fading)
+    ]
+    write_jsonl(attack / "steps.jsonl", rows)
+    for file, size in (("texture.png", (512, 512)), ("on_vehicle.png", (640, 480))):
+        small = Image.fromarray(rng.integers(0, 255, (32, 32, 3), dtype=np.uint8))
+        small.resize(size, Image.Resampling.NEAREST).save(attack / file)
+
+
+if __name__ == "__main__":
+    print(json.dumps(str(fabricate(Path(sys.argv[1])))))
