@@ -107,7 +107,8 @@ def _write_rest(folder, rng):
     write_json(folder / "timings.json", [{"stage": "train", "seconds": 812.3}, {"stage": "attack", "seconds": 301.0}])
     clean = [
         {
-            "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap, "ap_iou_50": ap - 0.05,
+            "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap,
+            "ap_iou_50": ap - 0.05,
             "precision": 0.9, "recall": ap, "threshold": 0.5, "note": note,
         }
         for d in DETECTORS

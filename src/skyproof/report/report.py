@@ -117,12 +117,15 @@ def _attack_loss(run: Run, name: str) -> Markup | None:
     curves: dict[str, list[tuple[float, float]]] = {}
     for row in steps:
         for detector, loss in (row.get("losses") or {"all": row["loss"]}).items():
-            curves.setdefault(detector, []).append((row["step"], loss))
+            curves.setdefault(detector, []).append((float(row["step"]), float(loss)))
     return Markup(loss_figure(f"Attack {name}: loss per detector", curves)) if curves else None
 
 
 def _training(run: Run) -> Markup | None:
-    curves = {name: [(row["step"], row["loss"]) for row in run.steps("detectors", name)] for name in run.detectors}
+    curves = {
+        name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name)]
+        for name in run.detectors
+    }
     curves = {name: points for name, points in curves.items() if points}
     return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
