@@ -78,7 +78,7 @@ def fabricate(folder, scenes=40):
         write_jsonl(folder / "evaluation" / "detections" / name / f"{d}.jsonl", rows)
     write_outcomes(folder / "evaluation" / "outcomes.parquet", outcomes)
     sets = [
-        SetScore(camouflage, "torch", d, match, 0.97 if camouflage == "original" else 0.4, 12.0)
+        SetScore(camouflage, "torch", d, match, {"original": 0.97, "T-U": 0.4}.get(camouflage, 0.94), 12.0)
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")

@@ -184,7 +184,7 @@ def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
                 f"{words.percent(worst['easr'])} hidden): harden the weaker one first."
             )
         else:
-            advice.append("The detectors' intervals overlap: do not choose between them by this result.")
+            advice.append("The detectors' intervals overlap: this result gives no ground to prefer one of them.")
     random = headline.row.get("random_easr")
     if random is not None and random > 0.1:
         advice.append(
@@ -222,10 +222,13 @@ def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
         "The intervals cover which scenes were drawn. They do not cover another training of the detectors, another run "
         "of the attack, or other random patterns than those drawn."
     )
-    limits.append(
-        "The pattern was optimised knowing these detectors' weights: a worst case for them. Detectors that the pattern "
-        "has not seen will usually lose fewer vehicles."
-    )
+    steps = run.steps("camouflages", sections[0].headline.camouflage)
+    attacked = [words.detector_name(name) for name in (steps[0].get("losses") or {})] if steps else []
+    if attacked:
+        limits.append(
+            f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst case for them. Detectors "
+            "that the pattern was not optimised against may lose fewer vehicles; that is not measured here."
+        )
     slim = [words.detector_name(name) for name, one in run.detectors.items() if one.get("size") == "slim"]
     if slim:
         limits.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")

@@ -14,7 +14,7 @@ NAMES = {
     "faster_rcnn": "Faster R-CNN",
     "yolov5": "YOLOv5",
     "fcos": "FCOS",
-    "mean": "mean of detectors",
+    "mean": "mean",
 }
 _THIN = "\u202f"
 
