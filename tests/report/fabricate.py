@@ -78,7 +78,7 @@ def fabricate(folder, scenes=40):
         write_jsonl(folder / "evaluation" / "detections" / name / f"{d}.jsonl", rows)
     write_outcomes(folder / "evaluation" / "outcomes.parquet", outcomes)
     sets = [
-        SetScore(camouflage, "torch", d, match, 0.97 if camouflage == "original" else 0.4, 12.0)
+        SetScore(camouflage, "torch", d, match, {"original": 0.97, "T-U": 0.4}.get(camouflage, 0.94), 12.0)
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
@@ -107,7 +107,8 @@ def _write_rest(folder, rng):
     write_json(folder / "timings.json", [{"stage": "train", "seconds": 812.3}, {"stage": "attack", "seconds": 301.0}])
     clean = [
         {
-            "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap, "ap_iou_50": ap - 0.05,
+            "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap,
+            "ap_iou_50": ap - 0.05,
             "precision": 0.9, "recall": ap, "threshold": 0.5, "note": note,
         }
         for d in DETECTORS

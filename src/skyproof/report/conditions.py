@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -69,7 +70,7 @@ def _numeric(
     """Three bins of about equally many vehicles, cut at whole degrees so that labels are exact."""
     cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])})
     edges = [float(np.floor(min(values))), *map(float, cuts), float(np.ceil(max(values)))]
-    labels = [f"{low:.0f}–{high:.0f}°" for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    labels = [f"{low:.0f}–{high:.0f}°" for low, high in itertools.pairwise(edges)]
     return title, lambda outcome: labels[int(np.searchsorted(cuts, read(outcome), side="right"))], labels
 
 

@@ -23,7 +23,7 @@ __all__ = ["condition_figure", "forest_figure", "loss_figure"]
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#767676", "#1b2733"
 _CYCLE = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 11,
     "axes.spines.top": False,
@@ -62,14 +62,15 @@ def forest_figure(headline: Headline) -> str:
                 _point(axes, row, key, place + shift, marker, colour, None if drawn else label)
                 drawn = True
         axes.set_yticks(range(len(rows)), [detector_name(row["detector"]) for row in rows])
-        axes.invert_yaxis()
+        axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
         left = min([0.0, *(v for row in rows for k in ("easr_low", "net_easr_low") if (v := row[k]) is not None)])
         axes.set_xlim(100 * left - 4, 104)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
         axes.grid(axis="x", color="#e3e7eb")
         axes.set_axisbelow(True)
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=10)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=10)
         return _svg(figure)
 
 
@@ -135,7 +136,10 @@ def condition_figure(panels: Sequence[Panel]) -> str:
             axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
             axes.grid(axis="y", color="#e3e7eb")
             axes.set_axisbelow(True)
+        lows = [100 * bar.rate.low for panel in panels for bar in panel.bins if bar.rate.low == bar.rate.low]
+        bottom = min([0.0, *lows])
         for axes in grid[:, 0]:
+            axes.set_ylim(bottom - 3, 103)
             axes.set_ylabel("share hidden (%)")
         for axes in list(grid.flat)[len(panels) :]:
             axes.set_visible(False)

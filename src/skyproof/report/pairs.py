@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,28 +40,30 @@ class Pair:
 def make_pairs(run: Run, camouflage: str, renderer: str, detector: str) -> list[Pair]:
     """The first scenes by SHA-256 of their id, then the one with most vehicles hidden and the one with fewest.
 
-    Empty where images, labels, detections or outcomes are missing.
+    Empty where images, labels, detections, the threshold or outcomes are missing.
     """
     rows = [
         o
         for o in run.outcomes or ()
         if (o.camouflage, o.renderer, o.detector, o.match) == (camouflage, renderer, detector, MAIN_MATCH)
     ]
-    sets = [_Set.read(run.folder, name, detector) for name in ("test", f"test-{camouflage}")]
-    if not rows or any(one is None for one in sets):
+    before = _Set.read(run.folder, "test", detector)
+    after = _Set.read(run.folder, f"test-{camouflage}", detector)
+    threshold = run.detectors.get(detector, {}).get("threshold")
+    if not rows or before is None or after is None or threshold is None:
         return []
     scenes: dict[str, list[Outcome]] = {}
     for row in rows:
         scenes.setdefault(row.scene, []).append(row)
-    threshold = float(run.detectors.get(detector, {}).get("threshold", 0.5))
     pairs = []
     for scene, why in _choose(scenes).items():
-        drawn = [one.draw(scene, scenes[scene], threshold, after) for one, after in zip(sets, (False, True)) if one]
-        if len(drawn) == 2 and all(drawn):
+        original = before.draw(scene, scenes[scene], float(threshold), False)
+        adversarial = after.draw(scene, scenes[scene], float(threshold), True)
+        if original and adversarial:
             found = sum(o.detected_original for o in scenes[scene])
             kept = sum(o.detected_adversarial for o in scenes[scene])
             caption = f"{why}. {found} of {len(scenes[scene])} vehicles found before, {kept} after."
-            pairs.append(Pair(scene, str(drawn[0]), str(drawn[1]), caption))
+            pairs.append(Pair(scene, original, adversarial, caption))
     return pairs
 
 
@@ -101,7 +104,7 @@ class _Set:
             boxes: dict[str, dict[int, Sequence[float]]] = {scene: {} for scene in scene_of.values()}
             for annotation in coco["annotations"]:
                 own = boxes[scene_of[annotation["image_id"]]]
-                x, y, width, height = annotation["bbox"]
+                x, y, width, height = map(float, annotation["bbox"])
                 own[annotation.get("placement", len(own))] = (x, y, x + width, y + height)
         except (KeyError, TypeError, ValueError) as error:
             raise StoredFileError(f"{labels} is not COCO as this version writes it ({error}); render again.") from error
@@ -130,7 +133,7 @@ class _Set:
             if detected:
                 alarms.discard(_nearest(row, alarms, box, score))
         for index in alarms:
-            _rectangle(canvas, row["boxes"][index], FALSE_ALARM, dash_px=3)
+            _rectangle(canvas, [float(value) for value in row["boxes"][index]], FALSE_ALARM, dash_px=3)
         return image_uri(picture)
 
 
@@ -146,14 +149,14 @@ def _nearest(row: Mapping[str, Any], among: set[int], box: Sequence[float], scor
 
 
 def _rectangle(canvas: ImageDraw.ImageDraw, box: Sequence[float], colour: str, dash_px: int) -> None:
-    x0, y0, x1, y1 = (_ENLARGE * value for value in box)
-    x0, y0, x1, y1 = x0 - 4, y0 - 4, x1 + 4, y1 + 4
-    for start, end in (((x0, y0), (x1, y0)), ((x1, y0), (x1, y1)), ((x1, y1), (x0, y1)), ((x0, y1), (x0, y0))):
-        length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-        pieces = [0.0, length] if not dash_px else list(np.arange(0.0, length, dash_px))
-        for begin in pieces[:: 1 if not dash_px else 2][: 1 if not dash_px else None]:
-            stop = length if not dash_px else min(begin + dash_px, length)
-            ends = [tuple(s + (e - s) * at / max(length, 1e-6) for s, e in zip(start, end)) for at in (begin, stop)]
+    """A frame 4 px outside a box of the original image; solid where `dash_px` is 0."""
+    x0, y0, x1, y1 = (_ENLARGE * value + outward for value, outward in zip(box, (-4, -4, 4, 4), strict=True))
+    corners = [np.array(corner) for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))]
+    for start, end in itertools.pairwise(corners):
+        length = max(float(np.hypot(*(end - start))), 1e-6)
+        dash = dash_px or length
+        for begin in np.arange(0.0, length, 2 * dash):
+            ends = [tuple(start + (end - start) * min(at / length, 1.0)) for at in (begin, begin + dash)]
             # A dark line beneath keeps every colour legible on bright ground.
             canvas.line(ends, fill="#101010", width=5)
             canvas.line(ends, fill=colour, width=3)

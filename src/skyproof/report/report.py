@@ -117,12 +117,15 @@ def _attack_loss(run: Run, name: str) -> Markup | None:
     curves: dict[str, list[tuple[float, float]]] = {}
     for row in steps:
         for detector, loss in (row.get("losses") or {"all": row["loss"]}).items():
-            curves.setdefault(detector, []).append((row["step"], loss))
+            curves.setdefault(detector, []).append((float(row["step"]), float(loss)))
     return Markup(loss_figure(f"Attack {name}: loss per detector", curves)) if curves else None
 
 
 def _training(run: Run) -> Markup | None:
-    curves = {name: [(row["step"], row["loss"]) for row in run.steps("detectors", name)] for name in run.detectors}
+    curves = {
+        name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name)]
+        for name in run.detectors
+    }
     curves = {name: points for name, points in curves.items() if points}
     return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
@@ -181,7 +184,7 @@ def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
                 f"{words.percent(worst['easr'])} hidden): harden the weaker one first."
             )
         else:
-            advice.append("The detectors' intervals overlap: do not choose between them by this result.")
+            advice.append("The detectors' intervals overlap: this result gives no ground to prefer one of them.")
     random = headline.row.get("random_easr")
     if random is not None and random > 0.1:
         advice.append(
@@ -219,10 +222,13 @@ def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
         "The intervals cover which scenes were drawn. They do not cover another training of the detectors, another run "
         "of the attack, or other random patterns than those drawn."
     )
-    limits.append(
-        "The pattern was optimised knowing these detectors' weights: a worst case for them. Detectors that the pattern "
-        "has not seen will usually lose fewer vehicles."
-    )
+    steps = run.steps("camouflages", sections[0].headline.camouflage)
+    attacked = [words.detector_name(name) for name in (steps[0].get("losses") or {})] if steps else []
+    if attacked:
+        limits.append(
+            f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst case for them. Detectors "
+            "that the pattern was not optimised against may lose fewer vehicles; that is not measured here."
+        )
     slim = [words.detector_name(name) for name, one in run.detectors.items() if one.get("size") == "slim"]
     if slim:
         limits.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")

@@ -13,10 +13,24 @@ from skyproof.files import read_json, read_jsonl
 
 __all__ = ["Headline", "Run", "read_run"]
 
-_ROW_KEYS = frozenset(
-    "camouflage renderer detector vehicles easr easr_low easr_high net_easr net_easr_low net_easr_high asr er "
-    "ap_original ap_adversarial apd match".split()
-)
+_ROW_KEYS = {
+    "camouflage",
+    "renderer",
+    "detector",
+    "vehicles",
+    "easr",
+    "easr_low",
+    "easr_high",
+    "net_easr",
+    "net_easr_low",
+    "net_easr_high",
+    "asr",
+    "er",
+    "ap_original",
+    "ap_adversarial",
+    "apd",
+    "match",
+}
 MAIN_MATCH = "centre_1m"
 
 

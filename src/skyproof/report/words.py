@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from skyproof.report.run import Headline
@@ -14,7 +14,7 @@ NAMES = {
     "faster_rcnn": "Faster R-CNN",
     "yolov5": "YOLOv5",
     "fcos": "FCOS",
-    "mean": "mean of detectors",
+    "mean": "mean",
 }
 _THIN = "\u202f"
 
@@ -29,7 +29,7 @@ def body_name(name: str) -> str:
     return name.replace("_", " ")
 
 
-def percent(fraction: float | None, digits: int = 0) -> str:
+def percent(fraction: float | int | None, digits: int = 0) -> str:
     """A fraction as a percentage; a dash where undefined. Never a rounded "-0"."""
     if fraction is None or fraction != fraction:
         return "–"
@@ -37,19 +37,19 @@ def percent(fraction: float | None, digits: int = 0) -> str:
     return (text.lstrip("-") if float(text) == 0 else text.replace("-", "−")) + f"{_THIN}%"
 
 
-def interval(low: float | None, high: float | None) -> str:
+def interval(low: float | int | None, high: float | int | None) -> str:
     """An interval of fractions, "79 to 88 %"; a dash where undefined."""
     if low is None or high is None or low != low:
         return "–"
     return f"{percent(low).removesuffix(_THIN + '%')} to {percent(high)}"
 
 
-def number(value: float | None, digits: int = 0) -> str:
+def number(value: float | int | None, digits: int = 0) -> str:
     """A number with thousands separators; a dash where undefined."""
     return "–" if value is None or value != value else f"{value:,.{digits}f}".replace(",", _THIN)
 
 
-def probability(value: float | None) -> str:
+def probability(value: float | int | None) -> str:
     """A p-value to one useful digit."""
     if value is None:
         return "–"
@@ -79,12 +79,12 @@ def answer(headline: Headline) -> list[str]:
     return sentences + _net_sentences(row)
 
 
-def _net_sentences(row: Mapping[str, Any]) -> Sequence[str]:
+def _net_sentences(row: Mapping[str, Any]) -> list[str]:
     if row["net_easr"] is None:
         return ["No random control was run beside it, so it is not known how much of this is due to optimisation."]
     random = row.get("random_easr")
     random = row["easr"] - row["net_easr"] if random is None else random
-    net = f"net {percent(row['net_easr'])} ({_sure(row, 'net_easr')})"
+    net = f"{percent(row['net_easr'])} net ({_sure(row, 'net_easr')})"
     control = f"A random pattern of the same kind hides {percent(random)}."
     low, high = row["net_easr_low"], row["net_easr_high"]
     if low is None or high is None:

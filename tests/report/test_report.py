@@ -1,0 +1,186 @@
+"""The report of a fabricated run folder: its numbers, its honesty, and what it does without optional parts."""
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fabricate import fabricate
+
+from skyproof.errors import StoredFileError
+from skyproof.evaluate.intervals import Interval
+from skyproof.files import read_json, write_json
+from skyproof.report.conditions import Bin, Panel
+from skyproof.report.figures import condition_figure
+from skyproof.report.report import write_report
+from skyproof.report.words import interval, number, percent, probability
+
+
+@pytest.fixture(scope="module")
+def fabricated(tmp_path_factory):
+    folder = fabricate(tmp_path_factory.mktemp("run"), scenes=16)
+    write_report(folder)
+    return folder
+
+
+@pytest.fixture
+def run_folder(fabricated, tmp_path):
+    return Path(shutil.copytree(fabricated, tmp_path / "run"))
+
+
+@pytest.fixture
+def page(fabricated):
+    return (fabricated / "report.html").read_text()
+
+
+def rebuilt(folder):
+    return write_report(folder).read_text()
+
+
+def words_of(page):
+    """What a reader sees, white space and tags folded."""
+    return re.sub(r"\s+", " ", re.sub(r"<(svg|style).*?</\1>|<[^>]+>", " ", page, flags=re.S))
+
+
+def test_the_numbers_are_those_of_the_results(fabricated, page):
+    text = words_of(page)
+    for row in read_json(fabricated / "results.json")["rows"]:
+        for key in ("easr", "net_easr", "random_easr"):
+            if row[key] is not None and row["detector"] == "mean":
+                assert percent(row[key]).replace("\u202f", " ") in text
+        assert percent(row["asr"], 1).replace("\u202f", " ") in text
+    mean = next(r for r in read_json(fabricated / "results.json")["rows"] if r["detector"] == "mean")
+    limits = interval(mean["easr_low"], mean["easr_high"]).replace("\u202f", " ")
+    assert f"hides {percent(mean['easr'])} (95 % interval {limits})".replace("\u202f", " ") in text
+
+
+def test_synthetic_data_alone_is_said_at_the_top(page, run_folder):
+    assert "Synthetic data only" in page[: page.index("The answer")]
+    config = read_json(run_folder / "config.json")
+    write_json(run_folder / "config.json", config | {"imagery": ["Selwyn 2012"]})
+    real = rebuilt(run_folder)
+    assert "Synthetic data only" not in real
+    assert "Selwyn 2012" in real[: real.index("The answer")]
+
+
+class _Loads(HTMLParser):
+    """Collects what a browser would fetch."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attributes):
+        loads = ("src", "href", "xlink:href", "srcset")
+        self.found += [value for name, value in attributes if name in loads]
+        self.found += ["script"] if tag == "script" else []
+
+
+def test_the_page_loads_nothing_from_outside(page):
+    parser = _Loads()
+    parser.feed(page)
+    assert parser.found
+    assert all(value.startswith(("data:", "#")) for value in parser.found)
+    assert "url(http" not in page
+    assert "@import" not in page
+
+
+def test_pairs_are_drawn_and_their_choice_is_stated(page):
+    assert page.count('with camouflage"') == 8
+    assert page.count("Chosen by hash") == 6
+    assert "Fewest vehicles hidden" in page
+
+
+def test_the_same_folder_gives_the_same_page(run_folder, page):
+    assert rebuilt(run_folder) == page
+
+
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ("environment.json", "does not say which versions"),
+        ("evaluation/clean.json", "No real annotated images were tested"),
+        ("evaluation/outcomes.parquet", "no table of single outcomes"),
+        ("evaluation/detections", "No matched pairs are shown"),
+        ("datasets", "No matched pairs are shown"),
+        ("detectors", "No matched pairs are shown"),
+        ("camouflages", "no picture of the texture map"),
+        ("camouflages/T-U/on_vehicle.png", "no picture of the pattern on a vehicle"),
+        ("timings.json", "The answer"),
+    ],
+)
+def test_missing_optional_parts_are_said(run_folder, missing, said):
+    path = run_folder / missing
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert said in rebuilt(run_folder)
+
+
+def test_rows_with_only_the_required_keys_and_nulls(run_folder):
+    required = read_json(run_folder / "results.json")["rows"][0]
+    row = dict(list(required.items())[:16]) | {"net_easr": None, "net_easr_low": None, "net_easr_high": None}
+    write_json(run_folder / "results.json", {"rows": [row]})
+    assert "No random control was run" in rebuilt(run_folder)
+    undefined = row | dict.fromkeys(("easr", "easr_low", "easr_high", "asr", "er", "apd"))
+    write_json(run_folder / "results.json", {"rows": [undefined]})
+    assert "The success rate is undefined" in rebuilt(run_folder)
+
+
+def test_a_net_rate_that_could_be_zero_is_not_called_success(run_folder):
+    results = read_json(run_folder / "results.json")
+    for row in results["rows"]:
+        if row["net_easr"] is not None:
+            row["net_easr_low"] = -0.02
+    write_json(run_folder / "results.json", results)
+    text = words_of(rebuilt(run_folder))
+    assert "cannot be told from zero" in text
+    assert "is due to optimisation" not in text
+
+
+@pytest.mark.parametrize("name", ["results.json", "config.json"])
+def test_missing_results_name_the_file(run_folder, name):
+    (run_folder / name).unlink()
+    with pytest.raises(StoredFileError, match=name):
+        write_report(run_folder)
+
+
+def test_damaged_files_name_the_file(run_folder):
+    (run_folder / "datasets" / "test" / "images" / "scene-0001.png").write_bytes(b"no")
+    for picture in (run_folder / "datasets" / "test" / "images").iterdir():
+        picture.write_bytes(b"no image")
+    with pytest.raises(StoredFileError, match=r"scene-\d+\.png is not a readable image"):
+        write_report(run_folder)
+    write_json(run_folder / "results.json", {"rows": [{"camouflage": "T-U"}]})
+    with pytest.raises(StoredFileError, match=r"results\.json holds no rows"):
+        write_report(run_folder)
+
+
+def test_text_from_files_is_escaped(run_folder):
+    config = read_json(run_folder / "config.json")
+    write_json(run_folder / "config.json", config | {"title": "<script>alert(1)</script>"})
+    assert "<script>" not in rebuilt(run_folder)
+
+
+def test_the_report_imports_no_torch():
+    code = "import sys, skyproof.report.report; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_bin_without_an_estimate_is_drawn_empty():
+    nan = float("nan")
+    panel = Panel("Body type", [Bin("van", 0, Interval(nan, nan, nan)), Bin("car", 3, Interval(0.5, 0.2, 0.8))], 0.5)
+    assert condition_figure([panel]).startswith("<svg")
+
+
+def test_numbers_as_words():
+    assert percent(0.845, 1) == "84.5\u202f%"
+    assert percent(-0.001) == "0\u202f%"
+    assert percent(-0.12) == "−12\u202f%"
+    assert percent(None) == interval(None, 1.0) == number(None) == probability(None) == "–"
+    assert interval(0.79, 0.88) == "79 to 88\u202f%"
+    assert number(12345.6) == "12\u202f346"
+    assert (probability(1e-9), probability(0.04)) == ("< 0.001", "0.040")
