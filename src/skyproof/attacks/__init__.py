@@ -1,0 +1,1 @@
+"""Attacks: what is minimised, and the one loop that minimises it."""

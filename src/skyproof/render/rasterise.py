@@ -1,4 +1,4 @@
-"""Which triangle each sample sees: exact, for any number of triangles, the same code on CPU and GPU."""
+"""Which triangle each sample sees: exact, without padding, the same code on CPU and GPU."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from torch import Tensor
 __all__ = ["Visibility", "face_areas", "rasterise"]
 
 _NOTHING = torch.iinfo(torch.int64).max
+# A key holds depth in 0.01 mm above these bits, then the vehicle, then the face.
+_FACE_BITS, _VEHICLE_BITS = 16, 15
+_DEPTH_SHIFT, _DEPTH_ZERO = _FACE_BITS + _VEHICLE_BITS, 1 << 30
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Visibility:
     def depth(self, sample: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
         """Depth in metres at flat indices, to 0.01 mm; infinite where nothing is."""
         key = self.keys.view(-1)[sample]
-        return torch.where(key == _NOTHING, torch.inf, ((key >> 32) - (1 << 30)).to(torch.get_default_dtype()) / 1e5)
+        return torch.where(key == _NOTHING, torch.inf, ((key >> _DEPTH_SHIFT) - _DEPTH_ZERO).double() / 1e5)
 
 
 def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N F"]:
@@ -52,8 +55,8 @@ def rasterise(
 ) -> Visibility:
     """Finds the nearest front-facing triangle at the centre of every sample.
 
-    Every triangle's bounding box of samples is enumerated exactly, so there is no size limit and no padding; the
-    nearest wins by one integer minimum over (depth, face).
+    Every triangle is cut into the rows of samples it crosses, every row into the samples between its two edges; the
+    nearest triangle wins by one integer minimum over (depth, vehicle, face).
 
     Args:
         screen: vertices in samples, relative to their window's top-left corner.
@@ -63,55 +66,80 @@ def rasterise(
         window_count: B.
         size: S, samples along a side.
     """
+    if len(faces) >= 1 << _FACE_BITS or len(screen) >= 1 << _VEHICLE_BITS:
+        raise ValueError(f"expected fewer than 65536 faces and 32768 vehicles, got {len(faces)} and {len(screen)}")
     areas = face_areas(screen, faces)
     vehicle, face = torch.nonzero(areas > 1e-12, as_tuple=True)
     corner_index = faces[face]
     corners = screen[vehicle[:, None], corner_index]
-    low = (corners.amin(1) - 0.5).ceil().clamp(min=0).long()
-    high = (corners.amax(1) - 0.5).floor().clamp(max=size - 1).long()
-    extent = (high - low + 1).clamp(min=0)
-    counts = extent.prod(1)
+    # Counted from a whole sample near the triangle, coordinates keep their digits.
+    base = corners.amin(1).floor()
+    planes, depth_plane = _planes(corners - base[:, None], depth[vehicle[:, None], corner_index], areas[vehicle, face])
+    x_base, y_base = base.long().unbind(1)
 
-    # One row per (triangle, sample of its bounding box).
-    row = torch.repeat_interleave(torch.arange(len(counts), device=screen.device), counts)
-    offset = torch.arange(len(row), device=screen.device) - (counts.cumsum(0) - counts)[row]
-    width = extent[row, 0]
-    step_y = offset // width
-    step_x = offset - step_y * width
+    low_y = (corners[..., 1].amin(1) - 0.5).ceil().long().clamp(min=0)
+    high_y = (corners[..., 1].amax(1) - 0.5).floor().long().clamp(max=size - 1)
+    row, step = _enumerate((high_y - low_y + 1).clamp(min=0))
+    y = low_y[row] + step
+    low, high = _span(planes[row], (y - y_base[row]).to(screen.dtype))
+    offset = x_base[row]
+    low_x = (low.ceil().long() + offset).clamp(min=0)
+    high_x = (high.floor().long() + offset).clamp(max=size - 1)
 
-    # Barycentric weights are affine in the sample's place; counted from the box's own corner, they keep their digits.
-    corner_depth = depth[vehicle[:, None], corner_index]
-    plane = _weight_planes(corners - low[:, None], areas[vehicle, face])[row]
-    second = plane[:, 0] * step_x + plane[:, 1] * step_y + plane[:, 2]
-    third = plane[:, 3] * step_x + plane[:, 4] * step_y + plane[:, 5]
-    # A hair's breadth of tolerance closes the cracks that rounding opens between neighbours.
-    inside = (second >= -1e-5) & (third >= -1e-5) & (second + third <= 1 + 1e-5)
-
-    row = row[inside]
-    x, y = low[row, 0] + step_x[inside], low[row, 1] + step_y[inside]
-    near = corner_depth[row, 0]
-    near = near + second[inside] * (corner_depth[row, 1] - near) + third[inside] * (corner_depth[row, 2] - near)
-    quantised = (near * 1e5).round().long() + (1 << 30)
-    key = (quantised << 32) | (vehicle * len(faces) + face)[row]
-    sample = (window[vehicle[row]] * size + y) * size + x
+    span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
+    triangle, x = row[span], low_x[span] + step
+    slope = depth_plane[triangle]
+    near = torch.addcmul(slope[:, 2], slope[:, 0], (x - x_base[triangle]).to(screen.dtype))
+    near = torch.addcmul(near, slope[:, 1], (y[span] - y_base[triangle]).to(screen.dtype))
+    key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
+    key = (key << _DEPTH_SHIFT) | ((vehicle << _FACE_BITS) | face)[triangle]
+    sample = ((window[vehicle] * size)[row] + y)[span] * size + x
     nearest = torch.full((window_count * size * size,), _NOTHING, dtype=torch.int64, device=screen.device)
     nearest.scatter_reduce_(0, sample, key, "amin")
     covered = torch.nonzero(nearest != _NOTHING)[:, 0]
-    seen = nearest[covered] & 0xFFFFFFFF
-    vehicle_seen = seen // len(faces)
-    return Visibility(nearest.view(window_count, size, size), covered, vehicle_seen, seen - vehicle_seen * len(faces))
-
-
-def _weight_planes(corners: Float[Tensor, "K 3 2"], area: Float[Tensor, " K"]) -> Float[Tensor, "K 6"]:
-    """The weights of corners b and c at the centre of sample (i, j), each as (per i, per j, constant)."""
-    a, b, c = corners.unbind(1)
-    to_b, to_c = b - a, c - a
-    # weight_b = cross(c - a, p - a) / area and weight_c = cross(p - a, b - a) / area, at p = (i + 0.5, j + 0.5).
-    start = 0.5 - a
-    planes = torch.stack(
-        (-to_c[:, 1], to_c[:, 0], _cross(to_c, start), to_b[:, 1], -to_b[:, 0], _cross(start, to_b)), dim=1
+    seen = nearest[covered]
+    return Visibility(
+        nearest.view(window_count, size, size),
+        covered,
+        (seen >> _FACE_BITS) & ((1 << _VEHICLE_BITS) - 1),
+        seen & ((1 << _FACE_BITS) - 1),
     )
-    return planes / area[:, None]
+
+
+def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
+    """For counts (2, 0, 3): rows (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
+    row = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
+    step = torch.arange(len(row), device=counts.device) - (counts.cumsum(0) - counts)[row]
+    return row, step
+
+
+def _planes(
+    corners: Float[Tensor, "K 3 2"], depth: Float[Tensor, "K 3"], area: Float[Tensor, " K"]
+) -> tuple[Float[Tensor, "K 3 3"], Float[Tensor, "K 3"]]:
+    """The three barycentric weights, and the depth, at the centre of sample (i, j): (per i, per j, constant)."""
+    a, b, c = corners.unbind(1)
+    to_b, to_c, start = b - a, c - a, 0.5 - a
+    # weight_b = cross(c - a, p - a) / area and weight_c = cross(p - a, b - a) / area, at p = (i + 0.5, j + 0.5).
+    second = torch.stack((-to_c[:, 1], to_c[:, 0], _cross(to_c, start)), dim=1) / area[:, None]
+    third = torch.stack((to_b[:, 1], -to_b[:, 0], _cross(start, to_b)), dim=1) / area[:, None]
+    first = -second - third
+    first[:, 2] += 1
+    rise = depth[:, 1:] - depth[:, :1]
+    slope = second * rise[:, :1] + third * rise[:, 1:]
+    slope[:, 2] += depth[:, 0]
+    return torch.stack((first, second, third), dim=1), slope
+
+
+def _span(planes: Float[Tensor, "R 3 3"], row: Float[Tensor, " R"]) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+    """Between which i all three weights are positive in a row of samples; empty spans have low > high."""
+    per_i = planes[..., 0]
+    # A hair's breadth of tolerance closes the cracks that rounding opens between neighbours.
+    rest = planes[..., 1] * row[:, None] + planes[..., 2] + 1e-5
+    bound = -rest / per_i
+    low = torch.where(per_i > 0, bound, -torch.inf)
+    high = torch.where(per_i < 0, bound, torch.inf)
+    never = ((per_i == 0) & (rest < 0)).any(1)
+    return torch.where(never, torch.inf, low.amax(1)).clamp(-1e6, 1e6), high.amin(1).clamp(-1e6, 1e6)
 
 
 def _cross(first: Tensor, second: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import LinearTexture, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.scenes.scene import BackgroundWindow, Scene
-from skyproof.vehicles.vehicle import VehicleBatch
+from skyproof.vehicles.vehicle import Template, VehicleBatch
 
 __all__ = ["Backgrounds", "TorchRenderer"]
 
@@ -130,7 +130,10 @@ class TorchRenderer:
         row = visibility.covered % (wide * wide)
         centre = torch.stack((row % wide, row // wide), dim=-1) + 0.5
         corners = samples[visibility.vehicle[:, None], template.faces[visibility.face]]
-        surface = self._surface(samples, placed, vehicles)
+        levels = _texture_levels(samples.detach(), vehicles)
+        finest = int(levels[visibility.vehicle, visibility.face].min()) if len(visibility.face) else 0
+        texture = LinearTexture(vehicles.texture, finest, samples.dtype)
+        surface = self._surface(texture, levels, placed, template)
         colour = surface(visibility.vehicle, visibility.face, _barycentric(corners, centre))
         layers = _average(visibility, colour, factor, window.size)
         if samples.requires_grad:
@@ -141,13 +144,10 @@ class TorchRenderer:
         return visibility, layers
 
     def _surface(
-        self, samples: Float[Tensor, "N V 2"], placed: _Placed, vehicles: VehicleBatch
+        self, texture: LinearTexture, levels: Int[Tensor, "N F"], placed: _Placed, template: Template
     ) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         """Linear radiance as a function of (vehicle `[K]`, face `[K]`, barycentric weights `[K, 3]`)."""
-        template = vehicles.template
         normals = vertex_normals(placed.vertices, template.faces)
-        levels = _texture_levels(samples.detach(), vehicles)
-        texture = LinearTexture(vehicles.texture, int(levels.min()))
 
         def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
             uv = _interpolate(template.uvs[template.face_uvs[face]], weights)

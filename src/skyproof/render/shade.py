@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
@@ -19,15 +19,25 @@ class LinearTexture:
     grazing angle, from turning into sparkle, and its gradient into noise.
 
     Args:
-        texture: `[T, 3, H, W]` sRGB in [0, 1]; sides are powers of two.
+        texture: `[T, 3, H, W]` sRGB, as bytes or in [0, 1]; sides are powers of two.
         finest: the first level worth building; the full map is level 0.
     """
 
     levels = 7
 
-    def __init__(self, texture: Float[Tensor, "T 3 H W"], finest: int = 0) -> None:
+    def __init__(
+        self,
+        texture: Float[Tensor, "T 3 H W"] | UInt8[Tensor, "T 3 H W"],
+        finest: int = 0,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
         self.finest = min(finest, self.levels - 1)
-        level = srgb_to_linear(texture)
+        if texture.dtype == torch.uint8:
+            # A table instead of 800,000 powers a vehicle.
+            table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
+            level = table[texture.int()]
+        else:
+            level = srgb_to_linear(texture)
         texels, offsets = [], [0]
         for index in range(self.levels):
             if index >= self.finest:

@@ -85,8 +85,7 @@ class Fleet:
             ConfigurationError: an id that is not in this fleet.
         """
         rows = torch.tensor([self._row(vehicle_id) for vehicle_id in ids], dtype=torch.int64)
-        texture = self.textures[rows].float() / 255
-        return VehicleBatch(self.template, self.vertices[rows], texture, self.parts[rows], tuple(ids))
+        return VehicleBatch(self.template, self.vertices[rows], self.textures[rows], self.parts[rows], tuple(ids))
 
     def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
         """Length, width (without mirrors) and height in metres."""

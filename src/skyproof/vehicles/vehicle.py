@@ -59,14 +59,14 @@ class VehicleBatch:
     Attributes:
         template: the shared mesh.
         vertices: `[N, V, 3]` metres.
-        texture: `[N or 1, 3, 512, 512]` sRGB in [0, 1]; a first dimension of 1 is one map shared by all.
+        texture: `[N or 1, 3, 512, 512]` sRGB, as bytes or in [0, 1]; a first dimension of 1 is one map shared by all.
         parts: `[N, 512, 512]` values of `Part`.
         ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
     """
 
     template: Template
     vertices: Float[Tensor, "N V 3"]
-    texture: Float[Tensor, "T 3 512 512"]
+    texture: Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]
     parts: UInt8[Tensor, "N 512 512"]
     ids: tuple[str, ...]
 

@@ -1,0 +1,263 @@
+"""The optimisation loop: random scenes, a camouflage, an ensemble of frozen detectors (PAPER 21, 24, 25)."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import UInt8
+from PIL import Image
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.folder import save_camouflage
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.files import read_json, read_jsonl, write_beside, write_bytes, write_json, write_jsonl
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.frames import Renderer
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import Scene
+from skyproof.vehicles.fleet import Fleet
+
+__all__ = ["AttackSettings", "AttackWorld", "attack"]
+
+_CHECKPOINT = "checkpoint.safetensors"
+
+
+@dataclass(frozen=True)
+class AttackSettings:
+    """How a camouflage is optimised; the paper gives none of these numbers (PAPER 25).
+
+    Attributes:
+        steps: optimiser steps.
+        batch_size: images, and so vehicles, a step.
+        learning_rate: Adam's at the start; half a cosine takes it to a tenth.
+        balance_batches: batches whose mean losses set the detectors' weights (PAPER 24).
+        preview_every: steps between pictures of the batch.
+        checkpoint_every: steps between checkpoints.
+        seed: of all scenes.
+    """
+
+    steps: int = 300
+    batch_size: int = 8
+    learning_rate: float = 0.05
+    balance_batches: int = 4
+    preview_every: int = 100
+    checkpoint_every: int = 25
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.batch_size, self.balance_batches, self.preview_every, self.checkpoint_every) < 1:
+            raise ConfigurationError(f"An attack expects counts of at least 1, but got {self}.")
+        if not self.learning_rate > 0:
+            raise ConfigurationError(f"An attack expects a learning rate above 0, but got {self.learning_rate}.")
+
+
+@dataclass(frozen=True)
+class AttackWorld:
+    """What the attack sees: ground, vehicles, light and camera, drawn anew at every step.
+
+    Attributes:
+        renderer: differentiable, on `backgrounds`.
+        backgrounds: their split "attack" is used.
+        fleet: vehicles to camouflage.
+        scenes: how scenes are drawn; exactly one vehicle an image (PAPER 5).
+    """
+
+    renderer: Renderer
+    backgrounds: BackgroundSet
+    fleet: Fleet
+    scenes: SceneSettings
+
+    def __post_init__(self) -> None:
+        if not self.renderer.differentiable:
+            raise ConfigurationError("An attack needs a differentiable renderer.")
+        if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
+            raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
+
+    def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
+        """Random scenes on the attack backgrounds."""
+        sizes = {vehicle: self.fleet.size_m(vehicle) for vehicle in self.fleet.ids}
+        return sample_scenes(self.scenes, self.backgrounds, "attack", sizes, count, generator=generator)
+
+
+def attack(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
+    folder: Path,
+    *,
+    on_step: Callable[[dict[str, Any]], None] | None = None,
+) -> Camouflage:
+    """Optimises the camouflage so that the ensemble's losses against an empty truth fall (PAPER 21).
+
+    Loss = sum over detectors of weight * mean over images of the detector's own loss; the weights make every term 1 at
+    the start. Adam. Scenes depend on the seed and the step alone, so a stopped attack goes on exactly where it was
+    from its last checkpoint. A finished folder is not touched again.
+
+    Differences from the paper: losses are normalised per image (PAPER 22) and the weights computed, not chosen.
+
+    Args:
+        camouflage: on the device to work on; optimised in place.
+        detectors: on the same device; not changed, which is checked.
+        folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage (see `save_camouflage`).
+        on_step: called with each row of `steps.jsonl`.
+
+    Raises:
+        RunFolderError: the folder holds an attack with other settings, or the disk is full.
+        StoredFileError: the checkpoint is damaged.
+    """
+    folder = Path(folder)
+    identity = {
+        "camouflage": camouflage.name,
+        "detectors": [detector.name for detector in detectors],
+        "settings": asdict(settings),
+        "scenes": asdict(world.scenes),
+    }
+    if (folder / "camouflage.json").exists():
+        _same_attack(read_json(folder / "camouflage.json").get("record", {}).get("attack"), identity, folder)
+        camouflage.load_state_dict(load_file(folder / "camouflage.safetensors"))
+        return camouflage
+    run = _Run(camouflage, settings, identity)
+    run.resume(folder)
+    with frozen(detectors):
+        if not run.weights:
+            run.weights = _balance(camouflage, detectors, world, settings)
+        while run.step < settings.steps:
+            started = time.perf_counter()
+            images, losses = run.advance(detectors, world)
+            row = {
+                "step": run.step,
+                "loss": sum(run.weights[name] * value for name, value in losses.items()),
+                "losses": losses,
+                "weights": run.weights,
+                "seconds": round(time.perf_counter() - started, 4),
+            }
+            run.rows.append(row)
+            if run.step % settings.preview_every == 0 or run.step in (1, settings.steps):
+                _write_preview(folder / "previews" / f"{run.step:06d}.png", images)
+            if run.step % settings.checkpoint_every == 0 and run.step < settings.steps:
+                run.store(folder)
+            if on_step is not None:
+                on_step(row)
+    camouflage.finalise()
+    write_jsonl(folder / "steps.jsonl", run.rows)
+    save_camouflage(folder, camouflage, {"attack": identity, "weights": run.weights})
+    (folder / _CHECKPOINT).unlink(missing_ok=True)
+    (folder / "checkpoint.json").unlink(missing_ok=True)
+    return camouflage
+
+
+def _generator(seed: int, step: int) -> torch.Generator:
+    return torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
+
+
+def _images(camouflage: Camouflage, world: AttackWorld, settings: AttackSettings, step: int) -> Tensor:
+    scenes = world.draw(settings.batch_size, generator=_generator(settings.seed, step))
+    device = next(camouflage.parameters()).device
+    return world.renderer(scenes, camouflage(placed_vehicles(world.fleet, scenes).to(device))).image
+
+
+@torch.no_grad()
+def _balance(
+    camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
+) -> dict[str, float]:
+    first: dict[str, list[float]] = {detector.name: [] for detector in detectors}
+    for batch in range(settings.balance_batches):
+        # Steps count from 1, so these scenes are not those of the first steps.
+        images = _images(camouflage, world, settings, -batch)
+        for name, losses in empty_truth_losses(detectors, images).items():
+            first[name].append(float(losses.mean()))
+    return balanced_weights(first)
+
+
+class _Run:
+    """All that changes during an attack."""
+
+    def __init__(self, camouflage: Camouflage, settings: AttackSettings, identity: dict[str, Any]) -> None:
+        self.camouflage, self.settings = camouflage, settings
+        self.identity = json.loads(json.dumps(identity))
+        self.optimiser = torch.optim.Adam(camouflage.parameters(), lr=settings.learning_rate)
+        self.weights: dict[str, float] = {}
+        self.rows: list[dict[str, Any]] = []
+        self.step = 0
+
+    def advance(
+        self, detectors: Sequence[TrainableDetector], world: AttackWorld
+    ) -> tuple[UInt8[Tensor, "B 3 H W"], dict[str, float]]:
+        """One step; returns the batch's images and every detector's mean loss before it."""
+        share = self.step / self.settings.steps
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.settings.learning_rate * (0.55 + 0.45 * math.cos(math.pi * share))
+        self.step += 1
+        images = _images(self.camouflage, world, self.settings, self.step)
+        # One detector at a time, so that only one network's activations are held.
+        leaf = images.detach().requires_grad_()
+        losses = {}
+        for detector in detectors:
+            loss = empty_truth_losses([detector], leaf)[detector.name].mean()
+            (self.weights[detector.name] * loss).backward()
+            losses[detector.name] = float(loss.detach())
+        self.optimiser.zero_grad(set_to_none=True)
+        images.backward(leaf.grad)
+        self.optimiser.step()
+        self.camouflage.project_()
+        return (leaf.detach() * 255).round().byte(), losses
+
+    def store(self, folder: Path) -> None:
+        """Writes a checkpoint; the record comes last and names the tensors' step, so the two always agree."""
+        tensors = {f"camouflage.{name}": value for name, value in self.camouflage.state_dict().items()}
+        for index, state in self.optimiser.state_dict()["state"].items():
+            tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
+        tensors["step"] = torch.tensor(self.step)
+        tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+        write_jsonl(folder / "steps.jsonl", self.rows)
+        write_json(folder / "checkpoint.json", {"identity": self.identity, "weights": self.weights})
+        write_bytes(folder / _CHECKPOINT, save(tensors))
+
+    def resume(self, folder: Path) -> None:
+        """Goes back to the last checkpoint, if there is one."""
+        if not (folder / _CHECKPOINT).exists():
+            return
+        record = read_json(folder / "checkpoint.json")
+        _same_attack(record.get("identity"), self.identity, folder)
+        try:
+            tensors = load_file(folder / _CHECKPOINT)
+            state = {k.removeprefix("camouflage."): v for k, v in tensors.items() if k.startswith("camouflage.")}
+            self.camouflage.load_state_dict(state)
+            adam: dict[int, dict[str, Tensor]] = {}
+            for name, value in tensors.items():
+                if name.startswith("adam."):
+                    _, index, field = name.split(".")
+                    adam.setdefault(int(index), {})[field] = value
+            self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": adam})
+            self.step = int(tensors["step"])
+        except (SafetensorError, OSError, KeyError, RuntimeError) as error:
+            path = folder / _CHECKPOINT
+            raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
+        self.weights = record["weights"]
+        # A kill between two files can leave rows of later steps.
+        self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
+
+
+def _same_attack(stored: Any, wanted: dict[str, Any], folder: Path) -> None:
+    if stored != json.loads(json.dumps(wanted)):
+        raise RunFolderError(f"{folder} holds an attack with other settings; choose another folder or remove it first.")
+
+
+def _write_preview(path: Path, images: UInt8[Tensor, "B 3 H W"]) -> None:
+    row = torch.cat(list(images[:8].cpu()), dim=2).permute(1, 2, 0).numpy()
+    with write_beside(path) as temporary:
+        Image.fromarray(row).save(temporary)

@@ -1,0 +1,45 @@
+"""What an attack minimises: the detectors' own losses against an empty truth (PAPER 21-24)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.folder import weights_digest
+
+__all__ = ["empty_truth_losses", "frozen"]
+
+
+def empty_truth_losses(
+    detectors: Sequence[TrainableDetector], images: Float[Tensor, "B 3 H W"]
+) -> dict[str, Float[Tensor, " B"]]:
+    """Each detector's training loss per image if there were no vehicle: small when nothing is detected (PAPER 21)."""
+    nothing = [images.new_zeros(0, 4)] * len(images)
+    return {detector.name: detector.loss(images, nothing) for detector in detectors}
+
+
+def balanced_weights(first_losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """Weights that bring every detector's first losses to 1 (PAPER 24)."""
+    return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in first_losses.items()}
+
+
+@contextmanager
+def frozen(detectors: Sequence[TrainableDetector]) -> Iterator[None]:
+    """Detectors in evaluation mode and without weight gradients; checks that nothing in them changed (PAPER 23).
+
+    Raises:
+        RuntimeError: a weight or buffer differs after the block: the attack would not be one on the stored detector.
+    """
+    before = [weights_digest(detector) for detector in detectors]
+    for detector in detectors:
+        detector.eval().requires_grad_(False)
+    with torch.enable_grad():
+        yield
+    for detector, digest in zip(detectors, before, strict=True):
+        if weights_digest(detector) != digest:
+            raise RuntimeError(f"the weights or buffers of {detector.name} changed during the attack")
