@@ -60,7 +60,7 @@ class TrainingSettings:
     checkpoint_every: int = 100
 
 
-# 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds and reach a centre AP of 0.96 to 0.98.
+# 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds, for a centre AP of 0.96 to 0.98.
 _CPU = TrainingSettings(steps=600, batch_size=8, validate_every=200)
 # The paper trains 10,000 iterations (PAPER 16) with batch 640 or 128; its learning rates are not given.
 _GPU = TrainingSettings(
