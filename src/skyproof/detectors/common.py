@@ -28,6 +28,8 @@ LOWEST_SCORE = 0.01
 MOST_DETECTIONS = 100
 SMALLEST_IMAGE_PX = 96
 SUPPRESSION_IOU = 0.5
+# As in torchvision: an attacked image may have many thousand candidates above the lowest score.
+MOST_CANDIDATES = 1000
 
 
 def check_images(images: Tensor) -> None:
@@ -62,7 +64,7 @@ def pad_to_stride(images: Float[Tensor, "B 3 H W"], value: float, stride_px: int
 
 
 def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Candidates to detections: score >= 0.01, clipped, non-maximum suppression at IoU 0.5, at most 100, sorted.
+    """Candidates to detections: score >= 0.01, clipped, best 1000, suppression at IoU 0.5, at most 100, sorted.
 
     Args:
         candidates: before threshold and suppression.
@@ -73,7 +75,8 @@ def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Dete
         clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
         sides = clipped[:, 2:] - clipped[:, :2]
         keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
-        kept_boxes, kept_scores = clipped[keep], scores[keep]
+        kept_scores, order = scores[keep].sort(descending=True, stable=True)
+        kept_scores, kept_boxes = kept_scores[:MOST_CANDIDATES], clipped[keep][order[:MOST_CANDIDATES]]
         best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:MOST_DETECTIONS]
         found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
     return found
