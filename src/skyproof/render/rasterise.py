@@ -18,16 +18,16 @@ _DEPTH_SHIFT, _DEPTH_ZERO = _FACE_BITS + _VEHICLE_BITS, 1 << 30
 
 @dataclass(frozen=True)
 class Visibility:
-    """What a grid of samples sees, `B` windows of `S x S` samples.
+    """What a grid of samples sees: one window of `S x S` samples for each of `N` vehicles.
 
     Attributes:
-        keys: `[B, S, S]` (depth, face) packed into one integer; the largest integer where nothing is.
+        keys: `[N, S, S]` (depth, vehicle, face) packed into one integer; the largest integer where nothing is.
         covered: `[K]` flat indices into `keys` of the samples that see a triangle.
         vehicle: `[K]` which vehicle each of them sees.
         face: `[K]` and which of its faces.
     """
 
-    keys: Int[Tensor, "B S S"]
+    keys: Int[Tensor, "N S S"]
     covered: Int[Tensor, " K"]
     vehicle: Int[Tensor, " K"]
     face: Int[Tensor, " K"]
@@ -49,8 +49,6 @@ def rasterise(
     screen: Float[Tensor, "N V 2"],
     depth: Float[Tensor, "N V"],
     faces: Int[Tensor, "F 3"],
-    window: Int[Tensor, " N"],
-    window_count: int,
     size: int,
 ) -> Visibility:
     """Finds the nearest front-facing triangle at the centre of every sample.
@@ -59,11 +57,9 @@ def rasterise(
     nearest triangle wins by one integer minimum over (depth, vehicle, face).
 
     Args:
-        screen: vertices in samples, relative to their window's top-left corner.
+        screen: vertices in samples, relative to the top-left corner of their own window.
         depth: metres, smaller is nearer, magnitude below 10 km.
         faces: shared by all vehicles.
-        window: the window each vehicle stands in.
-        window_count: B.
         size: S, samples along a side.
     """
     if len(faces) >= 1 << _FACE_BITS or len(screen) >= 1 << _VEHICLE_BITS:
@@ -93,13 +89,13 @@ def rasterise(
     near = torch.addcmul(near, slope[:, 1], (y[span] - y_base[triangle]).to(screen.dtype))
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
     key = (key << _DEPTH_SHIFT) | ((vehicle << _FACE_BITS) | face)[triangle]
-    sample = ((window[vehicle] * size)[row] + y)[span] * size + x
-    nearest = torch.full((window_count * size * size,), _NOTHING, dtype=torch.int64, device=screen.device)
+    sample = ((vehicle * size)[row] + y)[span] * size + x
+    nearest = torch.full((len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device)
     nearest.scatter_reduce_(0, sample, key, "amin")
     covered = torch.nonzero(nearest != _NOTHING)[:, 0]
     seen = nearest[covered]
     return Visibility(
-        nearest.view(window_count, size, size),
+        nearest.view(len(screen), size, size),
         covered,
         (seen >> _FACE_BITS) & ((1 << _VEHICLE_BITS) - 1),
         seen & ((1 << _FACE_BITS) - 1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
@@ -32,19 +33,13 @@ class LinearTexture:
         dtype: torch.dtype = torch.float32,
     ) -> None:
         self.finest = min(finest, self.levels - 1)
-        if texture.dtype == torch.uint8:
-            # A table instead of 800,000 powers a vehicle.
-            table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
-            level = table[texture.int()]
-        else:
-            level = srgb_to_linear(texture)
+        level = _linear(texture, dtype, self.finest)
         texels, offsets = [], [0]
         for index in range(self.levels):
             if index >= self.finest:
                 texels.append(level.permute(0, 2, 3, 1).reshape(-1, 3))
                 offsets.append(offsets[-1] + len(texels[-1]))
-            if index < self.levels - 1:
-                level = torch.nn.functional.avg_pool2d(level, 2)
+                level = _halve(level)
         self.count, _, self.height, self.width = texture.shape
         self._texels = torch.cat(texels)
         self._offsets = torch.tensor(offsets[:-1], device=texture.device)
@@ -67,6 +62,32 @@ class LinearTexture:
         upper = torch.lerp(self._texels[rows[0] + columns[0]], self._texels[rows[0] + columns[1]], across)
         lower = torch.lerp(self._texels[rows[1] + columns[0]], self._texels[rows[1] + columns[1]], across)
         return torch.lerp(upper, lower, down)
+
+
+def _linear(texture: Tensor, dtype: torch.dtype, finest: int) -> Tensor:
+    """Linear light, already reduced to level `finest`."""
+    if texture.dtype != torch.uint8:
+        level = srgb_to_linear(texture)
+        for _ in range(finest):
+            level = _halve(level)
+        return level
+    table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
+    reduced = []
+    # One vehicle at a time: the full maps of a batch together would fall out of every cache.
+    for each in texture:
+        # NumPy's table look-up is several times faster than indexing here.
+        on_cpu = each.device.type == "cpu"
+        level = torch.from_numpy(np.take(table.numpy(), each.numpy())) if on_cpu else table[each.int()]
+        for _ in range(finest):
+            level = _halve(level)
+        reduced.append(level)
+    return torch.stack(reduced)
+
+
+def _halve(level: Tensor) -> Tensor:
+    """Means of 2 x 2; strided sums are twice as fast as average pooling on a CPU."""
+    even, odd = level[..., ::2, :], level[..., 1::2, :]
+    return (even[..., ::2] + even[..., 1::2] + odd[..., ::2] + odd[..., 1::2]) * 0.25
 
 
 def light(

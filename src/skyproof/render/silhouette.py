@@ -22,7 +22,6 @@ class SilhouettePoints:
     the colour outside times the edge's outward speed. These points are that integral's midpoint rule.
 
     Attributes:
-        window: `[K]` window index.
         place: `[K, 2]` the point itself, in samples.
         vehicle, face: `[K]` the front-facing triangle that ends at this edge.
         weights: `[K, 3]` barycentric weights of the point in that triangle.
@@ -30,7 +29,6 @@ class SilhouettePoints:
         coverage: `[K]` zero in value; its derivative is the area, in samples, that the piece sweeps.
     """
 
-    window: Int[Tensor, " K"]
     place: Float[Tensor, "K 2"]
     vehicle: Int[Tensor, " K"]
     face: Int[Tensor, " K"]
@@ -43,7 +41,6 @@ def silhouette_points(
     screen: Float[Tensor, "N V 2"],
     depth: Float[Tensor, "N V"],
     faces: Int[Tensor, "F 3"],
-    window: Int[Tensor, " N"],
     visibility: Visibility,
 ) -> SilhouettePoints:
     """Finds the visible silhouettes of closed meshes; arguments as for `rasterise`.
@@ -81,11 +78,11 @@ def silhouette_points(
         near = torch.lerp(depth[vehicle, start_index][:, None], depth[vehicle, end_index][:, None], along)[:, 0]
         held = ((beyond >= 0) & (beyond < size)).all(-1)
         beyond = beyond.clamp(0, size - 1)
-        outside = (window[vehicle] * size + beyond[:, 1]) * size + beyond[:, 0]
+        outside = (vehicle * size + beyond[:, 1]) * size + beyond[:, 0]
         kept = held & (visibility.depth(outside) > near + 1e-3)
         vehicle, along = vehicle[kept], along[kept]
         face = torch.where(forward[row], edge_faces[edge, 0], edge_faces[edge, 1])[kept]
         corners = faces[face]
         weights = (corners == start_index[kept][:, None]) * (1 - along) + (corners == end_index[kept][:, None]) * along
     swept = ((point - point.detach()) * outward).sum(-1)
-    return SilhouettePoints(window[vehicle], point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept])
+    return SilhouettePoints(point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept])

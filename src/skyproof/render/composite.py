@@ -1,0 +1,146 @@
+"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them (PAPER 11, 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.layers import Windows
+from skyproof.render.settings import RenderSettings
+
+__all__ = ["composite"]
+
+# Sensor noise repeats after this many pixels; only vehicles, far smaller, show it.
+_NOISE_TILE_PX = 128
+
+
+def composite(
+    photographs: Float[Tensor, "B 3 H W"],
+    bodies: tuple[Windows, Float[Tensor, "N 4 S S"]],
+    shadows: tuple[Windows, Float[Tensor, "N 1 P P"]],
+    scene: Int[Tensor, " N"],
+    nearness: Float[Tensor, " N"],
+    seeds: Sequence[int],
+    settings: RenderSettings,
+) -> Float[Tensor, "B 3 H W"]:
+    """Lays the vehicles over the photographs, blurs the difference, adds noise where something was rendered.
+
+    I = I_bg + G(I_fg - I_bg) in linear light (PAPER 12). A pixel that nothing reaches keeps the photograph's value
+    exactly. A nearer vehicle hides a farther one; shadows fall on the ground alone.
+
+    Args:
+        photographs: sRGB.
+        bodies: per vehicle linear colour times coverage, and coverage.
+        shadows: per vehicle the shaded part of each pixel.
+        scene: each vehicle's image.
+        nearness: orders the vehicles of an image; larger is nearer to the camera.
+        seeds: of the noise, per image.
+        settings: sky share, blur, noise.
+    """
+    count, _, height, width = photographs.shape
+    origin, size = _whole([bodies[0], shadows[0]], scene, count, settings.blur_radius_px)
+    rank = _ranks(scene, nearness)
+    layers = _lay(bodies, origin, size, scene, rank, lambda below, above: below * (1 - above[:, 3:]) + above)
+    shadow = _lay(shadows, origin, size, scene, rank, lambda below, above: below + above - below * above)
+
+    steps = torch.arange(size, device=photographs.device)
+    y, x = origin[:, 1, None] + steps, origin[:, 0, None] + steps
+    channel = torch.arange(count * 3, device=photographs.device).view(count, 3, 1, 1) * (height * width)
+    place = (y.clamp(0, height - 1) * width)[:, None, :, None] + x.clamp(0, width - 1)[:, None, None, :] + channel
+    ground_srgb = photographs.view(-1)[place]
+    ground = srgb_to_linear(ground_srgb)
+    colour, alpha = layers[:, :3], layers[:, 3:]
+    composed = ground * (1 - (1 - settings.sky_share) * shadow) * (1 - alpha) + colour
+    kernel = _blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
+    difference = kernel @ (composed - ground) @ kernel
+    # Written as a change, so that an untouched pixel keeps the photograph's exact value.
+    change = linear_to_srgb(ground + difference) - linear_to_srgb(ground)
+    if settings.noise > 0:
+        covered = kernel @ alpha.detach() @ kernel
+        change = change + settings.noise * covered * _noise(seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground)
+    pixels = (ground_srgb + change).clamp(0.0, 1.0)
+    inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
+    if bool(inside.all()):
+        place, pixels = place.reshape(-1), pixels.reshape(-1)
+    else:
+        inside = inside.expand_as(pixels)
+        place, pixels = place[inside], pixels[inside]
+    return photographs.view(-1).index_put((place,), pixels).view_as(photographs)
+
+
+@torch.no_grad()
+def _whole(windows: Sequence[Windows], scene: Tensor, count: int, margin_px: int) -> tuple[Int[Tensor, "B 2"], int]:
+    """Per image the top-left pixel of one window around all of its small ones and the blur; one common size."""
+    index = scene[:, None].expand(-1, 2)
+    far = torch.iinfo(torch.long).max // 4
+    low = torch.full((count, 2), far, dtype=torch.long, device=scene.device)
+    high = -low
+    for window in windows:
+        low = low.scatter_reduce(0, index, window.origin, "amin")
+        high = high.scatter_reduce(0, index, window.origin + window.size, "amax")
+    empty = low == far
+    low, high = low.masked_fill(empty, 0) - margin_px, high.masked_fill(empty, 0) + margin_px
+    return low, int((high - low).max())
+
+
+@torch.no_grad()
+def _ranks(scene: Int[Tensor, " N"], nearness: Float[Tensor, " N"]) -> Int[Tensor, " N"]:
+    """The place of each vehicle among those of its image, the farthest first."""
+    order = torch.argsort(nearness, stable=True)
+    order = order[torch.argsort(scene[order], stable=True)]
+    sorted_scene = scene[order]
+    first = torch.searchsorted(sorted_scene, sorted_scene)
+    rank = torch.empty_like(scene)
+    rank[order] = torch.arange(len(scene), device=scene.device) - first
+    return rank
+
+
+def _lay(
+    drawn: tuple[Windows, Float[Tensor, "N C S S"]],
+    origin: Int[Tensor, "B 2"],
+    size: int,
+    scene: Int[Tensor, " N"],
+    rank: Int[Tensor, " N"],
+    over: Callable[[Tensor, Tensor], Tensor],
+) -> Float[Tensor, "B C W W"]:
+    """Lays every vehicle's layers into its image's window, one vehicle per image at a time."""
+    window, layers = drawn
+    channels = layers.shape[1]
+    shift = window.origin - origin[scene]
+    steps = torch.arange(window.size, device=layers.device)
+    rows, columns = shift[:, 1, None] + steps, shift[:, 0, None] + steps
+    plane = (scene[:, None] * channels + torch.arange(channels, device=layers.device))[:, :, None, None]
+    place = (plane * size + rows[:, None, :, None]) * size + columns[:, None, None, :]
+    canvas = layers.new_zeros(len(origin) * channels * size * size)
+    for turn in range(int(rank.max()) + 1):
+        chosen = rank == turn
+        where, above = place[chosen], layers[chosen]
+        laid = above if turn == 0 else over(canvas[where], above)
+        canvas = canvas.index_put((where,), laid)
+    return canvas.view(len(origin), channels, size, size)
+
+
+def _blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Float[Tensor, "S S"]:
+    """The Gaussian blur of a row of pixels as a banded matrix, zero beyond the ends (PAPER 12)."""
+    steps = torch.arange(size, device=like.device)
+    distance = (steps[:, None] - steps).abs()
+    if radius_px == 0:
+        return torch.eye(size, dtype=like.dtype, device=like.device)
+    weights = torch.exp(-0.5 * (torch.arange(-radius_px, radius_px + 1, dtype=torch.float64) / sigma_px) ** 2).sum()
+    kernel = torch.exp(-0.5 * (distance.to(like.dtype) / sigma_px) ** 2) / float(weights)
+    return kernel * (distance <= radius_px)
+
+
+def _noise(
+    seeds: Sequence[int], y: Int[Tensor, "B S"], x: Int[Tensor, "B S"], like: Float[Tensor, "B 3 S S"]
+) -> Float[Tensor, "B 3 S S"]:
+    """Unit noise from every scene's own seed, tied to image pixels: the same whatever else is in the batch."""
+    shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
+    drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
+    tile = torch.stack(drawn).to(like)
+    image = torch.arange(len(seeds), device=like.device)
+    return tile.permute(0, 2, 3, 1)[image[:, None, None], y[:, :, None], x[:, None, :]].permute(0, 3, 1, 2)

@@ -1,0 +1,179 @@
+"""Samples to pixels: what each vehicle, and its shadow, puts on the pixels of its own window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skyproof.geometry.meshes import vertex_normals
+from skyproof.render.rasterise import Visibility, rasterise
+from skyproof.render.settings import RenderSettings
+from skyproof.render.shade import LinearTexture, light
+from skyproof.render.silhouette import SilhouettePoints, silhouette_points
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["Windows", "draw_bodies", "draw_shadows", "windows_around"]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """One square of whole pixels per vehicle, all of one size; they may reach beyond the image.
+
+    Attributes:
+        origin: `[N, 2]` top-left pixel (x, y).
+        size: S, pixels.
+    """
+
+    origin: Int[Tensor, "N 2"]
+    size: int
+
+    def samples(self, screen: Float[Tensor, "N V 2"], factor: int) -> Float[Tensor, "N V 2"]:
+        """Image pixels to samples of the window."""
+        return (screen - self.origin[:, None].to(screen.dtype)) * factor
+
+
+@torch.no_grad()
+def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
+    """Windows that hold every vehicle's points with a pixel to spare."""
+    low, high = screen.amin(1).floor() - 1, screen.amax(1).ceil() + 1
+    return Windows(low.long(), int((high - low).max()))
+
+
+def draw_bodies(
+    window: Windows,
+    screen: Float[Tensor, "N V 2"],
+    depth: Float[Tensor, "N V"],
+    vertices: Float[Tensor, "N V 3"],
+    viewer: Float[Tensor, "N 3"],
+    sun: Float[Tensor, "N 3"],
+    vehicles: VehicleBatch,
+    settings: RenderSettings,
+) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
+    """Visibility first, then light on the visible samples, then averaging to pixels (PAPER 11).
+
+    Args:
+        window: around every vehicle.
+        screen: vertices in image pixels.
+        depth: metres, smaller is nearer.
+        vertices: metres, world frame.
+        viewer, sun: unit vectors.
+        vehicles: for template and texture.
+        settings: light and supersampling.
+
+    Returns:
+        What each sample sees, and per pixel linear colour times coverage (3) and coverage (1).
+    """
+    template, factor = vehicles.template, settings.supersampling
+    wide = window.size * factor
+    samples = window.samples(screen, factor)
+    visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
+    levels = _texture_levels(samples.detach(), vehicles)
+    finest = int(levels[visibility.vehicle, visibility.face].min()) if len(visibility.face) else 0
+    texture = LinearTexture(vehicles.texture, finest, samples.dtype)
+    normals = vertex_normals(vertices, template.faces)
+
+    def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
+        uv = _interpolate(template.uvs[template.face_uvs[face]], weights)
+        normal = _interpolate(normals[vehicle[:, None], template.faces[face]], weights)
+        normal = torch.nn.functional.normalize(normal, dim=-1)
+        albedo = texture.sample(uv, vehicle, levels[vehicle, face])
+        diffuse, mirrored = light(normal, sun[vehicle], viewer[vehicle], settings)
+        return albedo * diffuse + mirrored
+
+    row = visibility.covered // wide
+    centre = torch.stack((visibility.covered - row * wide, row - visibility.vehicle * wide), dim=-1) + 0.5
+    corners = samples[visibility.vehicle[:, None], template.faces[visibility.face]]
+    colour = radiance(visibility.vehicle, visibility.face, _barycentric(corners, centre))
+    layers = _average(visibility, colour, factor)
+    if samples.requires_grad:
+        points = silhouette_points(samples, depth.detach(), template.faces, visibility)
+        with torch.no_grad():
+            edge_colour = radiance(points.vehicle, points.face, points.weights)
+        layers = layers + _edges(visibility, points, colour.detach(), edge_colour, factor)
+    return visibility, layers
+
+
+def draw_shadows(
+    window: Windows, screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"], settings: RenderSettings
+) -> Float[Tensor, "N 1 S S"]:
+    """Which part of each pixel's ground the sun does not reach: the vehicle as the sun sees it."""
+    factor = settings.shadow_supersampling
+    samples = window.samples(screen, factor)
+    flat = samples.new_zeros(samples.shape[:2])
+    seen = rasterise(samples.detach(), flat, faces, window.size * factor)
+    white = samples.new_ones(len(seen.covered), 3)
+    layers = _average(seen, white, factor)
+    if samples.requires_grad:
+        points = silhouette_points(samples, flat, faces, seen)
+        layers = layers + _edges(seen, points, white, white.new_ones(len(points.face), 3), factor)
+    return layers[:, 3:]
+
+
+@torch.no_grad()
+def _texture_levels(samples: Float[Tensor, "N V 2"], vehicles: VehicleBatch) -> Int[Tensor, "N F"]:
+    """Per triangle the pyramid level at which a texel is as long as a sample, along its more squeezed direction."""
+    template = vehicles.template
+    corners = samples[:, template.faces]
+    across, down = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
+    area = (across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])[..., None]
+    texels = template.uvs[template.face_uvs] * vehicles.texture.shape[-1]
+    texel_across, texel_down = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
+    # The affine map from samples to texels, one column per image axis.
+    per_x = (down[..., 1:] * texel_across - across[..., 1:] * texel_down) / area
+    per_y = (across[..., :1] * texel_down - down[..., :1] * texel_across) / area
+    longest = torch.maximum(per_x.square().sum(-1), per_y.square().sum(-1)).sqrt()
+    return longest.clamp(1.0, 2.0**20).log2().round().nan_to_num(0.0).long()
+
+
+def _barycentric(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -> Float[Tensor, "K 3"]:
+    """Weights of the three corners at `point`, differentiable in the corners."""
+    a, b, c = corners.unbind(1)
+    to_b, to_c, to_point = b - a, c - a, point - a
+    area = to_c[:, 0] * to_b[:, 1] - to_c[:, 1] * to_b[:, 0]
+    second = (to_c[:, 0] * to_point[:, 1] - to_c[:, 1] * to_point[:, 0]) / area
+    third = (to_point[:, 0] * to_b[:, 1] - to_point[:, 1] * to_b[:, 0]) / area
+    return torch.stack((1 - second - third, second, third), dim=-1)
+
+
+def _interpolate(values: Float[Tensor, "K 3 C"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K C"]:
+    first, second, third = weights[..., None].unbind(1)
+    return values[:, 0] * first + values[:, 1] * second + values[:, 2] * third
+
+
+def _average(visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int) -> Float[Tensor, "N 4 S S"]:
+    """Averages samples to pixels: colour times coverage, and coverage."""
+    count, wide, _ = visibility.keys.shape
+    size = wide // factor
+    row = visibility.covered // wide
+    x = visibility.covered - row * wide
+    # Windows are stacked, so a row of samples maps to a row of pixels across all of them.
+    pixel = row // factor * size + x // factor
+    values = torch.cat((colour, colour.new_ones(len(colour), 1)), dim=1) / factor**2
+    layers = colour.new_zeros(count * size * size, 4).index_add(0, pixel, values)
+    return layers.view(count, size, size, 4).permute(0, 3, 1, 2)
+
+
+def _edges(
+    visibility: Visibility,
+    points: SilhouettePoints,
+    colour: Float[Tensor, "K 3"],
+    edge_colour: Float[Tensor, "M 3"],
+    factor: int,
+) -> Float[Tensor, "N 4 S S"]:
+    """Zero in value; carries the gradient of moving silhouettes into the averaged layers."""
+    count, wide, _ = visibility.keys.shape
+    size = wide // factor
+    # The last row stands for an empty sample: no colour, no coverage.
+    slot = torch.full((count * wide * wide,), -1, dtype=torch.long, device=colour.device)
+    slot[visibility.covered] = torch.arange(len(colour), device=colour.device)
+    behind = torch.cat((colour, colour.new_ones(len(colour), 1)), dim=1)
+    behind = torch.cat((behind, behind.new_zeros(1, 4)))[slot[points.outside]]
+    step = torch.cat((edge_colour, edge_colour.new_ones(len(edge_colour), 1)), dim=1) - behind
+    place = (points.place / factor).floor().long().clamp(0, size - 1)
+    pixel = (points.vehicle * size + place[:, 1]) * size + place[:, 0]
+    layers = step.new_zeros(count * size * size, 4)
+    layers = layers.index_add(0, pixel, step * points.coverage[:, None] / factor**2)
+    return layers.view(count, size, size, 4).permute(0, 3, 1, 2)
