@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -15,7 +16,7 @@ from skyproof.files import write_beside
 
 __all__ = ["MATCHES", "Outcome", "read_outcomes", "write_outcomes"]
 
-MATCHES = ("centre_1m", "iou_50")
+MATCHES: tuple[Literal["centre_1m"], Literal["iou_50"]] = ("centre_1m", "iou_50")
 
 
 @dataclass(frozen=True)

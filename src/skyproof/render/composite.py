@@ -27,10 +27,15 @@ def composite(
     seeds: Sequence[int],
     settings: RenderSettings,
 ) -> Float[Tensor, "B 3 H W"]:
-    """Lays the vehicles over the photographs, blurs the difference, adds noise where something was rendered.
+    """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
-    I = I_bg + G(I_fg - I_bg) in linear light (PAPER 12). A pixel that nothing reaches keeps the photograph's value
-    exactly. A nearer vehicle hides a farther one; shadows fall on the ground alone.
+    I = I_bg * (1 - (1 - sky share) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in linear light. A pixel
+    that nothing reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall on
+    the ground alone.
+
+    Differences from the paper: I_bg + G(I_fg - I_bg) (PAPER 12) is the same on even ground, but leaves I_bg - G(I_bg)
+    standing on top of the vehicle: lane markings shine through. The photograph is already blurred; here it is hidden
+    by as much as the blurred vehicle covers it.
 
     Args:
         photographs: sRGB.
@@ -53,15 +58,16 @@ def composite(
     place = (y.clamp(0, height - 1) * width)[:, None, :, None] + x.clamp(0, width - 1)[:, None, None, :] + channel
     ground_srgb = photographs.view(-1)[place]
     ground = srgb_to_linear(ground_srgb)
+    kernel = _blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
+    layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
     colour, alpha = layers[:, :3], layers[:, 3:]
     composed = ground * (1 - (1 - settings.sky_share) * shadow) * (1 - alpha) + colour
-    kernel = _blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
-    difference = kernel @ (composed - ground) @ kernel
     # Written as a change, so that an untouched pixel keeps the photograph's exact value.
-    change = linear_to_srgb(ground + difference) - linear_to_srgb(ground)
+    change = linear_to_srgb(composed) - linear_to_srgb(ground)
     if settings.noise > 0:
-        covered = kernel @ alpha.detach() @ kernel
-        change = change + settings.noise * covered * _noise(seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground)
+        change = change + settings.noise * alpha.detach() * _noise(
+            seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground
+        )
     pixels = (ground_srgb + change).clamp(0.0, 1.0)
     inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
     if bool(inside.all()):

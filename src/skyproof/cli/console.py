@@ -1,0 +1,64 @@
+"""What the command line prints: stages, progress with time left, one sentence for an error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+__all__ = ["console", "progress_bar", "say", "say_error"]
+
+# Without a terminal (a log file, CI) a line now and then replaces the moving bar.
+_LINE_EVERY_S = 15.0
+
+console = Console(highlight=False, soft_wrap=True)
+
+
+def say(message: str) -> None:
+    """Prints one line."""
+    console.print(message, markup=False)
+
+
+def say_error(message: str) -> None:
+    """Prints one line to standard error."""
+    print(f"skyproof: {message}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
+    """Yields `update(done, total)`; shows name, bar, time used and time left."""
+    if console.is_terminal:
+        columns = (
+            TextColumn("{task.description:<28}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(name, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    started = last = time.monotonic()
+    first = 0
+
+    def update(done: int, total: int) -> None:
+        nonlocal last, first
+        now = time.monotonic()
+        first = first or done
+        if now - last < _LINE_EVERY_S:
+            return
+        last = now
+        # Steps finished before a resume cost no time now.
+        rate = (done - first + 1) / (now - started)
+        left_s = (total - done) / max(rate, 1e-9)
+        say(f"  {name}: {done}/{total}, {now - started:.0f} s, about {left_s:.0f} s left")
+
+    say(f"  {name} ...")
+    yield update
+    say(f"  {name}: done in {time.monotonic() - started:.0f} s")

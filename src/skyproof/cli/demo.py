@@ -1,0 +1,258 @@
+"""`skyproof demo`: from nothing to a first robustness report."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from skyproof.attacks.attack import AttackSettings
+from skyproof.cli.console import progress_bar, say
+from skyproof.cli.frames import read_frames
+from skyproof.cli.run_folder import RunFolder
+from skyproof.cli.stages import (
+    attack_ensemble,
+    choose_device,
+    draw_control,
+    evaluate_folders,
+    generator_of,
+    paint_portrait,
+    render_folder,
+    train_detector,
+)
+from skyproof.detectors.training import TrainingSettings
+from skyproof.errors import ConfigurationError
+from skyproof.files import finished_folder, read_json
+from skyproof.report.report import write_report
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
+from skyproof.scenes.orthophotos import tile_orthophotos
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import write_scenes
+from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+
+__all__ = ["Demo", "run_demo"]
+
+GSD_M = 0.125
+
+
+@dataclass(frozen=True)
+class DemoSizes:
+    """How much of everything; the defaults fit 15 minutes on 2 CPU cores.
+
+    Attributes:
+        image_px: image side; vehicles are of true size at 12.5 cm per pixel.
+        tiles: procedural ground tiles per split (train, validation, attack, test), when no imagery is given.
+        vehicles: vehicles in the fleet per split.
+        training_images, validation_images, test_images: rendered images.
+        training_vehicles: at most so many in one training image; validation and test have 1 to 5 (PAPER 5).
+        random_draws: random controls to compare with (PAPER 37).
+    """
+
+    image_px: int = 192
+    tiles: tuple[int, int, int, int] = (64, 12, 24, 40)
+    vehicles: tuple[int, int, int, int] = (64, 16, 32, 32)
+    training_images: int = 2000
+    validation_images: int = 120
+    test_images: int = 120
+    training_vehicles: int = 7
+    random_draws: int = 3
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Builds vehicles, ground and detectors, attacks the detectors, compares matched pairs, writes a report.
+
+    Stop it whenever you like and give the same command again: it goes on after the last finished step.
+
+    Attributes:
+        out: run folder; the report goes there.
+        imagery: orthophotos to use as ground instead of procedural ones: GeoTIFFs, or JPEG/PNG with --gsd; a folder
+            stands for the images in it.
+        gsd: metres per pixel of images that do not say it themselves.
+        frames: real annotated frames to check the detectors on, as FOLDER@GSD or FOLDER/PATTERN@GSD (YOLO text labels
+            with a .names file), e.g. kit/MOS*@0.116.
+        frame_classes: class names that count as vehicles in them; other classes are ignored, not counted as mistakes.
+        detectors: which to build and attack together.
+        seed: of everything.
+        device: auto, cpu or cuda.
+        sizes: how much of everything.
+        training: how every detector is trained.
+        attack: how the texture is learnt.
+    """
+
+    out: Path = Path("runs/demo")
+    imagery: tuple[Path, ...] = ()
+    gsd: float | None = None
+    frames: tuple[str, ...] = ()
+    frame_classes: tuple[str, ...] = ("car", "minibus")
+    detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
+    seed: int = 0
+    device: str = "auto"
+    sizes: DemoSizes = field(default_factory=DemoSizes)
+    training: TrainingSettings = field(
+        default_factory=lambda: TrainingSettings(steps=800, batch_size=8, validate_every=200)
+    )
+    attack: AttackSettings = field(default_factory=AttackSettings)
+
+    def run(self) -> None:
+        """Runs all stages that are not finished yet."""
+        run_demo(self)
+
+
+def run_demo(demo: Demo) -> None:
+    """Runs all stages that are not finished yet, and prints where the report lies."""
+    device = choose_device(demo.device)
+    if len(set(demo.detectors)) != len(demo.detectors) or not demo.detectors:
+        raise ConfigurationError("--detectors expects each detector once, and at least one.")
+    # Read first: a mistake in these folders should show before an hour's work, not after it.
+    clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
+    names = [str(path) for path in demo.imagery]
+    config = {
+        "title": "How robust are these vehicle detectors to camouflage?",
+        "imagery": names or "procedural",
+        **{key: value for key, value in asdict(demo).items() if key not in ("out", "imagery", "device")},
+    }
+    run = RunFolder(demo.out, config, str(device))
+    out, sizes, seed = run.path, demo.sizes, demo.seed
+    report = out / "report.html"
+    if report.exists():
+        say(f"This run is finished. Report: {report.resolve()}")
+        return
+    say(f"skyproof demo: {len(demo.detectors)} detectors on {device}, run folder {out}")
+
+    run.stage("backgrounds", out / "backgrounds", partial(_backgrounds, demo, out / "backgrounds"))
+    for index, split in enumerate(SPLITS):
+        run.stage("vehicles", out / "fleets" / split, partial(_fleet, demo, split, index))
+    run.stage("scenes", out / "scenes", partial(_scenes, demo))
+    for split in ("train", "validation", "test"):
+        place = out / "datasets" / split
+        run.stage("render", place, partial(_render, out, split, place, device))
+    for name in demo.detectors:
+        folder = out / "detectors" / name
+        run.stage(f"train {name}", folder / "detector.json", partial(_train, demo, name, folder, device))
+    trained = [out / "detectors" / name for name in demo.detectors]
+    learnt = out / "camouflages" / "T-U"
+    run.stage("attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device))
+    controls = [f"R-U-{draw}" for draw in range(sizes.random_draws)]
+    for draw, name in enumerate(controls):
+        folder = out / "camouflages" / name
+        run.stage("random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed, draw))
+    worn = {name: out / "datasets" / f"test-{name}" for name in ("T-U", *controls)}
+    for name, place in worn.items():
+        camouflage = out / "camouflages" / name
+        run.stage("render pairs", place, partial(_render, out, "test", place, device, camouflage))
+    original = out / "datasets" / "test"
+    work = partial(evaluate_folders, trained, original, worn, out / "evaluation", clean=clean, seed=seed, device=device)
+    run.stage("evaluate", out / "evaluation", work)
+    shutil.copyfile(out / "evaluation" / "results.json", out / "results.json")
+    run.stage(
+        "pictures",
+        learnt / "on_vehicle.png",
+        lambda: paint_portrait(learnt, out / "fleets" / "test", learnt / "on_vehicle.png"),
+    )
+    run.finish()
+    written = write_report(out)
+    _say_answer(out)
+    say(f"Report: {written.resolve()}")
+
+
+def _backgrounds(demo: Demo, place: Path) -> None:
+    window_px = math.ceil(demo.sizes.image_px * math.sqrt(2)) + 2
+    with finished_folder(place) as folder, progress_bar("ground tiles") as update:
+        if demo.imagery:
+            tile_orthophotos(
+                demo.imagery,
+                folder,
+                tile_px=window_px * 3 // 2,
+                minimum_tile_px=window_px,
+                generator=generator_of(demo.seed, "imagery"),
+                assumed_gsd_m=demo.gsd,
+                progress=update,
+            )
+        else:
+            counts = dict(zip(SPLITS, demo.sizes.tiles, strict=True))
+            write_procedural_backgrounds(folder, counts, window_px + 112, seed=demo.seed, progress=update)
+
+
+def _fleet(demo: Demo, split: str, index: int) -> None:
+    # Numbers go on from split to split: no vehicle is in two of them.
+    settings = FleetSettings(count=demo.sizes.vehicles[index], first_number=sum(demo.sizes.vehicles[:index]))
+    fleet = sample_fleet(settings, generator=generator_of(demo.seed, "fleet", split))
+    fleet.save(demo.out / "fleets" / split)
+
+
+def _scene_settings(demo: Demo) -> SceneSettings:
+    return SceneSettings(size_px=demo.sizes.image_px, gsd_m=GSD_M)
+
+
+def _scenes(demo: Demo) -> None:
+    backgrounds = BackgroundSet.open(demo.out / "backgrounds")
+    usual = _scene_settings(demo)
+    wanted = {
+        # Some training images are empty, so that ground alone is learnt too.
+        "train": (
+            demo.sizes.training_images,
+            replace(usual, vehicles_minimum=0, vehicles_maximum=demo.sizes.training_vehicles),
+        ),
+        "validation": (demo.sizes.validation_images, usual),
+        "test": (demo.sizes.test_images, usual),
+    }
+    with finished_folder(demo.out / "scenes") as folder:
+        for split, (count, settings) in wanted.items():
+            fleet = Fleet.load(demo.out / "fleets" / split)
+            vehicle_sizes_m = {name: fleet.size_m(name) for name in fleet.ids}
+            generator = generator_of(demo.seed, "scenes", split)
+            scenes = sample_scenes(
+                settings, backgrounds, split, vehicle_sizes_m, count, generator=generator, prefix=split
+            )
+            write_scenes(folder / f"{split}.jsonl", scenes)
+
+
+def _render(out: Path, split: str, place: Path, device: torch.device, camouflage: Path | None = None) -> None:
+    scenes, fleet = out / "scenes" / f"{split}.jsonl", out / "fleets" / split
+    render_folder(scenes, out / "backgrounds", fleet, place, camouflage=camouflage, device=device)
+
+
+def _train(demo: Demo, name: str, folder: Path, device: torch.device) -> None:
+    datasets = demo.out / "datasets"
+    train_detector(
+        name,
+        "slim",
+        datasets / "train",
+        datasets / "validation",
+        demo.training,
+        folder,
+        seed=demo.seed,
+        device=device,
+    )
+
+
+def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.device) -> None:
+    attack_ensemble(
+        "T-U",
+        detectors,
+        demo.out / "backgrounds",
+        demo.out / "fleets" / "attack",
+        replace(_scene_settings(demo), vehicles_maximum=1),
+        replace(demo.attack, seed=demo.seed),
+        folder,
+        device=device,
+    )
+
+
+def _say_answer(out: Path) -> None:
+    for row in read_json(out / "results.json")["rows"]:
+        if row["camouflage"] == "T-U" and row["match"] == "centre_1m":
+            if row["easr"] is None:
+                say(f"  {row['detector']}: undefined, because it found no vehicle before the camouflage")
+                continue
+            say(
+                f"  {row['detector']:<12} T-U hides {row['easr']:.0%} of the vehicles found before "
+                f"(95 % interval {row['easr_low']:.0%} to {row['easr_high']:.0%}); "
+                f"net of a random texture {row['net_easr']:.0%}"
+            )

@@ -1,0 +1,126 @@
+"""A run folder: what was asked, on what machine, which stages are finished and how long they took."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from skyproof import __version__
+from skyproof.errors import RunFolderError
+from skyproof.files import read_json, write_json
+
+__all__ = ["RunFolder"]
+
+
+class RunFolder:
+    """Opens a new run, or the same run again.
+
+    Args:
+        path: the folder; made if missing.
+        config: everything that decides the results, as plain JSON values.
+        device: named in the record.
+
+    Raises:
+        RunFolderError: the folder holds another run or something else, or cannot be written.
+    """
+
+    def __init__(self, path: Path, config: dict[str, Any], device: str) -> None:
+        self.path = Path(path)
+        config = json.loads(json.dumps(config, default=str))
+        known = self.path / "config.json"
+        if known.exists():
+            stored = read_json(known)
+            if stored != config:
+                changed = sorted(key for key in {*stored, *config} if stored.get(key) != config.get(key))
+                raise RunFolderError(
+                    f"{self.path} holds a run with other settings ({', '.join(changed)}); choose another --out, or "
+                    "remove the folder to start afresh."
+                )
+        elif self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            raise RunFolderError(f"{self.path} is not empty and not a run of skyproof; choose another --out.")
+        write_json(known, config)
+        self._record_environment(device, config.get("seed"))
+
+    def stage(self, name: str, result: Path, work: Callable[[], object]) -> None:
+        """Does `work`, unless its `result` is there already; keeps the time it took."""
+        if result.exists():
+            return
+        started = time.monotonic()
+        try:
+            work()
+        finally:
+            # A stopped stage's time counts too: it goes on later from its checkpoint.
+            self._add_time(name, time.monotonic() - started)
+
+    def finish(self) -> None:
+        """Notes when the run ended."""
+        path = self.path / "environment.json"
+        write_json(path, {**read_json(path), "finished": _now()})
+
+    def _add_time(self, name: str, seconds: float) -> None:
+        path = self.path / "timings.json"
+        rows = {row["stage"]: row["seconds"] for row in (read_json(path) if path.exists() else [])}
+        rows[name] = round(rows.get(name, 0.0) + seconds, 2)
+        write_json(path, [{"stage": stage, "seconds": value} for stage, value in rows.items()])
+
+    def _record_environment(self, device: str, seed: Any) -> None:
+        path = self.path / "environment.json"
+        stored = read_json(path) if path.exists() else {}
+        command = " ".join(["skyproof", *sys.argv[1:]])
+        commands = [*stored.get("commands", []), command]
+        record = {
+            "skyproof": __version__,
+            "commit": _commit(),
+            "python": platform.python_version(),
+            **{name: _version(name) for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")},
+            "platform": platform.platform(),
+            "cpu": _cpu_name(),
+            "cores": os.cpu_count(),
+            "device": device,
+            "seed": seed,
+            "started": stored.get("started", _now()),
+            "commands": list(dict.fromkeys(commands)),
+        }
+        write_json(path, record)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """The commit of a source checkout; None for an installed package."""
+    here = Path(__file__).resolve().parent
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, timeout=5
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() or None
+
+
+def _cpu_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -1,0 +1,187 @@
+"""What the stages of a run do; the demo strings them together, single commands run one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import Image
+
+from skyproof.attacks.attack import AttackSettings, AttackWorld, attack
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.cli.console import progress_bar
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.folder import build_detector, load_detector
+from skyproof.detectors.training import TrainingSettings, train
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
+from skyproof.files import write_beside
+from skyproof.render.dataset import render_dataset
+from skyproof.render.portrait import portrait
+from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.coco import read_coco
+from skyproof.scenes.sampling import SceneSettings
+from skyproof.scenes.scene import read_scenes
+from skyproof.vehicles.fleet import Fleet
+
+__all__ = [
+    "attack_ensemble",
+    "choose_device",
+    "draw_control",
+    "evaluate_folders",
+    "generator_of",
+    "paint_portrait",
+    "render_folder",
+    "train_detector",
+]
+
+
+def choose_device(name: str) -> torch.device:
+    """ "auto" takes a CUDA device where there is one.
+
+    Raises:
+        ConfigurationError: a device that this machine does not have.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigurationError(f"--device {name} is not usable here; give cpu, cuda or auto.") from error
+    return device
+
+
+def generator_of(seed: int, *names: str | int) -> torch.Generator:
+    """A generator of its own for every purpose, so that a change to one stage leaves the others' draws alone."""
+    mixed = seed
+    for name in names:
+        for byte in str(name).encode() + b"/":
+            mixed = (mixed * 1_000_003 + byte) % (2**63 - 25)
+    return torch.Generator().manual_seed(mixed)
+
+
+def render_folder(
+    scenes: Path,
+    backgrounds: Path,
+    fleet: Path,
+    out: Path,
+    *,
+    camouflage: Path | None = None,
+    device: torch.device | str = "cpu",
+) -> None:
+    """Draws a scene file to a dataset folder, with a camouflage folder or without."""
+    worn: Camouflage | None = load_camouflage(camouflage).to(device) if camouflage else None
+    renderer = TorchRenderer(BackgroundSet.open(backgrounds))
+    name = f"render {out.name}"
+    with progress_bar(name) as update:
+        render_dataset(
+            out,
+            read_scenes(scenes),
+            Fleet.load(fleet),
+            renderer,
+            camouflage=worn,
+            device=device,
+            progress=update,
+        )
+
+
+def train_detector(
+    name: str,
+    size: str,
+    training: Path,
+    validation: Path,
+    settings: TrainingSettings,
+    out: Path,
+    *,
+    seed: int,
+    device: torch.device | str,
+) -> None:
+    """Trains one detector on dataset folders."""
+    detector = build_detector(name, size, generator=generator_of(seed, "weights", name)).to(device)
+    with progress_bar(f"train {name}") as update:
+
+        def show(row: Mapping[str, Any]) -> None:
+            if row["kind"] == "step":
+                update(row["step"], settings.steps)
+
+        train(
+            detector,
+            read_coco(training),
+            read_coco(validation),
+            settings,
+            out,
+            generator=generator_of(seed, "train", name),
+            on_step=show,
+        )
+
+
+def load_ensemble(folders: Sequence[Path], device: torch.device | str) -> list[tuple[TrainableDetector, float]]:
+    """Detectors with their frozen thresholds."""
+    loaded = []
+    for folder in folders:
+        detector, card = load_detector(folder)
+        loaded.append((detector.to(device), card.threshold))
+    return loaded
+
+
+def attack_ensemble(
+    name: str,
+    detectors: Sequence[Path],
+    backgrounds: Path,
+    fleet: Path,
+    scenes: SceneSettings,
+    settings: AttackSettings,
+    out: Path,
+    *,
+    device: torch.device | str,
+) -> None:
+    """Learns one universal texture against an ensemble."""
+    models = [detector for detector, _ in load_ensemble(detectors, device)]
+    photographs = BackgroundSet.open(backgrounds)
+    world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
+    camouflage = UniversalTexture(name, generator=generator_of(settings.seed, "texture", name)).to(device)
+    with progress_bar(f"attack {name}") as update:
+        attack(
+            camouflage,
+            models,
+            world,
+            settings,
+            out,
+            on_step=lambda row: update(row["step"], settings.steps),
+        )
+
+
+def draw_control(name: str, folder: Path, seed: int, draw: int) -> None:
+    """A random draw of the same kind of camouflage, not learnt (PAPER 34, 37)."""
+    control = UniversalTexture(name, generator=generator_of(seed, "control", name))
+    control.finalise()
+    save_camouflage(folder, control, {"seed": seed, "draw": draw})
+
+
+def evaluate_folders(
+    detectors: Sequence[Path],
+    original: Path,
+    camouflaged: Mapping[str, Path],
+    out: Path,
+    *,
+    clean: Sequence[CleanSet] = (),
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+) -> list[dict[str, Any]]:
+    """Compares matched datasets and writes outcomes and the table of results."""
+    judges = [Judge(detector, threshold) for detector, threshold in load_ensemble(detectors, device)]
+    with progress_bar("evaluate") as update:
+        return evaluate_pairs(judges, original, camouflaged, out, clean=clean, seed=seed, progress=update)
+
+
+def paint_portrait(camouflage: Path, fleet: Path, out: Path) -> None:
+    """One vehicle of each of a few body types wearing a camouflage, close up, beside the original."""
+    picture = portrait(Fleet.load(fleet), load_camouflage(camouflage))
+    with write_beside(out) as temporary:
+        Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)

@@ -1,0 +1,190 @@
+"""Detectors over matched datasets: from folders of images to outcomes, average precision and the table of results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyproof.detectors.average_precision import average_precision
+from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.matching import match_detections
+from skyproof.detectors.training import detect_all
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
+from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
+from skyproof.evaluate.rates import false_alarms_per_km2
+from skyproof.evaluate.summary import SetScore, summarise
+from skyproof.files import finished_folder, write_json, write_jsonl
+from skyproof.scenes.coco import read_coco
+from skyproof.scenes.labelled import LabelledImages
+from skyproof.scenes.scene import Scene, read_scenes
+
+__all__ = ["CleanSet", "Judge", "evaluate_pairs"]
+
+ORIGINAL = "original"
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A detector with its frozen threshold (PAPER 18)."""
+
+    detector: Detector
+    threshold: float
+
+
+@dataclass(frozen=True)
+class CleanSet:
+    """Images without camouflage that say how good the detectors are.
+
+    Attributes:
+        name: as the report shows it.
+        images: in memory, at the detectors' resolution.
+        note: where they come from and what was done to them.
+    """
+
+    name: str
+    images: LabelledImages
+    note: str = ""
+
+
+def evaluate_pairs(
+    judges: Sequence[Judge],
+    original: Path,
+    camouflaged: Mapping[str, Path],
+    folder: Path,
+    *,
+    renderer: str = "torch",
+    clean: Sequence[CleanSet] = (),
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Judges every vehicle with and without each camouflage, and writes all that was found (PAPER 9, 38-41).
+
+    Args:
+        judges: detectors with thresholds.
+        original: dataset without camouflage; its `scenes.jsonl` says the conditions.
+        camouflaged: datasets of the same scenes by camouflage name.
+        folder: gets `outcomes.parquet`, `results.json`, `clean.json`, `detections/<dataset>/<detector>.jsonl`;
+            whole or not at all; must not exist yet.
+        renderer: named in the table.
+        clean: further images to check the detectors on.
+        seed: of the bootstrap.
+        progress: called with (detector runs done, runs in all).
+
+    Returns:
+        The rows of `results.json`.
+
+    Raises:
+        ConfigurationError: the datasets do not show the same scenes.
+        StoredFileError: a dataset is missing or damaged.
+        RunFolderError: the folder exists, or the disk cannot take it.
+    """
+    scenes = read_scenes(Path(original) / "scenes.jsonl")
+    before = read_coco(original)
+    after = {name: read_coco(path) for name, path in camouflaged.items()}
+    for name, images in after.items():
+        if list(images.ids) != list(before.ids):
+            raise ConfigurationError(
+                f"{camouflaged[name]} does not show the scenes of {original}; render it from the same scenes."
+            )
+    total, done = len(judges) * (1 + len(after) + len(clean)), 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, total)
+
+    outcomes: list[Outcome] = []
+    scores: list[SetScore] = []
+    checks: list[dict[str, Any]] = []
+    with finished_folder(Path(folder)) as partial:
+        for judge in judges:
+            name = judge.detector.name
+            found = detect_all(judge.detector, before.images)
+            _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
+            scores.extend(_scores(ORIGINAL, renderer, judge, scenes, before, found))
+            checks.append(_check(judge, CleanSet("synthetic test", before), found))
+            step()
+            for camouflage, images in after.items():
+                hidden = detect_all(judge.detector, images.images)
+                place = partial / "detections" / Path(camouflaged[camouflage]).name / f"{name}.jsonl"
+                _write_detections(place, images.ids, hidden)
+                scores.extend(_scores(camouflage, renderer, judge, scenes, images, hidden))
+                for match in MATCHES:
+                    comparison = Comparison(camouflage, renderer, name, match, judge.threshold, before.gsd_m)
+                    pair = compare(
+                        scenes, before.boxes, found, hidden, comparison, adversarial_truth_boxes=images.boxes
+                    )
+                    outcomes.extend(pair)
+                step()
+            for each in clean:
+                checks.append(_check(judge, each, detect_all(judge.detector, each.images.images)))
+                step()
+        rows = summarise(outcomes, scores, generator=np.random.default_rng(seed))
+        write_outcomes(partial / "outcomes.parquet", outcomes)
+        write_json(partial / "clean.json", checks)
+        write_json(partial / "results.json", {"rows": rows})
+    return rows
+
+
+def _scores(
+    camouflage: str,
+    renderer: str,
+    judge: Judge,
+    scenes: Sequence[Scene],
+    images: LabelledImages,
+    found: Sequence[Detections],
+) -> list[SetScore]:
+    area_m2 = (scenes[0].camera.size_px * scenes[0].camera.gsd_m) ** 2
+    scores = []
+    for match in MATCHES:
+        comparison = Comparison(camouflage, renderer, judge.detector.name, match, judge.threshold, images.gsd_m)
+        alarms = count_false_alarms(images.boxes, found, comparison, ignore=images.ignore)
+        precision = average_precision(found, images, criterion=match).ap
+        density = false_alarms_per_km2(alarms, len(images), area_m2)
+        scores.append(SetScore(camouflage, renderer, judge.detector.name, match, precision, density))
+    return scores
+
+
+def _check(judge: Judge, clean: CleanSet, found: Sequence[Detections]) -> dict[str, Any]:
+    """Average precision, and precision and recall at the frozen threshold, on images without camouflage."""
+    images = clean.images
+    hits = alarms = 0
+    for boxes, ignore, each in zip(images.boxes, images.ignore, found, strict=True):
+        kept = each.scores >= judge.threshold
+        matches = match_detections(
+            each.boxes[kept], each.scores[kept], boxes, criterion="centre_1m", gsd_m=images.gsd_m, ignore=ignore
+        )
+        matched = matches.truth_of_detection >= 0
+        hits += int(matched.sum())
+        alarms += int((~matched & ~matches.ignored).sum())
+    vehicles = sum(len(boxes) for boxes in images.boxes)
+    return {
+        "detector": judge.detector.name,
+        "dataset": clean.name,
+        "images": len(images),
+        "vehicles": vehicles,
+        "ap_centre_1m": average_precision(found, images, criterion="centre_1m").ap,
+        "ap_iou_50": average_precision(found, images, criterion="iou_50").ap,
+        "precision": hits / (hits + alarms) if hits + alarms else None,
+        "recall": hits / vehicles if vehicles else None,
+        "threshold": judge.threshold,
+        "note": clean.note,
+    }
+
+
+def _write_detections(path: Path, ids: Sequence[str], found: Sequence[Detections]) -> None:
+    rows = [
+        {
+            "image": name,
+            "boxes": [[round(value, 2) for value in box] for box in each.boxes.tolist()],
+            "scores": [round(score, 5) for score in each.scores.tolist()],
+        }
+        for name, each in zip(ids, found, strict=True)
+    ]
+    write_jsonl(path, rows)

@@ -1,0 +1,80 @@
+"""Close-ups of vehicles on plain ground: for looking, not for measuring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.vehicles.fleet import Fleet
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["close_up", "portrait"]
+
+_SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
+
+
+class _Asphalt:
+    """Even grey ground."""
+
+    def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
+        return torch.full((3, size_px, size_px), 0.46)
+
+
+@torch.no_grad()
+def close_up(
+    vehicles: VehicleBatch,
+    *,
+    gsd_m: float = 0.015,
+    side_m: float = 7.2,
+    tilt_rad: float = 0.0,
+    heading_rad: float = 0.0,
+) -> UInt8[Tensor, "N 3 H W"]:
+    """Every vehicle alone on grey ground, sharp, in the renderer's own light."""
+    size_px = round(side_m / gsd_m)
+    camera = Camera(tilt_rad, math.radians(-100), gsd_m, size_px)
+    window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
+    renderer = TorchRenderer(_Asphalt(), RenderSettings(blur_sigma_px=0.0, noise=0.0, supersampling=3))
+    pictures = []
+    for index, name in enumerate(vehicles.ids):
+        texture = vehicles.texture if len(vehicles.texture) == 1 else vehicles.texture[index : index + 1]
+        one = replace(
+            vehicles,
+            vertices=vehicles.vertices[index : index + 1],
+            texture=texture,
+            parts=vehicles.parts[index : index + 1],
+            ids=(name,),
+        )
+        scene = Scene(name, window, camera, _SUN, (Placement(name, 0.0, 0.0, heading_rad),), seed=0)
+        pictures.append((renderer([scene], one).image[0] * 255).round().byte())
+    return torch.stack(pictures)
+
+
+def portrait(
+    fleet: Fleet, camouflage: Callable[[VehicleBatch], VehicleBatch], *, body_types: Sequence[str] | None = None
+) -> UInt8[Tensor, "3 H W"]:
+    """A sheet: one column per body type; above as built, below camouflaged, from straight above and from the side.
+
+    Args:
+        fleet: the first vehicle of each body type is shown.
+        camouflage: what they wear below.
+        body_types: at most four, in this order; None takes those the fleet has.
+    """
+    first: dict[str, str] = {}
+    for name in fleet.ids:
+        first.setdefault(name.rpartition("-")[0], name)
+    chosen = [first[body] for body in (body_types or sorted(first)) if body in first][:4]
+    vehicles = fleet.batch(chosen)
+    rows = []
+    for tilt_rad in (0.0, math.radians(40)):
+        for worn in (vehicles, camouflage(vehicles)):
+            pictures = close_up(worn, tilt_rad=tilt_rad, heading_rad=math.radians(20), gsd_m=0.03)
+            rows.append(torch.cat(list(pictures), dim=2))
+    return torch.cat(rows, dim=1)
