@@ -63,7 +63,7 @@ def fabricate(folder, scenes=40):
                 fill = (200, 40, 40) if name == "test" else tuple(int(v) for v in rng.integers(60, 180, 3))
                 ImageDraw.Draw(picture).rectangle(box, fill=fill)
                 annotation = {"id": len(coco[name]["annotations"]), "image_id": index, "category_id": 1}
-                annotation |= {"bbox": [box[0], box[1], 36, 16], "vehicle": "saloon-0001", "placement": place}
+                annotation |= {"bbox": [box[0], box[1], 36, 16], "vehicle": "saloon-0001", "placement_index": place}
                 coco[name]["annotations"].append(annotation)
             path = folder / "datasets" / name / "images" / f"{scene}.png"
             path.parent.mkdir(parents=True, exist_ok=True)

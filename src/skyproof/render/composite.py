@@ -62,13 +62,12 @@ def composite(
     layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
     colour, alpha = layers[:, :3], layers[:, 3:]
     composed = ground * (1 - (1 - settings.sky_share) * shadow) * (1 - alpha) + colour
-    # Written as a change, so that an untouched pixel keeps the photograph's exact value.
-    change = linear_to_srgb(composed) - linear_to_srgb(ground)
+    reached = (alpha.detach() > 0) | (shadow.detach() > 0)
+    pixels = linear_to_srgb(composed)
     if settings.noise > 0:
-        change = change + settings.noise * alpha.detach() * _noise(
-            seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground
-        )
-    pixels = (ground_srgb + change).clamp(0.0, 1.0)
+        noise = _noise(seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground)
+        pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
+    pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
     inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
     if bool(inside.all()):
         place, pixels = place.reshape(-1), pixels.reshape(-1)

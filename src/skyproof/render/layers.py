@@ -70,22 +70,26 @@ def draw_bodies(
     wide = window.size * factor
     samples = window.samples(screen, factor)
     visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
-    levels = _texture_levels(samples.detach(), vehicles)
-    finest = int(levels[visibility.vehicle, visibility.face].min()) if len(visibility.face) else 0
+    levels = _texture_levels(samples.detach(), vehicles).view(-1)
+    seen = visibility.vehicle * len(template.faces) + visibility.face
+    finest = int(levels[seen].min()) if len(seen) else 0
     texture = LinearTexture(vehicles.texture, finest, samples.dtype)
-    normals = vertex_normals(vertices, template.faces)
+    # One row per (vehicle, face) with all that is interpolated, so that a sample takes one look-up.
+    normals = vertex_normals(vertices, template.faces)[:, template.faces]
+    uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
+    surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
-        uv = _interpolate(template.uvs[template.face_uvs[face]], weights)
-        normal = _interpolate(normals[vehicle[:, None], template.faces[face]], weights)
+        row = vehicle * len(template.faces) + face
+        uv, normal = _interpolate(surface.index_select(0, row), weights).split((2, 3), dim=1)
         normal = torch.nn.functional.normalize(normal, dim=-1)
-        albedo = texture.sample(uv, vehicle, levels[vehicle, face])
-        diffuse, mirrored = light(normal, sun[vehicle], viewer[vehicle], settings)
-        return albedo * diffuse + mirrored
+        albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
+        diffuse, mirrored = light(normal, sun.index_select(0, vehicle), viewer.index_select(0, vehicle), settings)
+        return torch.addcmul(mirrored, albedo, diffuse)
 
     row = visibility.covered // wide
     centre = torch.stack((visibility.covered - row * wide, row - visibility.vehicle * wide), dim=-1) + 0.5
-    corners = samples[visibility.vehicle[:, None], template.faces[visibility.face]]
+    corners = samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
     colour = radiance(visibility.vehicle, visibility.face, _barycentric(corners, centre))
     layers = _average(visibility, colour, factor)
     if samples.requires_grad:
@@ -138,9 +142,11 @@ def _barycentric(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -
     return torch.stack((1 - second - third, second, third), dim=-1)
 
 
-def _interpolate(values: Float[Tensor, "K 3 C"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K C"]:
-    first, second, third = weights[..., None].unbind(1)
-    return values[:, 0] * first + values[:, 1] * second + values[:, 2] * third
+def _interpolate(values: Float[Tensor, "K 3*C"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K C"]:
+    """Barycentric mean of three corners' values, which stand one after the other in a row."""
+    first, second, third = values.chunk(3, dim=1)
+    result = first * weights[:, :1]
+    return torch.addcmul(torch.addcmul(result, second, weights[:, 1:2]), third, weights[:, 2:])
 
 
 def _average(visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int) -> Float[Tensor, "N 4 S S"]:

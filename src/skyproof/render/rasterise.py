@@ -66,25 +66,25 @@ def rasterise(
         raise ValueError(f"expected fewer than 65536 faces and 32768 vehicles, got {len(faces)} and {len(screen)}")
     areas = face_areas(screen, faces)
     vehicle, face = torch.nonzero(areas > 1e-12, as_tuple=True)
-    corner_index = faces[face]
-    corners = screen[vehicle[:, None], corner_index]
+    corner = vehicle[:, None] * screen.shape[1] + faces[face]
+    corners = screen.flatten(0, 1)[corner]
     # Counted from a whole sample near the triangle, coordinates keep their digits.
     base = corners.amin(1).floor()
-    planes, depth_plane = _planes(corners - base[:, None], depth[vehicle[:, None], corner_index], areas[vehicle, face])
+    planes, depth_plane = _planes(corners - base[:, None], depth.flatten()[corner], areas[vehicle, face])
     x_base, y_base = base.long().unbind(1)
 
     low_y = (corners[..., 1].amin(1) - 0.5).ceil().long().clamp(min=0)
     high_y = (corners[..., 1].amax(1) - 0.5).floor().long().clamp(max=size - 1)
     row, step = _enumerate((high_y - low_y + 1).clamp(min=0))
     y = low_y[row] + step
-    low, high = _span(planes[row], (y - y_base[row]).to(screen.dtype))
+    low, high = _span(planes.index_select(0, row), (y - y_base[row]).to(screen.dtype))
     offset = x_base[row]
     low_x = (low.ceil().long() + offset).clamp(min=0)
     high_x = (high.floor().long() + offset).clamp(max=size - 1)
 
     span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
     triangle, x = row[span], low_x[span] + step
-    slope = depth_plane[triangle]
+    slope = depth_plane.index_select(0, triangle)
     near = torch.addcmul(slope[:, 2], slope[:, 0], (x - x_base[triangle]).to(screen.dtype))
     near = torch.addcmul(near, slope[:, 1], (y[span] - y_base[triangle]).to(screen.dtype))
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO

@@ -105,7 +105,7 @@ class _Set:
             for annotation in coco["annotations"]:
                 own = boxes[scene_of[annotation["image_id"]]]
                 x, y, width, height = map(float, annotation["bbox"])
-                own[annotation.get("placement", len(own))] = (x, y, x + width, y + height)
+                own[annotation.get("placement_index", len(own))] = (x, y, x + width, y + height)
         except (KeyError, TypeError, ValueError) as error:
             raise StoredFileError(f"{labels} is not COCO as this version writes it ({error}); render again.") from error
         return cls(labels.parent / "images", boxes, {row["image"]: row for row in read_jsonl(found)})
