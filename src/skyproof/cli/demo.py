@@ -95,9 +95,9 @@ class Demo:
     device: str = "auto"
     sizes: DemoSizes = field(default_factory=DemoSizes)
     training: TrainingSettings = field(
-        default_factory=lambda: TrainingSettings(steps=800, batch_size=8, validate_every=200)
+        default_factory=lambda: TrainingSettings(steps=700, batch_size=8, validate_every=175)
     )
-    attack: AttackSettings = field(default_factory=AttackSettings)
+    attack: AttackSettings = field(default_factory=lambda: AttackSettings(steps=200))
 
     def run(self) -> None:
         """Runs all stages that are not finished yet."""

@@ -33,7 +33,7 @@ def close_up(
     vehicles: VehicleBatch,
     *,
     gsd_m: float = 0.015,
-    side_m: float = 7.2,
+    side_m: float = 6.4,
     tilt_rad: float = 0.0,
     heading_rad: float = 0.0,
 ) -> UInt8[Tensor, "N 3 H W"]:
@@ -75,6 +75,6 @@ def portrait(
     rows = []
     for tilt_rad in (0.0, math.radians(40)):
         for worn in (vehicles, camouflage(vehicles)):
-            pictures = close_up(worn, tilt_rad=tilt_rad, heading_rad=math.radians(20), gsd_m=0.03)
+            pictures = close_up(worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=6.0)
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)
