@@ -77,7 +77,9 @@ def test_camera_and_sun_point_at_their_azimuth_and_height():
 
 
 def test_turning_goes_from_east_to_north():
-    turned = rotate_about_vertical(torch.tensor([[[1.0, 0.0, 5.0]], [[0.0, 1.0, 5.0]]]), torch.tensor([math.pi / 2] * 2))
+    turned = rotate_about_vertical(
+        torch.tensor([[[1.0, 0.0, 5.0]], [[0.0, 1.0, 5.0]]]), torch.tensor([math.pi / 2] * 2)
+    )
     torch.testing.assert_close(turned, torch.tensor([[[0.0, 1.0, 5.0]], [[-1.0, 0.0, 5.0]]]), atol=1e-6, rtol=0)
 
 

@@ -123,6 +123,6 @@ def scene(
         BackgroundWindow("tile", 0.0, 0.0, 0.0),
         Camera(math.radians(tilt_deg), 0.7, 0.125, size_px),
         Sun(2.0, math.radians(sun_elevation_deg)),
-        tuple(Placement("box-0000", x, y, math.radians(heading)) for x, y, heading in places),
+        tuple(Placement("box-0000", float(x), float(y), math.radians(heading)) for x, y, heading in places),
         seed,
     )
