@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from safetensors.torch import save_file
 
 from skyproof.camouflage.camouflage import NoCamouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
@@ -144,10 +145,8 @@ def test_damage_is_one_error_that_names_the_file(tmp_path, name, spoil):
 
 def test_a_map_of_another_size_is_damage(tmp_path):
     stored(tmp_path / "one")
-    from safetensors.torch import save_file
-
     save_file({"texture": torch.zeros(3, 8, 8)}, tmp_path / "one" / "camouflage.safetensors")
-    with pytest.raises(StoredFileError, match="camouflage.safetensors"):
+    with pytest.raises(StoredFileError, match=r"camouflage\.safetensors"):
         load_camouflage(tmp_path / "one")
 
 

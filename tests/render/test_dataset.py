@@ -80,7 +80,8 @@ def test_a_camouflage_changes_pixels_of_the_vehicle_and_no_labels(fleet):
     near = torch.nn.functional.max_pool2d(whole[:, None].float(), side, stride=1, padding=side // 2)[:, 0] > 0
     near = near[:, 32:128, 32:128]
     assert not (differs & ~near).any()
-    assert differs[masks].float().mean() > 0.99
+    # I_bg + G(I_fg - I_bg) keeps the ground's fine detail; its blackest pixels are clipped in both images.
+    assert differs[masks].float().mean() > 0.97
     change = (original.image - camouflaged.image).abs().amax(1)
     assert change[masks].median() > 0.05
     assert not differs[2].any(), "the scene without vehicles"

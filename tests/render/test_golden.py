@@ -42,7 +42,8 @@ def two_boxes_at_the_border():
 
 def one_box_without_blur():
     sharp = dataclasses.replace(SETTINGS, blur_sigma_px=0.0)
-    return TorchRenderer(PlainGround(0.3), sharp)([scene((0.0, 0.0, 80.0), tilt_deg=20.0, size_px=64)], vehicles(seed=3))
+    place = scene((0.0, 0.0, 80.0), tilt_deg=20.0, size_px=64)
+    return TorchRenderer(PlainGround(0.3), sharp)([place], vehicles(seed=3))
 
 
 def fleet_vehicles():
