@@ -1,4 +1,4 @@
-"""The house keeps its plan: which package may import which, read from the syntax trees (docs: imports run downwards)."""
+"""Which package may import which, read from the syntax trees: imports run downwards."""
 
 import ast
 from pathlib import Path
