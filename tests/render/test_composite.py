@@ -101,8 +101,9 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
 def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     settings = RenderSettings()
     photograph = noise_photograph().float()
-    body, shadow = layer(9, 1).float(), layer(9, 2)[:, 3:].float()
-    image = compose(photograph, body, [(20, 20)], shadow, [(20, 20)], settings)
+    # Layers with an empty rim: its pixels are computed, and must come out as they were.
+    body, shadow = (torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2))
+    image = compose(photograph, body, [(14, 14)], shadow[:, 3:], [(14, 14)], settings)
     untouched = torch.ones(48, 48, dtype=torch.bool)
     untouched[12:37, 12:37] = False
     assert torch.equal(image[0][:, untouched], photograph[0][:, untouched])
