@@ -1,5 +1,6 @@
 """Small closed bodies on a template of their own, so that renderer tests do not depend on the fleet."""
 
+import dataclasses
 import math
 
 import torch
@@ -60,7 +61,8 @@ def rounded_box(
         for c in range(columns):
             around = 2 * math.pi * c / columns
             radius = bent(math.sin(polar))
-            points.append((bent(math.cos(polar)), radius * bent(math.sin(around)), radius * bent(math.cos(around))))
+            # As in the fleet's template: from the middle of the underside up the left side, so faces look outward.
+            points.append((bent(math.cos(polar)), radius * bent(math.sin(around)), -radius * bent(math.cos(around))))
     points += [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]
     half = torch.tensor([length_m, width_m, height_m]) / 2
     return (torch.tensor(points) * half + torch.tensor([0.0, 0.0, height_m / 2]))[None]
@@ -86,16 +88,25 @@ def vehicles(count: int = 1, seed: int = 0) -> VehicleBatch:
     )
 
 
+def double(batch: VehicleBatch) -> VehicleBatch:
+    """The same vehicles in float64, for gradient checks."""
+    template = batch.template
+    template = dataclasses.replace(template, uvs=template.uvs.double(), vertex_uvs=template.vertex_uvs.double())
+    return dataclasses.replace(
+        batch, template=template, vertices=batch.vertices.double(), texture=batch.texture.double()
+    )
+
+
 class PlainGround:
     """A background source: one grey, or noise with a fixed seed."""
 
-    def __init__(self, value: float | None = 0.4) -> None:
-        self.value = value
+    def __init__(self, value: float | None = 0.4, dtype: torch.dtype = torch.float32) -> None:
+        self.value, self.dtype = value, dtype
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:
-            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7))
-        return torch.full((3, size_px, size_px), self.value)
+            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7)).to(self.dtype)
+        return torch.full((3, size_px, size_px), self.value, dtype=self.dtype)
 
 
 def scene(
@@ -112,6 +123,6 @@ def scene(
         BackgroundWindow("tile", 0.0, 0.0, 0.0),
         Camera(math.radians(tilt_deg), 0.7, 0.125, size_px),
         Sun(2.0, math.radians(sun_elevation_deg)),
-        tuple(Placement("box-0000", x, y, math.radians(heading)) for x, y, heading in places),
+        tuple(Placement("box-0000", float(x), float(y), math.radians(heading)) for x, y, heading in places),
         seed,
     )

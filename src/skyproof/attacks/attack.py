@@ -117,7 +117,7 @@ def attack(
 
     Raises:
         RunFolderError: the folder holds an attack with other settings, or the disk is full.
-        StoredFileError: the checkpoint is damaged.
+        StoredFileError: the checkpoint, or a finished camouflage, is damaged.
     """
     folder = Path(folder)
     identity = {
@@ -128,7 +128,11 @@ def attack(
     }
     if (folder / "camouflage.json").exists():
         _same_attack(read_json(folder / "camouflage.json").get("record", {}).get("attack"), identity, folder)
-        camouflage.load_state_dict(load_file(folder / "camouflage.safetensors"))
+        path = folder / "camouflage.safetensors"
+        try:
+            camouflage.load_state_dict(load_file(path))
+        except (SafetensorError, OSError, RuntimeError) as error:
+            raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
         return camouflage
     run = _Run(camouflage, settings, identity)
     run.resume(folder)

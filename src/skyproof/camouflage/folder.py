@@ -58,7 +58,9 @@ def load_camouflage(folder: Path) -> Camouflage:
         return NoCamouflage()
     if document.get("kind") != "UniversalTexture":
         raise StoredFileError(f"{path} holds a {document.get('kind')!r}, unknown to this version; make it again.")
-    camouflage = UniversalTexture(str(document["name"]), generator=torch.Generator().manual_seed(0))
+    if not isinstance(document.get("name"), str):
+        raise StoredFileError(f"{path} is damaged (it has no name); make the camouflage again.")
+    camouflage = UniversalTexture(document["name"], generator=torch.Generator().manual_seed(0))
     weights = Path(folder) / "camouflage.safetensors"
     try:
         camouflage.load_state_dict(load_file(weights))

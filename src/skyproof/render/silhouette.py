@@ -64,7 +64,7 @@ def silhouette_points(
         pieces = length.ceil().clamp(min=1).long()
         row = torch.repeat_interleave(torch.arange(len(pieces), device=screen.device), pieces)
         step = torch.arange(len(row), device=screen.device) - (pieces.cumsum(0) - pieces)[row]
-        along = ((step + 0.5) / pieces[row])[:, None]
+        along = ((step.to(screen.dtype) + 0.5) / pieces[row])[:, None]
         vehicle, edge = vehicle[row], edge[row]
         start_index, end_index = start_index[row], end_index[row]
 

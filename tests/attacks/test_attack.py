@@ -1,0 +1,264 @@
+"""The attack loop with stand-in detectors: it learns, it resumes exactly, and it refuses what cannot work."""
+
+import dataclasses
+import json
+
+import pytest
+import torch
+from torch import nn
+
+from skyproof.attacks.attack import AttackSettings, AttackWorld, attack
+from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.folder import weights_digest
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.backgrounds import write_procedural_backgrounds
+from skyproof.scenes.sampling import SceneSettings
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+
+SCENES = SceneSettings(size_px=96, vehicles_maximum=1)
+FEW = AttackSettings(steps=7, batch_size=2, balance_batches=2, preview_every=4, checkpoint_every=3, learning_rate=0.1)
+
+
+class StandIn(TrainableDetector):
+    """Two convolutions; every answer above none raises the loss."""
+
+    size = "slim"
+
+    def __init__(self, name="one", seed=0, scale=1.0):
+        super().__init__()
+        self.name, self.scale = name, scale
+        self.first, self.norm = nn.Conv2d(3, 6, 5, stride=2), nn.BatchNorm2d(6)
+        self.second = nn.Conv2d(6, 1, 3)
+        draw = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            for weight in self.parameters():
+                weight.copy_(torch.randn(weight.shape, generator=draw) * 0.3)
+
+    def loss(self, images, targets):
+        assert all(len(target) == 0 for target in targets)
+        answers = self.second(torch.relu(self.norm(self.first(images)))).flatten(1)
+        return self.scale * nn.functional.softplus(8 * answers).mean(1)
+
+
+class Restless(StandIn):
+    """A detector that counts its calls in a buffer."""
+
+    def __init__(self):
+        super().__init__("restless")
+        self.register_buffer("calls", torch.zeros(1))
+
+    def loss(self, images, targets):
+        self.calls += 1
+        return super().loss(images, targets)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    backgrounds = write_procedural_backgrounds(tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0)
+    fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
+    return AttackWorld(TorchRenderer(backgrounds), backgrounds, fleet, SCENES)
+
+
+def start(seed=0):
+    return UniversalTexture("T-U", generator=torch.Generator().manual_seed(seed))
+
+
+def rows(folder):
+    return [json.loads(line) for line in (folder / "steps.jsonl").read_text().splitlines()]
+
+
+def without_seconds(folder):
+    return [{key: value for key, value in row.items() if key != "seconds"} for row in rows(folder)]
+
+
+@torch.no_grad()
+def mean_loss(camouflage, detectors, world):
+    """On scenes that no attack in this file draws."""
+    scenes = world.draw(8, generator=torch.Generator().manual_seed(12345))
+    images = world.renderer(scenes, camouflage(placed_vehicles(world.fleet, scenes))).image
+    return {name: float(loss.mean()) for name, loss in empty_truth_losses(detectors, images).items()}
+
+
+def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, world):
+    detectors = [StandIn("one", 0).eval(), StandIn("two", 1, scale=300.0).eval()]
+    before = [weights_digest(detector) for detector in detectors]
+    camouflage, seen = start(), []
+    untouched = mean_loss(camouflage, detectors, world)
+    settings = AttackSettings(steps=15, batch_size=4, learning_rate=0.1, balance_batches=2, preview_every=10)
+    result = attack(camouflage, detectors, world, settings, tmp_path, on_step=seen.append)
+    attacked = mean_loss(result, detectors, world)
+    # Vehicles are a twentieth of the image. Other random maps move the loss by less than a thousandth.
+    control = mean_loss(start(seed=1), detectors, world)
+    for name in untouched:
+        assert abs(control[name] - untouched[name]) < 0.005 * untouched[name], (untouched, control)
+        assert attacked[name] < 0.97 * untouched[name], (untouched, attacked)
+    assert [weights_digest(detector) for detector in detectors] == before
+    assert all(not detector.training for detector in detectors)
+
+    table = rows(tmp_path)
+    assert table == seen
+    assert [row["step"] for row in table] == list(range(1, 16))
+    losses = [row["loss"] for row in table]
+    assert sum(losses[-4:]) < 0.97 * sum(losses[:4]), losses
+    # The weights bring both first losses to 1, though one is 300 times the other (PAPER 24).
+    weights, first = table[0]["weights"], table[0]["losses"]
+    for name in ("one", "two"):
+        assert weights[name] * first[name] == pytest.approx(1.0, abs=0.35)
+    for row in table:
+        assert row["loss"] == pytest.approx(sum(weights[name] * row["losses"][name] for name in weights))
+
+    stored = load_camouflage(tmp_path)
+    assert torch.equal(stored.texture, result.texture)
+    assert torch.equal((stored.texture * 255).round() / 255, stored.texture)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "steps.jsonl",
+        "previews",
+        "texture.png",
+        "camouflage.json",
+        "camouflage.safetensors",
+    }
+    assert {path.name for path in (tmp_path / "previews").iterdir()} == {"000001.png", "000010.png", "000015.png"}
+
+
+def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
+    whole = attack(start(), [StandIn()], world, FEW, tmp_path / "whole")
+
+    def kill(row):
+        if row["step"] == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        attack(start(), [StandIn()], world, FEW, tmp_path / "killed", on_step=kill)
+    assert not (tmp_path / "killed" / "camouflage.json").exists()
+    done = []
+    resumed = attack(start(seed=9), [StandIn()], world, FEW, tmp_path / "killed", on_step=done.append)
+    # The last checkpoint was after step 3; the parameters come from there, not from the caller.
+    assert [row["step"] for row in done] == [4, 5, 6, 7]
+    assert torch.equal(whole.texture, resumed.texture)
+    assert without_seconds(tmp_path / "whole") == without_seconds(tmp_path / "killed")
+    assert [row["step"] for row in rows(tmp_path / "killed")] == [1, 2, 3, 4, 5, 6, 7]
+
+    # Both folders are finished now; a third call neither computes nor writes.
+    written = {path: path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*")}
+    again = attack(start(seed=5), [StandIn()], world, FEW, tmp_path / "killed", on_step=kill)
+    assert torch.equal(again.texture, whole.texture)
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*")} == written
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(start(), [StandIn()], world, dataclasses.replace(FEW, seed=1), tmp_path / "killed")
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(start(), [StandIn("other")], world, FEW, tmp_path / "killed")
+
+    (tmp_path / "killed" / "camouflage.safetensors").write_bytes(b"damaged")
+    with pytest.raises(StoredFileError, match=r"camouflage\.safetensors"):
+        attack(start(), [StandIn()], world, FEW, tmp_path / "killed")
+
+
+def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, world):
+    def kill(row):
+        if row["step"] == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        attack(start(), [StandIn()], world, FEW, tmp_path, on_step=kill)
+    other = dataclasses.replace(FEW, learning_rate=0.2)
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(start(), [StandIn()], world, other, tmp_path)
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"damaged")
+    with pytest.raises(StoredFileError, match=r"checkpoint\.safetensors"):
+        attack(start(), [StandIn()], world, FEW, tmp_path)
+
+
+def test_an_attack_does_not_depend_on_the_global_generator(tmp_path, world):
+    short = dataclasses.replace(FEW, steps=2, balance_batches=1)
+    torch.manual_seed(0)
+    one = attack(start(), [StandIn()], world, short, tmp_path / "one")
+    detector = StandIn()
+    torch.manual_seed(1)
+    before = torch.random.get_rng_state()
+    two = attack(start(), [detector], world, short, tmp_path / "two")
+    assert torch.equal(one.texture, two.texture)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    other = attack(start(), [StandIn()], world, dataclasses.replace(short, seed=1), tmp_path / "three")
+    assert not torch.equal(one.texture, other.texture)
+
+
+def test_colours_stay_within_bounds_at_every_step(tmp_path, world):
+    camouflage, extremes = start(), []
+
+    def look(row):
+        extremes.append((float(camouflage.texture.detach().min()), float(camouflage.texture.detach().max())))
+
+    fast = dataclasses.replace(FEW, steps=2, learning_rate=0.8, balance_batches=1)
+    attack(camouflage, [StandIn()], world, fast, tmp_path, on_step=look)
+    assert all(low >= 0 and high <= 1 for low, high in extremes)
+    assert extremes[-1] == (0.0, 1.0)
+
+
+def test_weights_bring_mean_first_losses_to_one():
+    assert balanced_weights({"a": [2.0, 4.0], "b": [0.001]}) == pytest.approx({"a": 1 / 3, "b": 1000.0})
+
+
+def test_losses_are_per_image_and_per_detector():
+    images = torch.rand(3, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+    losses = empty_truth_losses([StandIn("one").eval(), StandIn("two", 1).eval()], images)
+    assert {name: tuple(value.shape) for name, value in losses.items()} == {"one": (3,), "two": (3,)}
+    assert not torch.equal(losses["one"], losses["two"])
+
+
+def test_frozen_puts_detectors_into_evaluation_without_weight_gradients():
+    detector = StandIn().train()
+    with frozen([detector]):
+        assert not detector.training
+        assert not any(weight.requires_grad for weight in detector.parameters())
+        detector.loss(torch.rand(2, 3, 48, 48), [torch.zeros(0, 4)] * 2)
+
+
+def test_frozen_notices_a_changed_buffer_or_weight():
+    detector = StandIn()
+    with pytest.raises(RuntimeError, match="one changed"), frozen([detector]):
+        detector.norm.running_mean += 1e-3
+    with pytest.raises(RuntimeError, match="one changed"), frozen([detector]):
+        detector.first.weight[0, 0, 0, 0] += 1e-6
+
+
+def test_an_attack_on_a_detector_that_changes_is_no_result(tmp_path, world):
+    short = dataclasses.replace(FEW, steps=1, balance_batches=1)
+    with pytest.raises(RuntimeError, match="restless"):
+        attack(start(), [Restless()], world, short, tmp_path)
+    assert not (tmp_path / "camouflage.json").exists()
+
+
+def test_a_renderer_without_gradients_is_refused(world):
+    renderer = TorchRenderer(world.backgrounds)
+    renderer.differentiable = False
+    with pytest.raises(ConfigurationError, match="differentiable"):
+        dataclasses.replace(world, renderer=renderer)
+
+
+@pytest.mark.parametrize(("minimum", "maximum"), [(2, 2), (1, 2), (0, 1)])
+def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
+    scenes = SceneSettings(size_px=96, vehicles_minimum=minimum, vehicles_maximum=maximum)
+    with pytest.raises(ConfigurationError, match="one vehicle"):
+        dataclasses.replace(world, scenes=scenes)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"steps": 0},
+        {"batch_size": 0},
+        {"balance_batches": 0},
+        {"preview_every": 0},
+        {"checkpoint_every": 0},
+        {"learning_rate": 0.0},
+    ],
+    ids=lambda changed: next(iter(changed)),
+)
+def test_settings_that_cannot_work_are_refused(changed):
+    with pytest.raises(ConfigurationError):
+        AttackSettings(**changed)

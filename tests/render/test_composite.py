@@ -1,0 +1,168 @@
+"""Compositing and blur against a separate NumPy implementation (PAPER 12)."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from skyproof.render.composite import composite
+from skyproof.render.layers import Windows
+from skyproof.render.settings import RenderSettings
+
+
+def to_linear(srgb):
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear):
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def blurred(picture, sigma_px):
+    """A two-dimensional kernel of k x k, k = 6 ceil(sigma) - 1, applied by adding shifted copies."""
+    side = 6 * math.ceil(sigma_px) - 1
+    steps = np.arange(side) - side // 2
+    kernel = np.exp(-(steps[:, None] ** 2 + steps[None, :] ** 2) / (2 * sigma_px**2))
+    kernel /= kernel.sum()
+    height, width = picture.shape[1:]
+    padded = np.pad(picture, ((0, 0), (side // 2, side // 2), (side // 2, side // 2)))
+    total = np.zeros_like(picture)
+    for row in range(side):
+        for column in range(side):
+            total += kernel[row, column] * padded[:, row : row + height, column : column + width]
+    return total
+
+
+def place(canvas, layer, left, top, margin):
+    size = layer.shape[-1]
+    canvas[:, top + margin : top + margin + size, left + margin : left + margin + size] = layer
+
+
+def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
+    """I = I_bg + G(I_fg - I_bg) in linear light, on a canvas that repeats the photograph's edge pixels."""
+    size = photograph.shape[-1]
+    ground = to_linear(np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge"))
+    drawn, shade = np.zeros((4, *ground.shape[1:])), np.zeros((1, *ground.shape[1:]))
+    place(drawn, body, *body_at, margin)
+    place(shade, shadow, *shadow_at, margin)
+    front = ground * (1 - shade + settings.sky_share * shade) * (1 - drawn[3]) + drawn[:3]
+    mixed = to_srgb(ground + blurred(front - ground, settings.blur_sigma_px))
+    return mixed[:, margin : margin + size, margin : margin + size]
+
+
+def layer(size, seed):
+    draw = torch.Generator().manual_seed(seed)
+    coverage = torch.rand(1, size, size, dtype=torch.float64, generator=draw)
+    return torch.cat((torch.rand(3, size, size, dtype=torch.float64, generator=draw) * coverage, coverage))[None]
+
+
+def compose(photograph, bodies, body_at, shadows, shadow_at, settings, scene=(0,), nearness=(0.0,), seeds=(0,)):
+    return composite(
+        photograph,
+        (Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
+        (Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
+        torch.tensor(scene),
+        torch.tensor(nearness, dtype=photograph.dtype),
+        list(seeds),
+        settings,
+    )
+
+
+def noise_photograph(count=1, size=48, seed=9):
+    return torch.rand(count, 3, size, size, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("sigma_px", [2.4, 1.0, 0.6])
+@pytest.mark.parametrize("body_at", [(17, 20), (-5, 40)])
+def test_a_hand_made_layer_is_composited_as_numpy_does(sigma_px, body_at):
+    settings = RenderSettings(blur_sigma_px=sigma_px, noise=0.0)
+    photograph, body, shadow = noise_photograph(), layer(11, 1), layer(13, 2)[:, 3:]
+    shadow_at = (body_at[0] + 4, body_at[1] - 6)
+    image = compose(photograph, body, [body_at], shadow, [shadow_at], settings)
+    expected = by_hand(photograph[0].numpy(), body[0].numpy(), body_at, shadow[0].numpy(), shadow_at, settings)
+    np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("sigma_px", "side"), [(2.4, 17), (1.0, 5), (3.2, 23), (0.0, 1)])
+def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side):
+    # White on black: what arrives is the kernel itself.
+    settings = RenderSettings(blur_sigma_px=sigma_px, noise=0.0)
+    photograph = torch.zeros(1, 3, 48, 48, dtype=torch.float64)
+    dot, nothing = torch.ones(1, 4, 1, 1, dtype=torch.float64), torch.zeros(1, 1, 1, 1, dtype=torch.float64)
+    image = compose(photograph, dot, [(24, 24)], nothing, [(24, 24)], settings)
+    reached = image[0, 0] > 0
+    rows, columns = reached.any(1).nonzero()[:, 0], reached.any(0).nonzero()[:, 0]
+    assert (rows.tolist(), columns.tolist()) == ([*range(24 - side // 2, 25 + side // 2)],) * 2
+    assert to_linear(image[0].numpy()).sum() == pytest.approx(3.0, abs=1e-6)
+
+
+def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
+    settings = RenderSettings()
+    photograph = noise_photograph().float()
+    # Layers with an empty rim: its pixels are computed, and must come out as they were.
+    body, shadow = (torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2))
+    image = compose(photograph, body, [(14, 14)], shadow[:, 3:], [(14, 14)], settings)
+    untouched = torch.ones(48, 48, dtype=torch.bool)
+    untouched[12:37, 12:37] = False
+    assert torch.equal(image[0][:, untouched], photograph[0][:, untouched])
+    assert (image != photograph)[0, :, 14:35, 14:35].float().mean() > 0.99
+
+
+def test_full_shadow_leaves_the_skys_share_of_the_linear_light():
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0, sky_share=0.3)
+    photograph = noise_photograph()
+    nothing = torch.zeros(1, 4, 1, 1, dtype=torch.float64)
+    shade = torch.ones(1, 1, 10, 10, dtype=torch.float64)
+    image = compose(photograph, nothing, [(5, 5)], shade, [(10, 12)], settings)
+    shaded = to_linear(image[0, :, 12:22, 10:20].numpy())
+    np.testing.assert_allclose(shaded, 0.3 * to_linear(photograph[0, :, 12:22, 10:20].numpy()), atol=1e-9)
+
+
+@pytest.mark.parametrize("nearness", [(1.0, 0.0), (0.0, 1.0)])
+def test_the_nearer_vehicle_hides_the_farther_one(nearness):
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+    red, blue = torch.zeros(2, 4, 8, 8, dtype=torch.float64)
+    red[[0, 3]], blue[[2, 3]] = 1.0, 1.0
+    nothing = torch.zeros(2, 1, 1, 1, dtype=torch.float64)
+    image = compose(
+        noise_photograph(), torch.stack((red, blue)), [(10, 10), (14, 12)], nothing, [(10, 10)] * 2, settings,
+        scene=(0, 0), nearness=nearness,
+    )  # fmt: skip
+    both = image[0, :, 12:18, 14:18]
+    expected = [1.0, 0.0, 0.0] if nearness[0] > nearness[1] else [0.0, 0.0, 1.0]
+    torch.testing.assert_close(both, torch.tensor(expected, dtype=torch.float64)[:, None, None].expand_as(both))
+
+
+def test_two_shadows_on_one_place_shade_it_once():
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+    photograph, nothing = noise_photograph(), torch.zeros(2, 4, 1, 1, dtype=torch.float64)
+    shade = torch.ones(2, 1, 6, 6, dtype=torch.float64)
+    twice = compose(photograph, nothing, [(0, 0)] * 2, shade, [(10, 10)] * 2, settings, (0, 0), (0.0, 1.0))
+    once = compose(photograph, nothing[:1], [(0, 0)], shade[:1], [(10, 10)], settings)
+    assert torch.equal(once, twice)
+
+
+def test_vehicles_land_in_their_own_image():
+    settings = RenderSettings(noise=0.0)
+    photographs, bodies = noise_photograph(3), torch.cat((layer(9, 1), layer(9, 2), layer(9, 3)))
+    shadows = torch.zeros(3, 1, 9, 9, dtype=torch.float64)
+    at = [(5, 5), (30, 8), (12, 28)]
+    image = compose(photographs, bodies, at, shadows, at, settings, (2, 0, 2), (0.0, 0.0, 1.0), (1, 2, 3))
+    assert torch.equal(image[1], photographs[1])
+    alone = compose(photographs[:1], bodies[1:2], at[1:2], shadows[:1], at[1:2], settings)
+    torch.testing.assert_close(image[:1], alone, atol=1e-12, rtol=0)
+
+
+def test_noise_lies_on_rendered_pixels_with_the_strength_asked_for():
+    settings = RenderSettings(noise=0.02, blur_sigma_px=1.0)
+    photograph = torch.full((1, 3, 96, 96), 0.5, dtype=torch.float64)
+    body = torch.ones(1, 4, 60, 60, dtype=torch.float64) * 0.2
+    body[:, 3] = 1.0
+    nothing = torch.zeros(1, 1, 1, 1, dtype=torch.float64)
+    image = compose(photograph, body, [(18, 18)], nothing, [(18, 18)], settings, seeds=(4,))
+    inside, other = image[0, :, 25:70, 25:70], compose(photograph, body, [(18, 18)], nothing, [(0, 0)], settings)
+    assert float(inside.std()) == pytest.approx(0.02, rel=0.05)
+    assert not torch.equal(image, other), "another seed was meant to give other noise"
+    assert torch.equal(image[0, :, :10], photograph[0, :, :10])

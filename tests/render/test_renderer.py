@@ -1,0 +1,230 @@
+"""Whole images: where shadows fall, how roofs lean, which way vehicles face, and what batches must not change."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from skyproof.geometry.colour import srgb_to_linear
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.scene import Placement
+from tests.render.bodies import PlainGround, rounded_box, scene, vehicles
+
+# Neither blur nor noise: what is drawn can be measured to the pixel.
+SHARP = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+GSD = 0.125
+
+
+def post(height_m=3.0, side_m=1.0):
+    """A box with nearly sharp edges."""
+    return dataclasses.replace(vehicles(), vertices=rounded_box(side_m, side_m, height_m, power=0.1))
+
+
+def lit_from(place, azimuth_deg, elevation_deg):
+    sun = dataclasses.replace(
+        place.sun, azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg)
+    )
+    return dataclasses.replace(place, sun=sun)
+
+
+def seen_from(place, azimuth_deg, tilt_deg):
+    camera = dataclasses.replace(place.camera, azimuth_rad=math.radians(azimuth_deg), tilt_rad=math.radians(tilt_deg))
+    return dataclasses.replace(place, camera=camera)
+
+
+def reach_m(pixels, azimuth_deg):
+    """How far the pixels' centres reach from the image's middle towards an azimuth, metres."""
+    rows, columns = pixels.nonzero(as_tuple=True)
+    middle = pixels.shape[0] / 2
+    east, north = (columns + 0.5 - middle) * GSD, (middle - rows - 0.5) * GSD
+    azimuth = math.radians(azimuth_deg)
+    return float((east * math.cos(azimuth) + north * math.sin(azimuth)).max())
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("elevation_deg", [35, 60])
+def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(azimuth_deg, elevation_deg):
+    place = lit_from(scene((0, 0, 0), tilt_deg=0.0, size_px=112), azimuth_deg, elevation_deg)
+    frames = TorchRenderer(PlainGround(0.4), SHARP)([place], post(), masks=True)
+    shaded = (frames.image[0] < 0.39).all(0) & ~frames.masks[0]
+    length_m = 3.0 / math.tan(math.radians(elevation_deg))
+    assert reach_m(shaded, azimuth_deg + 180) == pytest.approx(length_m + 0.5, abs=1.5 * GSD)
+    # Half the post is 0.5 m; nothing is dark beyond it on the sun's side or beside it.
+    assert reach_m(shaded, azimuth_deg) < 0.5 + GSD
+    assert reach_m(shaded, azimuth_deg + 90) < 0.5 + GSD
+
+
+def test_shaded_ground_keeps_the_skys_share_of_its_linear_light():
+    place = lit_from(scene((0, 0, 0), tilt_deg=0.0), 0, 45)
+    renderer = TorchRenderer(PlainGround(None), dataclasses.replace(SHARP, sky_share=0.3))
+    image = renderer([place], post(side_m=2.0)).image
+    photograph = renderer.photographs([place], torch.device("cpu"))
+    # Between 1.5 and 3.5 m west of the middle, in the middle of the shadow.
+    west = slice(48 - 28, 48 - 12)
+    shaded, open_ground = (srgb_to_linear(each[0, :, 44:52, west]) for each in (image, photograph))
+    torch.testing.assert_close(shaded, 0.3 * open_ground, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
+def test_the_roof_leans_away_from_the_camera_by_height_times_tangent_of_tilt(azimuth_deg):
+    place = seen_from(scene((0, 0, 0), size_px=96), azimuth_deg, 20)
+    frames = TorchRenderer(PlainGround(0.4), SHARP)([place], post(), masks=True)
+    lean_m = 3.0 * math.tan(math.radians(20))
+    assert reach_m(frames.masks[0], azimuth_deg + 180) == pytest.approx(0.5 + lean_m, abs=1.5 * GSD)
+    # The foot stays on the ground where it stands.
+    assert reach_m(frames.masks[0], azimuth_deg) == pytest.approx(0.5, abs=1.5 * GSD)
+    middle_px = frames.centres[0] - 48
+    lean_px = lean_m / 2 / GSD
+    away = math.radians(azimuth_deg + 180)
+    assert middle_px.tolist() == pytest.approx([lean_px * math.cos(away), -lean_px * math.sin(away)], abs=0.01)
+
+
+@pytest.mark.parametrize(("heading_deg", "towards"), [(0, (1, 0)), (90, (0, -1)), (180, (-1, 0)), (270, (0, 1))])
+def test_heading_turns_the_nose_from_east_to_north(heading_deg, towards):
+    # The first half of the map, from the nose to the middle, is red; the rest is blue.
+    texture = torch.zeros(1, 3, 512, 512)
+    texture[:, 0, :256], texture[:, 2, 256:] = 0.9, 0.9
+    batch = dataclasses.replace(vehicles(), texture=texture)
+    image = TorchRenderer(PlainGround(0.0), SHARP)([scene((0, 0, heading_deg), tilt_deg=0.0)], batch).image[0]
+    ahead, behind = ([48 + sign * 10 * step for step in towards] for sign in (1, -1))
+    nose, tail = image[:, ahead[1], ahead[0]], image[:, behind[1], behind[0]]
+    assert nose[0] > 2 * nose[2]
+    assert tail[2] > 2 * tail[0]
+
+
+def test_vehicles_stand_east_to_the_right_and_north_upwards():
+    place = scene((2.0, 3.0, 0.0), tilt_deg=0.0)
+    frames = TorchRenderer(PlainGround(0.4))([place], vehicles(), masks=True)
+    assert frames.centres[0].tolist() == pytest.approx([48 + 16, 48 - 24], abs=1e-3)
+    rows, columns = frames.masks[0].nonzero(as_tuple=True)
+    assert float(columns.double().mean()) + 0.5 == pytest.approx(64, abs=0.3)
+    assert float(rows.double().mean()) + 0.5 == pytest.approx(24, abs=0.3)
+
+
+def test_labels_fit_what_is_drawn():
+    frames = TorchRenderer(PlainGround(0.4))([scene((0.4, -0.3, 30.0), tilt_deg=15.0)], vehicles(), masks=True)
+    rows, columns = frames.masks[0].nonzero(as_tuple=True)
+    drawn = [int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1]
+    assert frames.boxes[0].tolist() == pytest.approx(drawn, abs=1.0)
+    assert float(frames.visible_px) == pytest.approx(float(frames.masks.sum()), rel=0.03)
+    assert float(frames.visible_fraction) == 1.0
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_nearer_of_two_vehicles_hides_the_farther_one(order):
+    # The camera is in the east; the eastern vehicle leans over the western one.
+    east, west = (1.0, 0.0, 90.0), (-0.3, 0.0, 90.0)
+    place = seen_from(scene(*[east, west][::order], size_px=96), 0, 20)
+    colours = (
+        torch.tensor([[0.9, 0.05, 0.05], [0.05, 0.05, 0.9]])[::1]
+        if order == 1
+        else torch.tensor([[0.05, 0.05, 0.9], [0.9, 0.05, 0.05]])
+    )
+    batch = dataclasses.replace(vehicles(2), texture=colours[:, :, None, None].expand(2, 3, 512, 512).clone())
+    frames = TorchRenderer(PlainGround(0.4), dataclasses.replace(SHARP, reflectance=0.0))([place], batch, masks=True)
+    both = frames.masks[0] & frames.masks[1]
+    assert both.sum() > 50
+    red, _, blue = frames.image[0][:, both]
+    assert (red > blue).float().mean() > 0.97
+
+
+def test_a_vehicle_at_the_border_is_the_middle_of_a_larger_image():
+    # Plain ground, so that the blur has the same ground beyond the border.
+    settings = RenderSettings(noise=0.0)
+    small, large = (scene((5.4, -5.8, 25.0), size_px=size) for size in (96, 160))
+    renderer = TorchRenderer(PlainGround(0.4), settings)
+    at_border, whole = renderer([small], vehicles(), masks=True), renderer([large], vehicles(), masks=True)
+    torch.testing.assert_close(at_border.image, whole.image[..., 32:128, 32:128], atol=1e-5, rtol=0)
+    assert torch.equal(at_border.masks, whole.masks[:, 32:128, 32:128])
+    assert at_border.boxes[0, 2:].tolist() == [96.0, 96.0]
+    assert at_border.boxes[0, :2].tolist() == pytest.approx((whole.boxes[0, :2] - 32).tolist(), abs=1e-3)
+    share = float(at_border.visible_px / whole.visible_px)
+    assert 0.1 < share < 0.9
+    assert float(at_border.visible_fraction) == pytest.approx(share, abs=1e-6)
+
+
+def test_a_vehicle_outside_the_image_changes_nothing_and_is_not_visible():
+    renderer = TorchRenderer(PlainGround(None))
+    place = scene((40.0, 0.0, 0.0))
+    frames = renderer([place], vehicles(), masks=True)
+    assert torch.equal(frames.image, renderer.photographs([place], torch.device("cpu")))
+    assert float(frames.visible_px) == float(frames.visible_fraction) == 0.0
+    assert not frames.masks.any()
+
+
+def test_scenes_without_vehicles_are_their_photographs():
+    renderer = TorchRenderer(PlainGround(None))
+    nobody = [scene(name="a"), scene(name="b")]
+    frames = renderer(nobody, vehicles(0), masks=True)
+    assert torch.equal(frames.image, renderer.photographs(nobody, torch.device("cpu")))
+    assert frames.boxes.shape == (0, 4)
+    assert frames.masks.shape == (0, 96, 96)
+    mixed = renderer([nobody[0], scene((0, 0, 0))], vehicles(1))
+    assert torch.equal(mixed.image[0], frames.image[0])
+    assert mixed.scene_index.tolist() == [1]
+
+
+def test_a_scene_is_the_same_alone_and_within_a_batch():
+    batch, renderer = vehicles(4, seed=2), TorchRenderer(PlainGround(None))
+    scenes = [
+        scene((2.5, 1.0, 10.0), tilt_deg=3.0, seed=1, name="a"),
+        scene((0.3, -0.2, 77.0), (-3.0, 2.5, 200.0), tilt_deg=17.0, seed=2, name="b"),
+        scene((-4.0, 4.0, 300.0), tilt_deg=9.0, sun_elevation_deg=25.0, seed=3, name="c"),
+    ]
+    together = renderer(scenes, batch, masks=True)
+    for index, rows in enumerate(([0], [1, 2], [3])):
+        own = dataclasses.replace(
+            batch, vertices=batch.vertices[rows], texture=batch.texture[rows], parts=batch.parts[rows],
+            ids=tuple(batch.ids[row] for row in rows),
+        )  # fmt: skip
+        alone = renderer([scenes[index]], own, masks=True)
+        torch.testing.assert_close(together.image[index], alone.image[0], atol=1e-6, rtol=0)
+        assert torch.equal(together.masks[rows], alone.masks)
+        torch.testing.assert_close(together.boxes[rows], alone.boxes, atol=1e-4, rtol=0)
+
+
+def test_the_seed_decides_the_noise_and_nothing_else_does():
+    renderer = TorchRenderer(PlainGround(None))
+    first, other = scene((0, 0, 20.0), seed=5), scene((0, 0, 20.0), seed=6)
+    torch.manual_seed(1)
+    one = renderer([first], vehicles()).image
+    torch.manual_seed(2)
+    assert torch.equal(one, renderer([first], vehicles()).image)
+    different = (one - renderer([other], vehicles()).image).abs()
+    assert different.max() > 1e-3
+    quiet = RenderSettings(noise=0.0)
+    still = TorchRenderer(PlainGround(None), quiet)
+    assert torch.equal(still([first], vehicles()).image, still([other], vehicles()).image)
+
+
+def test_another_vehicle_far_away_leaves_pixels_and_their_noise_alone():
+    renderer, batch = TorchRenderer(PlainGround(None)), vehicles(2)
+    first = dataclasses.replace(
+        batch, vertices=batch.vertices[:1], texture=batch.texture[:1], parts=batch.parts[:1], ids=batch.ids[:1]
+    )
+    alone = renderer([scene((4.0, 3.5, 20.0), size_px=128)], first).image
+    both = renderer([scene((4.0, 3.5, 20.0), (-4.0, -3.5, 70.0), size_px=128)], batch).image
+    torch.testing.assert_close(both[..., :64, 64:], alone[..., :64, 64:], atol=1e-6, rtol=0)
+    assert not torch.equal(both[..., 64:, :64], alone[..., 64:, :64])
+
+
+def test_the_number_of_vehicles_must_fit_the_scenes():
+    with pytest.raises(ValueError, match=r"\b1\b.*\b2\b|\b2\b.*\b1\b"):
+        TorchRenderer(PlainGround(0.4))([scene((0, 0, 0))], vehicles(2))
+
+
+def test_one_shared_map_equals_the_same_map_for_each_vehicle():
+    renderer, batch = TorchRenderer(PlainGround(0.4)), vehicles(2, seed=1)
+    place = [scene((2.0, 0, 0), (-3.0, 1.0, 90.0))]
+    shared = dataclasses.replace(batch, texture=batch.texture[:1])
+    each = dataclasses.replace(batch, texture=batch.texture[:1].expand(2, -1, -1, -1).clone())
+    assert torch.equal(renderer(place, shared).image, renderer(place, each).image)
+
+
+def test_a_placement_is_read_in_metres_from_the_middle_of_the_image():
+    place = scene()
+    place = dataclasses.replace(place, placements=(Placement("box-0000", -3.0, 0.0, 0.0),))
+    frames = TorchRenderer(PlainGround(0.4))([place], vehicles())
+    assert frames.centres[0, 0] < 48 - 3.0 / GSD + 3

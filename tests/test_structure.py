@@ -1,0 +1,166 @@
+"""Which package may import which, read from the syntax trees: imports run downwards."""
+
+import ast
+from pathlib import Path
+
+SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
+
+# From the ground up. A module imports from its own package and from lower floors, never from a neighbour.
+FLOORS = [
+    {"errors"},
+    {"files"},
+    {"geometry"},
+    {"scenes", "vehicles"},
+    {"camouflage", "render", "detectors"},
+    {"attacks", "evaluate"},
+    {"report"},
+    {"cli", "__main__", "__init__"},
+]
+FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
+
+
+def sources():
+    """Every module's dotted name below skyproof and its text."""
+    return {
+        ".".join(path.relative_to(SOURCE).with_suffix("").parts): path.read_text(encoding="utf-8")
+        for path in sorted(SOURCE.rglob("*.py"))
+    }
+
+
+def imports(text, *, at_import_time=False):
+    """Dotted names a module imports; with `at_import_time` only those outside functions."""
+    found, waiting = set(), [ast.parse(text)]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            # What is imported may be a module itself.
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        elif at_import_time and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        waiting += ast.iter_child_nodes(node)
+    return found
+
+
+def ours(names):
+    """Of dotted names, the part below skyproof."""
+    return {name.removeprefix("skyproof.") for name in names if name.startswith("skyproof.")}
+
+
+def upward_imports(modules):
+    wrong = []
+    for module, text in modules.items():
+        own = module.split(".")[0]
+        for package in {name.split(".")[0] for name in ours(imports(text))}:
+            if package != own and FLOOR.get(package, -1) >= FLOOR[own]:
+                wrong.append(f"{module} imports {package}")
+    return sorted(wrong)
+
+
+def reaches(start, modules, wanted):
+    """The modules, from `start` on, that load a package `wanted` when they are imported."""
+    seen, waiting, guilty = set(), [start], []
+    while waiting:
+        module = waiting.pop()
+        if module in seen or module not in modules:
+            continue
+        seen.add(module)
+        names = imports(modules[module], at_import_time=True)
+        if any(name.split(".")[0] == wanted for name in names):
+            guilty.append(module)
+        for name in ours(names):
+            parts = name.split(".")
+            # Importing a.b runs a's own file first.
+            waiting += [
+                ".".join([*parts[:end], *last]) for end in range(1, len(parts) + 1) for last in ([], ["__init__"])
+            ]
+    return sorted(guilty)
+
+
+def importers(modules, package):
+    return sorted(module for module, text in modules.items() if package in {n.split(".")[0] for n in imports(text)})
+
+
+def printers(modules):
+    """Modules that call print, or write to a stream of sys."""
+    found = []
+    for module, text in modules.items():
+        for node in ast.walk(ast.parse(text)):
+            if not isinstance(node, ast.Call):
+                continue
+            called = ast.unparse(node.func)
+            if called in ("print", "sys.stdout.write", "sys.stderr.write", "warnings.warn"):
+                found.append(module)
+    return sorted({module for module in found if module.split(".")[0] not in ("cli", "__main__")})
+
+
+def test_every_package_has_its_floor():
+    assert {module.split(".")[0] for module in sources()} <= set(FLOOR)
+
+
+def test_imports_run_downwards():
+    # So camouflage never imports render, and detectors never import attacks.
+    assert upward_imports(sources()) == []
+
+
+def test_geometry_needs_torch_alone():
+    for module, text in sources().items():
+        if module.startswith("geometry."):
+            outside = {name.split(".")[0] for name in imports(text)} - {"__future__", "functools", "math"}
+            assert outside <= {"torch", "jaxtyping", "skyproof"}, module
+            assert {name.split(".")[0] for name in ours(imports(text))} <= {"geometry"}, module
+
+
+def test_the_report_loads_no_torch():
+    modules = sources()
+    for module in modules:
+        if module.split(".")[0] == "report":
+            assert reaches(module, modules, "torch") == [], module
+
+
+def test_ultralytics_is_imported_in_one_file_and_only_when_used():
+    # Its licence is AGPL-3.0: whoever does not ask for YOLOv5 never loads it.
+    modules = sources()
+    assert importers(modules, "ultralytics") == ["detectors.yolov5"]
+    at_once = imports(modules["detectors.yolov5"], at_import_time=True)
+    assert not any(name.startswith("ultralytics") for name in at_once)
+
+
+def test_only_the_command_line_prints():
+    assert printers(sources()) == []
+
+
+def test_no_module_unpickles():
+    for module, text in sources().items():
+        assert not {"pickle", "joblib", "dill"} & {name.split(".")[0] for name in imports(text)}, module
+        assert "torch.load(" not in text, module
+
+
+def test_a_module_beyond_400_lines_has_a_second_subject():
+    assert {module: text.count("\n") for module, text in sources().items() if text.count("\n") > 400} == {}
+
+
+def test_these_rules_can_fail():
+    modules = {
+        "errors": "",
+        "camouflage.texture": "from skyproof.render.renderer import TorchRenderer",
+        "detectors.detector": "def later():\n    from skyproof.attacks import attack",
+        "vehicles.fleet": "import skyproof.scenes.scene",
+        "render.shade": "from skyproof.errors import SkyproofError\nfrom skyproof.render import settings",
+        "evaluate.fine": "from skyproof.errors import SkyproofError\ndef f():\n    import torch",
+        "evaluate.heavy": "class Row:\n    from torch import Tensor",
+        "report.page": "from skyproof.evaluate.fine import f\nprint('done')",
+        "report.slow": "from skyproof.evaluate import heavy",
+        "cli": "print('hello')",
+    }
+    assert upward_imports(modules) == [
+        "camouflage.texture imports render",
+        "detectors.detector imports attacks",
+        "vehicles.fleet imports scenes",
+    ]
+    assert reaches("report.page", modules, "torch") == []
+    assert reaches("report.slow", modules, "torch") == ["evaluate.heavy"]
+    assert importers(modules, "torch") == ["evaluate.fine", "evaluate.heavy"]
+    assert printers(modules) == ["report.page"]
