@@ -1,0 +1,154 @@
+"""Draws the pictures of the documentation with skyproof's own renderer: procedural vehicles and ground, nothing else.
+
+    python tools/make_pictures.py
+
+writes docs/pictures/fleet.png and docs/pictures/scenes.png. The same code gives the same pictures.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from PIL import Image, ImageDraw, ImageFont
+
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.portrait import close_up
+from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.backgrounds import write_procedural_backgrounds
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.vehicles.bodies import BODY_RANGES
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.vehicle import VehicleBatch
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs" / "pictures"
+GSD_M = 0.125
+ENLARGE = 8
+# A cell of whole pixels at 12.5 cm: 2.75 m x 6.25 m holds the longest van, nose up.
+CELL_PX = (22, 50)
+PER_TYPE = 4
+COLUMNS = 12
+PAPER, INK = (255, 255, 255), (30, 30, 30)
+
+
+class PlainGround:
+    """Even grey ground, as in `skyproof.render.portrait`."""
+
+    def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
+        """The same grey everywhere."""
+        return torch.full((3, size_px, size_px), 0.46)
+
+
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font."""
+    return ImageFont.load_default(size)
+
+
+def as_image(pixels: torch.Tensor) -> Image.Image:
+    """`[3, H, W]` bytes to a picture."""
+    return Image.fromarray(pixels.permute(1, 2, 0).contiguous().numpy())
+
+
+@torch.no_grad()
+def as_detectors_see(vehicles: VehicleBatch) -> torch.Tensor:
+    """The vehicles at 12.5 cm per pixel with the renderer's default sensor: `[N, 3, 50, 50]` bytes."""
+    sun = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
+    camera = Camera(0.0, 0.0, GSD_M, CELL_PX[1])
+    scenes = [
+        Scene(name, BackgroundWindow("plain", 0, 0, 0), camera, sun, (Placement(name, 0, 0, math.pi / 2),), index)
+        for index, name in enumerate(vehicles.ids)
+    ]
+    return (TorchRenderer(PlainGround())(scenes, vehicles).image * 255).round().byte()
+
+
+def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
+    """The middle strip of every square picture, enlarged by `scale` without smoothing."""
+    width = CELL_PX[0] * pictures.shape[-1] // CELL_PX[1]
+    left = (pictures.shape[-1] - width) // 2
+    strips = [as_image(picture[:, :, left : left + width]) for picture in pictures]
+    return [strip.resize((strip.width * scale, strip.height * scale), Image.Resampling.NEAREST) for strip in strips]
+
+
+def draw_fleet() -> Image.Image:
+    """Four vehicles of each body type, fine above, as detectors see them below."""
+    names, fine, coarse = [], [], []
+    for index, body_type in enumerate(BODY_RANGES):
+        settings = FleetSettings(count=PER_TYPE, weights={body_type: 1.0}, first_number=index * PER_TYPE)
+        fleet = sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index))
+        vehicles = fleet.batch(fleet.ids)
+        sharp = close_up(
+            vehicles, gsd_m=GSD_M / ENLARGE, side_m=CELL_PX[1] * GSD_M, heading_rad=math.pi / 2, tilt_rad=0.0
+        )
+        names += fleet.ids
+        fine += cells(sharp, 1)
+        coarse += cells(as_detectors_see(vehicles), ENLARGE)
+
+    wide, high = fine[0].size
+    gap, label, caption = 6, 30, 52
+    rows = math.ceil(len(names) / COLUMNS)
+    block = caption + rows * (high + label)
+    sheet = Image.new("RGB", (COLUMNS * (wide + gap) + gap, 2 * block), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    captions = (
+        f"24 procedural vehicles from above, nose up, {100 * GSD_M / ENLARGE:.1f} cm per pixel, without sensor blur",
+        "The same 24 at 12.5 cm per pixel with the default sensor (blur of 2.4 px, noise), enlarged 8 times: "
+        "what detectors see",
+    )
+    for part, (text, pictures) in enumerate(zip(captions, (fine, coarse), strict=True)):
+        top = part * block
+        pen.text((gap, top + 12), text, fill=INK, font=font(28))
+        for place, (name, picture) in enumerate(zip(names, pictures, strict=True)):
+            x = gap + place % COLUMNS * (wide + gap)
+            y = top + caption + place // COLUMNS * (high + label)
+            sheet.paste(picture, (x, y))
+            pen.text((x + wide / 2, y + high + label / 2), name, fill=INK, font=font(20), anchor="mm")
+    return sheet
+
+
+@torch.no_grad()
+def draw_scenes() -> Image.Image:
+    """A contact sheet of rendered scenes: 2 x 4 images of 192 px on eight tiles, enlarged twice."""
+    size_px, columns, count = 192, 4, 8
+    fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
+    sizes = {name: fleet.size_m(name) for name in fleet.ids}
+    with tempfile.TemporaryDirectory() as folder:
+        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 16}, 386, seed=3)
+        settings = SceneSettings(size_px=size_px, vehicles_minimum=2)
+        drawn = sample_scenes(settings, backgrounds, "test", sizes, 60, generator=torch.Generator().manual_seed(5))
+        # One scene per kind of ground first, then any other tile, so that the sheet shows the variety.
+        chosen: dict[str, Scene] = {}
+        for by in (lambda scene: backgrounds.tile(scene.background.tile).kind, lambda scene: scene.background.tile):
+            used = {by(scene) for scene in chosen.values()}
+            for scene in drawn:
+                if len(chosen) < count and by(scene) not in used:
+                    used.add(by(scene))
+                    chosen[scene.id] = scene
+        scenes = [replace(scene, id=f"{index}") for index, scene in enumerate(chosen.values())]
+        frames = TorchRenderer(backgrounds)(scenes, placed_vehicles(fleet, scenes))
+        kinds = [str(backgrounds.tile(scene.background.tile).kind).replace("_", " ") for scene in scenes]
+    side, gap, label = 2 * size_px, 6, 30
+    sheet = Image.new("RGB", (columns * (side + gap) + gap, count // columns * (side + label) + gap), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for index, pixels in enumerate((frames.image * 255).round().byte()):
+        x, y = gap + index % columns * (side + gap), gap + index // columns * (side + label)
+        sheet.paste(as_image(pixels).resize((side, side), Image.Resampling.NEAREST), (x, y))
+        number = len(scenes[index].placements)
+        pen.text((x, y + side + 3), f"{kinds[index]}, {number} vehicles", fill=INK, font=font(20))
+    return sheet
+
+
+def main() -> None:
+    """Writes both pictures."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name, sheet in (("fleet.png", draw_fleet()), ("scenes.png", draw_scenes())):
+        path = FOLDER / name
+        sheet.save(path, optimize=True)
+        print(f"{path.name}: {sheet.width} x {sheet.height} px, {path.stat().st_size // 1024} KB")
+
+
+if __name__ == "__main__":
+    main()
