@@ -41,15 +41,36 @@ def place(canvas, layer, left, top, margin):
 
 
 def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
-    """I = I_bg + G(I_fg - I_bg) in linear light, on a canvas that repeats the photograph's edge pixels."""
+    """The photograph hidden by blurred coverage, on a canvas that repeats the photograph's edge pixels."""
     size = photograph.shape[-1]
     ground = to_linear(np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge"))
     drawn, shade = np.zeros((4, *ground.shape[1:])), np.zeros((1, *ground.shape[1:]))
     place(drawn, body, *body_at, margin)
     place(shade, shadow, *shadow_at, margin)
-    front = ground * (1 - shade + settings.sky_share * shade) * (1 - drawn[3]) + drawn[:3]
-    mixed = to_srgb(ground + blurred(front - ground, settings.blur_sigma_px))
+    drawn, shade = blurred(drawn, settings.blur_sigma_px), blurred(shade, settings.blur_sigma_px)
+    mixed = to_srgb(ground * (1 - shade + settings.sky_share * shade) * (1 - drawn[3]) + drawn[:3])
     return mixed[:, margin : margin + size, margin : margin + size]
+
+
+def test_on_even_ground_the_blur_is_the_papers():
+    """I = I_bg + G(I_fg - I_bg) (PAPER 12), from which ours differs only where the ground has detail."""
+    settings = RenderSettings(noise=0.0)
+    photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
+    image = compose(photograph, body, [(18, 20)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], settings)
+    ground, drawn = to_linear(photograph[0].numpy()), np.zeros((4, 48, 48))
+    place(drawn, body[0].numpy(), 18, 20, 0)
+    front = ground * (1 - drawn[3]) + drawn[:3]
+    expected = to_srgb(ground + blurred(front - ground, settings.blur_sigma_px))
+    np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-9)
+
+
+def test_markings_do_not_shine_through_a_vehicle():
+    photograph = torch.full((1, 3, 64, 64), 0.3, dtype=torch.float64)
+    photograph[..., 31:33] = 0.95
+    body = torch.cat((torch.full((3, 40, 40), 0.2), torch.ones(1, 40, 40))).double()[None]
+    image = compose(photograph, body, [(12, 12)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], RenderSettings(noise=0.0))
+    middle = image[0, :, 28:36, 20:44]
+    assert float(middle.max() - middle.min()) < 1e-3
 
 
 def layer(size, seed):

@@ -152,7 +152,7 @@ def _barycentric(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -
     return weights.detach().lerp(weights, kept)
 
 
-def _interpolate(values: Float[Tensor, "K 3*C"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K C"]:
+def _interpolate(values: Float[Tensor, "K _"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K _"]:
     """Barycentric mean of three corners' values, which stand one after the other in a row."""
     first, second, third = values.chunk(3, dim=1)
     result = first * weights[:, :1]

@@ -1,5 +1,0 @@
-"""`python -m skyproof`."""
-
-from skyproof.cli import main
-
-main()
