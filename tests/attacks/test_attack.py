@@ -135,6 +135,9 @@ def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
     with pytest.raises(KeyboardInterrupt):
         attack(start(), [StandIn()], world, FEW, tmp_path / "killed", on_step=kill)
     assert not (tmp_path / "killed" / "camouflage.json").exists()
+    # A kill between two files leaves rows of steps that the checkpoint does not know.
+    with (tmp_path / "killed" / "steps.jsonl").open("a") as file:
+        file.write(json.dumps({"step": 4}) + "\n")
     done = []
     resumed = attack(start(seed=9), [StandIn()], world, FEW, tmp_path / "killed", on_step=done.append)
     # The last checkpoint was after step 3; the parameters come from there, not from the caller.
