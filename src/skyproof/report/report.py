@@ -123,7 +123,8 @@ def _attack_loss(run: Run, name: str) -> Markup | None:
 
 def _training(run: Run) -> Markup | None:
     curves = {
-        name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name)]
+        # The log holds validations too, which have no loss.
+        name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name) if "loss" in row]
         for name in run.detectors
     }
     curves = {name: points for name, points in curves.items() if points}
