@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ __all__ = [
     "is_leftover",
     "read_json",
     "read_jsonl",
+    "refuse_foreign",
     "write_beside",
     "write_bytes",
     "write_json",
@@ -78,6 +79,26 @@ def finished_folder(path: Path) -> Iterator[Path]:
 def is_leftover(path: Path) -> bool:
     """Whether a kill left this file or folder: it was being written and never got its final name."""
     return path.name.startswith(".") and (path.name.endswith(".partial") or path.stem.endswith(".partial"))
+
+
+def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
+    """Keeps a stage from writing among files that are not its own.
+
+    Args:
+        folder: where it is about to write; may be missing.
+        ours: names that the stage itself may have left there.
+
+    Raises:
+        RunFolderError: the folder is a file, or holds something else.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise RunFolderError(f"{folder} is a file; choose another --out.")
+    foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours and not is_leftover(entry))
+    if foreign:
+        raise RunFolderError(f"{folder} holds files that are not of this stage ({foreign[0]}); choose another --out.")
 
 
 def _unwritable(path: Path, error: OSError) -> RunFolderError:
