@@ -253,10 +253,10 @@ class _Run:
                     adam.setdefault(int(index), {})[field] = value
             self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": adam})
             self.step = int(tensors["step"])
-        except (SafetensorError, OSError, KeyError, RuntimeError) as error:
+            self.weights = record["weights"]
+        except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
             path = folder / _CHECKPOINT
             raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
-        self.weights = record["weights"]
         # A kill between two files can leave rows of later steps.
         self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
 
