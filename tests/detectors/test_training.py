@@ -129,9 +129,11 @@ def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
         detector = build_detector("retinanet", "slim", generator=generator)
         with pytest.raises(ConfigurationError):
             train(detector, training, validation, SETTINGS, tmp_path, generator=generator)
-    for name in ("steps", "batch_size", "learning_rate", "validate_every", "checkpoint_every"):
+    for name in ("steps", "batch_size", "validate_every", "checkpoint_every"):
         with pytest.raises(ConfigurationError):
             replace(SETTINGS, **{name: 0})
+    with pytest.raises(ConfigurationError):
+        replace(SETTINGS, learning_rate=0.0)
 
 
 def test_every_detector_has_a_preset() -> None:
