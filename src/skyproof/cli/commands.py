@@ -173,6 +173,8 @@ class Evaluate:
             name, _, place = text.partition("=")
             if not name or not place:
                 raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
+            if name in pairs:
+                raise ConfigurationError(f"--camouflaged names {name} twice; give each camouflage once.")
             pairs[name] = Path(place)
         if not pairs or not self.detectors:
             raise ConfigurationError("Evaluation expects at least one detector and one camouflaged dataset.")
