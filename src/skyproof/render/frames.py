@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -38,6 +38,7 @@ class Frames:
     masks: Bool[Tensor, "N H W"] | None = None
 
 
+@runtime_checkable
 class Renderer(Protocol):
     """Draws scenes; `vehicles` holds one row per placement, scene by scene."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -21,6 +21,7 @@ from skyproof.vehicles.vehicle import VehicleBatch
 __all__ = ["Backgrounds", "TorchRenderer"]
 
 
+@runtime_checkable
 class Backgrounds(Protocol):
     """Where the renderer takes its photographs from."""
 
