@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from skyproof.errors import RunFolderError, StoredFileError
 
-__all__ = ["finished_folder", "read_json", "read_jsonl", "write_beside", "write_bytes", "write_json", "write_jsonl"]
+__all__ = [
+    "finished_folder",
+    "is_leftover",
+    "read_json",
+    "read_jsonl",
+    "refuse_foreign",
+    "write_beside",
+    "write_bytes",
+    "write_json",
+    "write_jsonl",
+]
+
+_NEARLY_FULL_BYTES = 2**20
 
 
 @contextmanager
@@ -30,10 +43,7 @@ def write_beside(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise RunFolderError(
-            f"Could not write {path}: {error.strerror or error}. Free space or choose another --out, "
-            "then run the same command again; finished stages are kept."
-        ) from error
+        raise _unwritable(path, error) from error
     finally:
         if temporary.exists():
             temporary.unlink()
@@ -41,9 +51,10 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def finished_folder(path: Path) -> Iterator[Path]:
-    """Yields a fresh folder `<path>.partial`; renames it to `path` when the block ends well.
+    """Yields a fresh folder `.<name>.partial` beside `path`; renames it to `path` when the block ends well.
 
-    A `.partial` folder left by a kill is thrown away: only a folder under its final name counts as finished.
+    Only a folder under its final name counts as finished. When the block ends otherwise what it wrote is removed, so
+    that a full disk has room again; what a kill left is thrown away by the next try.
 
     Raises:
         RunFolderError: `path` exists already, or the disk is full or not writable.
@@ -51,7 +62,8 @@ def finished_folder(path: Path) -> Iterator[Path]:
     path = Path(path)
     if path.exists():
         raise RunFolderError(f"{path} exists already and is not overwritten; choose another folder or remove it first.")
-    partial = path.with_name(path.name + ".partial")
+    # Hidden, so that a folder of the user's is not mistaken for a leftover of ours.
+    partial = path.with_name(f".{path.name}.partial")
     try:
         if partial.exists():
             shutil.rmtree(partial)
@@ -59,10 +71,52 @@ def finished_folder(path: Path) -> Iterator[Path]:
         yield partial
         os.replace(partial, path)
     except OSError as error:
-        raise RunFolderError(
-            f"Could not write {path}: {error.strerror or error}. Free space or choose another --out, "
-            "then run the same command again; finished stages are kept."
-        ) from error
+        raise _unwritable(path, error) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def is_leftover(path: Path) -> bool:
+    """Whether a kill left this file or folder: it was being written and never got its final name."""
+    return path.name.startswith(".") and (path.name.endswith(".partial") or path.stem.endswith(".partial"))
+
+
+def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
+    """Keeps a stage from writing among files that are not its own.
+
+    Args:
+        folder: where it is about to write; may be missing.
+        ours: names that the stage itself may have left there.
+
+    Raises:
+        RunFolderError: the folder is a file, or holds something else.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise RunFolderError(f"{folder} is a file; choose another --out.")
+    foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours and not is_leftover(entry))
+    if foreign:
+        raise RunFolderError(f"{folder} holds files that are not of this stage ({foreign[0]}); choose another --out.")
+
+
+def _unwritable(path: Path, error: OSError) -> RunFolderError:
+    reason = error.strerror or " ".join(str(error).split())
+    if error.errno is None and _is_full(path):
+        # Image encoders report a failed write without its cause.
+        reason = os.strerror(errno.ENOSPC)
+    return RunFolderError(
+        f"Could not write {path}: {reason}; free space or choose another --out, then run the same command again "
+        "(finished stages are kept)."
+    )
+
+
+def _is_full(path: Path) -> bool:
+    try:
+        return shutil.disk_usage(path.parent).free < _NEARLY_FULL_BYTES
+    except OSError:
+        return False
 
 
 def write_bytes(path: Path, data: bytes) -> None:

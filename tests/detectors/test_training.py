@@ -120,16 +120,20 @@ def test_ignored_vehicles_are_hidden_and_mixed_sizes_and_empty_images_allowed(tm
 
 def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
     empty = bar_images(1, seed=0)
-    for training, validation, settings in (
-        (empty, VALIDATION, SETTINGS),
-        (TRAINING, empty, SETTINGS),
-        (TRAINING, labelled_images(VALIDATION.images, VALIDATION.boxes, VALIDATION.ignore, 0.25), SETTINGS),
-        (TRAINING, VALIDATION, replace(SETTINGS, steps=0)),
+    for training, validation in (
+        (empty, VALIDATION),
+        (TRAINING, empty),
+        (TRAINING, labelled_images(VALIDATION.images, VALIDATION.boxes, VALIDATION.ignore, 0.25)),
     ):
         generator = torch.Generator().manual_seed(0)
         detector = build_detector("retinanet", "slim", generator=generator)
         with pytest.raises(ConfigurationError):
-            train(detector, training, validation, settings, tmp_path, generator=generator)
+            train(detector, training, validation, SETTINGS, tmp_path, generator=generator)
+    for name in ("steps", "batch_size", "validate_every", "checkpoint_every"):
+        with pytest.raises(ConfigurationError):
+            replace(SETTINGS, **{name: 0})
+    with pytest.raises(ConfigurationError):
+        replace(SETTINGS, learning_rate=0.0)
 
 
 def test_every_detector_has_a_preset() -> None:

@@ -130,6 +130,17 @@ def test_both_matches_and_the_order_of_keys(rows):
         json.dumps(row, allow_nan=False)
 
 
+def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
+    # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 - 0.025 ** (1 / 20).
+    found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
+    found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
+    row = next(row for row in summarise(found, [], generator=rng) if row["camouflage"] == "T-U")
+    margin = 1 - 0.025 ** (1 / 20)
+    assert row["easr_low"] == pytest.approx(1 - margin)
+    assert row["net_easr"] == pytest.approx(0.75)
+    assert row["net_easr_low"] < 0.75 - margin
+
+
 def test_undefined_becomes_null(rng):
     row = summarise(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3), [], generator=rng)[0]
     assert row["easr"] is None

@@ -68,7 +68,8 @@ def test_markings_do_not_shine_through_a_vehicle():
     photograph = torch.full((1, 3, 64, 64), 0.3, dtype=torch.float64)
     photograph[..., 31:33] = 0.95
     body = torch.cat((torch.full((3, 40, 40), 0.2), torch.ones(1, 40, 40))).double()[None]
-    image = compose(photograph, body, [(12, 12)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], RenderSettings(noise=0.0))
+    no_shadow, settings = torch.zeros(1, 1, 3, 3).double(), RenderSettings(noise=0.0)
+    image = compose(photograph, body, [(12, 12)], no_shadow, [(20, 20)], settings)
     middle = image[0, :, 28:36, 20:44]
     assert float(middle.max() - middle.min()) < 1e-3
 

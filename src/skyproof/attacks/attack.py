@@ -19,10 +19,10 @@ from torch import Tensor
 
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.folder import save_camouflage
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.files import read_json, read_jsonl, write_beside, write_bytes, write_json, write_jsonl
+from skyproof.files import read_json, read_jsonl, refuse_foreign, write_beside, write_bytes, write_json, write_jsonl
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Renderer
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -117,7 +117,7 @@ def attack(
 
     Raises:
         RunFolderError: the folder holds an attack with other settings, or the disk is full.
-        StoredFileError: the checkpoint, or a finished camouflage, is damaged.
+        StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
     identity = {
@@ -127,18 +127,17 @@ def attack(
         "scenes": asdict(world.scenes),
     }
     if (folder / "camouflage.json").exists():
-        _same_attack(read_json(folder / "camouflage.json").get("record", {}).get("attack"), identity, folder)
-        path = folder / "camouflage.safetensors"
-        try:
-            camouflage.load_state_dict(load_file(path))
-        except (SafetensorError, OSError, RuntimeError) as error:
-            raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
+        document = read_json(folder / "camouflage.json")
+        record = document.get("record") if isinstance(document, dict) else None
+        _same_attack(record.get("attack") if isinstance(record, dict) else None, identity, folder)
+        camouflage.load_state_dict(load_camouflage(folder).state_dict())
         return camouflage
     run = _Run(camouflage, settings, identity)
     run.resume(folder)
     with frozen(detectors):
         if not run.weights:
             run.weights = _balance(camouflage, detectors, world, settings)
+            run.claim(folder)
         while run.step < settings.steps:
             started = time.perf_counter()
             images, losses = run.advance(detectors, world)
@@ -220,23 +219,29 @@ class _Run:
         self.camouflage.project_()
         return (leaf.detach() * 255).round().byte(), losses
 
+    def claim(self, folder: Path) -> None:
+        """Marks the folder as this attack's before anything else is written to it."""
+        write_json(folder / "checkpoint.json", {"identity": self.identity, "weights": self.weights})
+
     def store(self, folder: Path) -> None:
-        """Writes a checkpoint; the record comes last and names the tensors' step, so the two always agree."""
+        """Writes a checkpoint; the tensors come last and say their step."""
         tensors = {f"camouflage.{name}": value for name, value in self.camouflage.state_dict().items()}
         for index, state in self.optimiser.state_dict()["state"].items():
             tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
         tensors["step"] = torch.tensor(self.step)
         tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
         write_jsonl(folder / "steps.jsonl", self.rows)
-        write_json(folder / "checkpoint.json", {"identity": self.identity, "weights": self.weights})
         write_bytes(folder / _CHECKPOINT, save(tensors))
 
     def resume(self, folder: Path) -> None:
         """Goes back to the last checkpoint, if there is one."""
-        if not (folder / _CHECKPOINT).exists():
+        if not (folder / "checkpoint.json").exists():
+            refuse_foreign(folder, ())
             return
         record = read_json(folder / "checkpoint.json")
-        _same_attack(record.get("identity"), self.identity, folder)
+        _same_attack(record.get("identity") if isinstance(record, dict) else None, self.identity, folder)
+        if not (folder / _CHECKPOINT).exists():
+            return
         try:
             tensors = load_file(folder / _CHECKPOINT)
             state = {k.removeprefix("camouflage."): v for k, v in tensors.items() if k.startswith("camouflage.")}
@@ -248,10 +253,10 @@ class _Run:
                     adam.setdefault(int(index), {})[field] = value
             self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": adam})
             self.step = int(tensors["step"])
-        except (SafetensorError, OSError, KeyError, RuntimeError) as error:
+            self.weights = record["weights"]
+        except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
             path = folder / _CHECKPOINT
             raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
-        self.weights = record["weights"]
         # A kill between two files can leave rows of later steps.
         self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
 

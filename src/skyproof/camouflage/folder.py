@@ -52,7 +52,7 @@ def load_camouflage(folder: Path) -> Camouflage:
     """
     path = Path(folder) / "camouflage.json"
     document = read_json(path)
-    if not isinstance(document, dict) or document.get("format") != _FORMAT:
+    if not isinstance(document, dict) or document.get("format") != _FORMAT or "name" not in document:
         raise StoredFileError(f"{path} was not written by this version of skyproof; make the camouflage again.")
     if document.get("kind") == "NoCamouflage":
         return NoCamouflage()

@@ -12,6 +12,8 @@ def main() -> None:
     """Entry point of the `skyproof` command."""
     # Many small operations stall when idle threads spin; this must be said before torch is imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    from skyproof.cli.main import run
-
+    try:
+        from skyproof.cli.main import run
+    except KeyboardInterrupt:
+        sys.exit(130)
     sys.exit(run())

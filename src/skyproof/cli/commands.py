@@ -20,6 +20,7 @@ from skyproof.detectors.folder import read_card
 from skyproof.detectors.training import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.report.report import write_report
+from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import SceneSettings
 
@@ -172,6 +173,8 @@ class Evaluate:
             name, _, place = text.partition("=")
             if not name or not place:
                 raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
+            if name in pairs:
+                raise ConfigurationError(f"--camouflaged names {name} twice; give each camouflage once.")
             pairs[name] = Path(place)
         if not pairs or not self.detectors:
             raise ConfigurationError("Evaluation expects at least one detector and one camouflaged dataset.")
@@ -187,10 +190,10 @@ class Evaluate:
             device=choose_device(self.device),
         )
         for row in rows:
-            if row["match"] == "centre_1m" and row["easr"] is not None:
+            if row["match"] == "centre_1m":
                 say(
-                    f"  {row['camouflage']:<8} {row['detector']:<12} EASR {row['easr']:.3f} "
-                    f"({row['easr_low']:.3f} to {row['easr_high']:.3f})"
+                    f"  {row['camouflage']:<8} {row['detector']:<12} EASR {percent(row['easr'])} "
+                    f"({interval(row['easr_low'], row['easr_high'])})"
                 )
         say(f"Results: {(self.out / 'results.json').resolve()}")
 

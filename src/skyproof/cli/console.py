@@ -25,7 +25,8 @@ def say(message: str) -> None:
 
 def say_error(message: str) -> None:
     """Prints one line to standard error."""
-    print(f"skyproof: {message}", file=sys.stderr, flush=True)
+    # Messages of libraries may hold line breaks.
+    print(f"skyproof: {' '.join(message.split())}", file=sys.stderr, flush=True)
 
 
 @contextmanager

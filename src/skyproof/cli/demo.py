@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -25,10 +24,12 @@ from skyproof.cli.stages import (
     render_folder,
     train_detector,
 )
+from skyproof.detectors.folder import build_detector
 from skyproof.detectors.training import TrainingSettings
 from skyproof.errors import ConfigurationError
-from skyproof.files import finished_folder, read_json
+from skyproof.files import finished_folder, read_json, write_bytes
 from skyproof.report.report import write_report
+from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
 from skyproof.scenes.orthophotos import tile_orthophotos
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
@@ -61,6 +62,11 @@ class DemoSizes:
     test_images: int = 120
     training_vehicles: int = 7
     random_draws: int = 3
+
+    def __post_init__(self) -> None:
+        counts = (self.training_images, self.validation_images, self.test_images, self.training_vehicles)
+        if min(self.image_px, *self.tiles, *self.vehicles, *counts) < 1 or self.random_draws < 0:
+            raise ConfigurationError(f"--sizes expects counts of at least 1 (random draws: 0), but got {self}.")
 
 
 @dataclass(frozen=True)
@@ -107,23 +113,23 @@ class Demo:
 def run_demo(demo: Demo) -> None:
     """Runs all stages that are not finished yet, and prints where the report lies."""
     device = choose_device(demo.device)
-    if len(set(demo.detectors)) != len(demo.detectors) or not demo.detectors:
-        raise ConfigurationError("--detectors expects each detector once, and at least one.")
-    # Read first: a mistake in these folders should show before an hour's work, not after it.
-    clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
+    _check_detectors(demo.detectors)
     names = [str(path) for path in demo.imagery]
     config = {
         "title": "How robust are these vehicle detectors to camouflage?",
         "imagery": names or "procedural",
         **{key: value for key, value in asdict(demo).items() if key not in ("out", "imagery", "device")},
     }
-    run = RunFolder(demo.out, config, str(device))
+    run = RunFolder(demo.out, config)
     out, sizes, seed = run.path, demo.sizes, demo.seed
     report = out / "report.html"
     if report.exists():
         say(f"This run is finished. Report: {report.resolve()}")
         return
-    say(f"skyproof demo: {len(demo.detectors)} detectors on {device}, run folder {out}")
+    # Read first: a mistake in these folders should show before an hour's work, not after it.
+    clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
+    run.start(str(device))
+    say(f"skyproof demo on {device}, detectors {', '.join(demo.detectors)}, run folder {out}")
 
     run.stage("backgrounds", out / "backgrounds", partial(_backgrounds, demo, out / "backgrounds"))
     for index, split in enumerate(SPLITS):
@@ -149,16 +155,25 @@ def run_demo(demo: Demo) -> None:
     original = out / "datasets" / "test"
     work = partial(evaluate_folders, trained, original, worn, out / "evaluation", clean=clean, seed=seed, device=device)
     run.stage("evaluate", out / "evaluation", work)
-    shutil.copyfile(out / "evaluation" / "results.json", out / "results.json")
+    write_bytes(out / "results.json", (out / "evaluation" / "results.json").read_bytes())
     run.stage(
         "pictures",
         learnt / "on_vehicle.png",
         lambda: paint_portrait(learnt, out / "fleets" / "test", learnt / "on_vehicle.png"),
     )
     run.finish()
+    say("  report ...")
     written = write_report(out)
     _say_answer(out)
     say(f"Report: {written.resolve()}")
+
+
+def _check_detectors(names: Sequence[str]) -> None:
+    """Shows a mistake before the ground is drawn, not when training begins."""
+    if len(set(names)) != len(names) or not names:
+        raise ConfigurationError("--detectors expects each detector once, and at least one.")
+    for name in names:
+        build_detector(name, "slim", generator=torch.Generator())
 
 
 def _backgrounds(demo: Demo, place: Path) -> None:
@@ -182,7 +197,8 @@ def _backgrounds(demo: Demo, place: Path) -> None:
 def _fleet(demo: Demo, split: str, index: int) -> None:
     # Numbers go on from split to split: no vehicle is in two of them.
     settings = FleetSettings(count=demo.sizes.vehicles[index], first_number=sum(demo.sizes.vehicles[:index]))
-    fleet = sample_fleet(settings, generator=generator_of(demo.seed, "fleet", split))
+    with progress_bar(f"vehicles {split}") as update:
+        fleet = sample_fleet(settings, generator=generator_of(demo.seed, "fleet", split), progress=update)
     fleet.save(demo.out / "fleets" / split)
 
 
@@ -252,7 +268,7 @@ def _say_answer(out: Path) -> None:
                 say(f"  {row['detector']}: undefined, because it found no vehicle before the camouflage")
                 continue
             say(
-                f"  {row['detector']:<12} T-U hides {row['easr']:.0%} of the vehicles found before "
-                f"(95 % interval {row['easr_low']:.0%} to {row['easr_high']:.0%}); "
-                f"net of a random texture {row['net_easr']:.0%}"
+                f"  {row['detector']:<12} T-U hides {percent(row['easr'])} of the vehicles found before "
+                f"(95 % interval {interval(row['easr_low'], row['easr_high'])}); "
+                f"net of a random texture {percent(row['net_easr'])}"
             )

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 import tyro
 
 from skyproof.cli.bench import Bench
@@ -29,16 +30,25 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Parses and runs one command; returns the exit code: 0 done, 2 bad input, 130 stopped by the user."""
-    command = tyro.extras.subcommand_cli_from_dict(
-        _COMMANDS,
-        prog="skyproof",
-        description="How robust is an overhead vehicle detector against camouflage that could really be built?",
-        args=arguments,
-    )
     try:
+        # Settings check themselves while they are parsed.
+        command = tyro.extras.subcommand_cli_from_dict(
+            _COMMANDS,
+            prog="skyproof",
+            description="How robust is an overhead vehicle detector against camouflage that could really be built?",
+            args=arguments,
+        )
         command.run()
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 0
     except SkyproofError as error:
         say_error(str(error))
+        return 2
+    except OSError as error:
+        say_error(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}; check it and try again.")
+        return 2
+    except torch.OutOfMemoryError:
+        say_error("the device's memory is full; lower the batch size or the image size, or give --device cpu.")
         return 2
     except KeyboardInterrupt:
         say_error("stopped; give the same command again to go on.")

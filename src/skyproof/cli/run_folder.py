@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,39 +17,57 @@ from typing import Any
 
 from skyproof import __version__
 from skyproof.errors import RunFolderError
-from skyproof.files import read_json, write_json
+from skyproof.files import is_leftover, read_json, write_json
 
 __all__ = ["RunFolder"]
 
+_RECORDS = {"config.json", "environment.json", "timings.json"}
+
 
 class RunFolder:
-    """Opens a new run, or the same run again.
+    """A new run, or the same run again; nothing is written before `start`.
+
+    A run that has not finished a single stage may be given other settings: its first input was wrong, and corrected.
 
     Args:
         path: the folder; made if missing.
         config: everything that decides the results, as plain JSON values.
-        device: named in the record.
 
     Raises:
-        RunFolderError: the folder holds another run or something else, or cannot be written.
+        RunFolderError: the folder holds another run or something else.
     """
 
-    def __init__(self, path: Path, config: dict[str, Any], device: str) -> None:
+    def __init__(self, path: Path, config: dict[str, Any]) -> None:
         self.path = Path(path)
-        config = json.loads(json.dumps(config, default=str))
-        known = self.path / "config.json"
-        if known.exists():
-            stored = read_json(known)
-            if stored != config:
-                changed = sorted(key for key in {*stored, *config} if stored.get(key) != config.get(key))
-                raise RunFolderError(
-                    f"{self.path} holds a run with other settings ({', '.join(changed)}); choose another --out, or "
-                    "remove the folder to start afresh."
-                )
-        elif self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise RunFolderError(f"{self.path} is not empty and not a run of skyproof; choose another --out.")
-        write_json(known, config)
-        self._record_environment(device, config.get("seed"))
+        self._config = json.loads(json.dumps(config, default=str))
+        if not self.path.exists():
+            return
+        if not self.path.is_dir():
+            raise RunFolderError(f"{self.path} is a file; choose another --out.")
+        entries = {entry.name for entry in self.path.iterdir() if not is_leftover(entry)}
+        if "config.json" not in entries:
+            if entries:
+                raise RunFolderError(f"{self.path} is not empty and not a run of skyproof; choose another --out.")
+            return
+        stored = read_json(self.path / "config.json")
+        if not isinstance(stored, dict):
+            raise RunFolderError(f"{self.path / 'config.json'} is not that of a run; choose another --out.")
+        if stored != self._config and not entries <= _RECORDS:
+            names = {*stored, *self._config}
+            changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
+            raise RunFolderError(
+                f"{self.path} holds a run with other settings ({', '.join(changed)}); choose another --out, or "
+                "remove the folder to start afresh."
+            )
+
+    def start(self, device: str) -> None:
+        """Notes what was asked, and on what machine.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
+        write_json(self.path / "config.json", self._config)
+        self._record_environment(device, self._config.get("seed"))
 
     def stage(self, name: str, result: Path, work: Callable[[], object]) -> None:
         """Does `work`, unless its `result` is there already; keeps the time it took."""
@@ -57,9 +76,12 @@ class RunFolder:
         started = time.monotonic()
         try:
             work()
-        finally:
-            # A stopped stage's time counts too: it goes on later from its checkpoint.
-            self._add_time(name, time.monotonic() - started)
+        except BaseException:
+            # A stopped stage's time counts too: it goes on later from its checkpoint. Why it stopped matters more.
+            with suppress(RunFolderError):
+                self._add_time(name, time.monotonic() - started)
+            raise
+        self._add_time(name, time.monotonic() - started)
 
     def finish(self) -> None:
         """Notes when the run ended."""
@@ -105,8 +127,10 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """The commit of a source checkout; None for an installed package."""
-    here = Path(__file__).resolve().parent
+    """The commit of a source checkout; None for an installed package, even one inside a user's own checkout."""
+    here = Path(__file__).resolve().parents[3]
+    if not (here / ".git").exists():
+        return None
     try:
         answer = subprocess.run(
             ["git", "-C", str(here), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, timeout=5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,8 @@ def choose_device(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        torch.empty(1, device=device)
+        # Read back: torch also knows devices without memory.
+        torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError) as error:
         raise ConfigurationError(f"--device {name} is not usable here; give cpu, cuda or auto.") from error
     return device
@@ -121,11 +123,25 @@ def train_detector(
         )
 
 
-def load_ensemble(folders: Sequence[Path], device: torch.device | str) -> list[tuple[TrainableDetector, float]]:
-    """Detectors with their frozen thresholds."""
-    loaded = []
+def load_ensemble(
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+) -> list[tuple[TrainableDetector, float]]:
+    """Detectors with their frozen thresholds.
+
+    Raises:
+        ConfigurationError: two of one name, or another resolution than the images'.
+        StoredFileError: a folder is missing, damaged or of another version.
+    """
+    loaded: list[tuple[TrainableDetector, float]] = []
     for folder in folders:
         detector, card = load_detector(folder)
+        if any(detector.name == other.name for other, _ in loaded):
+            raise ConfigurationError(f"{folder} is a second {detector.name}; give each kind of detector once.")
+        if not math.isclose(card.gsd_m, gsd_m):
+            raise ConfigurationError(
+                f"{folder} was trained at {card.gsd_m} m per pixel but the images have {gsd_m} m; "
+                "give a detector and images of one resolution."
+            )
         loaded.append((detector.to(device), card.threshold))
     return loaded
 
@@ -142,7 +158,7 @@ def attack_ensemble(
     device: torch.device | str,
 ) -> None:
     """Learns one universal texture against an ensemble."""
-    models = [detector for detector, _ in load_ensemble(detectors, device)]
+    models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
     photographs = BackgroundSet.open(backgrounds)
     world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
     camouflage = UniversalTexture(name, generator=generator_of(settings.seed, "texture", name)).to(device)
@@ -175,7 +191,9 @@ def evaluate_folders(
     device: torch.device | str = "cpu",
 ) -> list[dict[str, Any]]:
     """Compares matched datasets and writes outcomes and the table of results."""
-    judges = [Judge(detector, threshold) for detector, threshold in load_ensemble(detectors, device)]
+    scenes = read_scenes(original / "scenes.jsonl")
+    ensemble = load_ensemble(detectors, device, scenes[0].camera.gsd_m)
+    judges = [Judge(detector, threshold) for detector, threshold in ensemble]
     with progress_bar("evaluate") as update:
         return evaluate_pairs(judges, original, camouflaged, out, clean=clean, seed=seed, progress=update)
 

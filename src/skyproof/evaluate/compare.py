@@ -39,13 +39,13 @@ class Comparison:
 
 def compare(
     scenes: Sequence[Scene],
-    truth_boxes: Sequence[Float[Tensor, "n 4"]],
+    truth_boxes: Sequence[Float[Tensor, "_ 4"]],
     original: Sequence[Detections],
     adversarial: Sequence[Detections],
     comparison: Comparison,
     *,
-    adversarial_truth_boxes: Sequence[Float[Tensor, "n 4"]] | None = None,
-    visible_fractions: Sequence[Float[Tensor, " n"]] | None = None,
+    adversarial_truth_boxes: Sequence[Float[Tensor, "_ 4"]] | None = None,
+    visible_fractions: Sequence[Float[Tensor, " _"]] | None = None,
 ) -> list[Outcome]:
     """Judges every vehicle before and after; one outcome per vehicle (PAPER 18, 19, 38).
 
@@ -85,11 +85,11 @@ def compare(
 
 
 def count_false_alarms(
-    truth_boxes: Sequence[Float[Tensor, "n 4"]],
+    truth_boxes: Sequence[Float[Tensor, "_ 4"]],
     detections: Sequence[Detections],
     comparison: Comparison,
     *,
-    ignore: Sequence[Float[Tensor, "m 4"]] | None = None,
+    ignore: Sequence[Float[Tensor, "_ 4"]] | None = None,
 ) -> int:
     """Detections at or above the threshold that match no vehicle and lie in no ignore region (PAPER 1, 38)."""
     count = 0

@@ -13,7 +13,7 @@ from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.matching import match_detections
 from skyproof.detectors.training import detect_all
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
 from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.evaluate.rates import false_alarms_per_km2
@@ -85,12 +85,16 @@ def evaluate_pairs(
     """
     scenes = read_scenes(Path(original) / "scenes.jsonl")
     before = read_coco(original)
+    for place in camouflaged.values():
+        # Ids alone do not tell: two runs number their scenes alike.
+        if read_scenes(Path(place) / "scenes.jsonl") != scenes:
+            raise ConfigurationError(f"{place} does not show the scenes of {original}; render it from the same scenes.")
+    _check_names(judges, [Path(original), *map(Path, camouflaged.values())])
     after = {name: read_coco(path) for name, path in camouflaged.items()}
-    for name, images in after.items():
-        if list(images.ids) != list(before.ids):
-            raise ConfigurationError(
-                f"{camouflaged[name]} does not show the scenes of {original}; render it from the same scenes."
-            )
+    for name, images in {ORIGINAL: before, **after}.items():
+        if list(images.ids) != [scene.id for scene in scenes]:
+            place = camouflaged.get(name, original)
+            raise StoredFileError(f"{place} has other images than its scenes.jsonl says; write the dataset again.")
     total, done = len(judges) * (1 + len(after) + len(clean)), 0
 
     def step() -> None:
@@ -130,6 +134,17 @@ def evaluate_pairs(
         write_json(partial / "clean.json", checks)
         write_json(partial / "results.json", {"rows": rows})
     return rows
+
+
+def _check_names(judges: Sequence[Judge], datasets: Sequence[Path]) -> None:
+    """Tables and files go by name: two of one name would be mixed up."""
+    for kind, names in (
+        ("detectors", [judge.detector.name for judge in judges]),
+        ("datasets", [path.name for path in datasets]),
+    ):
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ConfigurationError(f"Two {kind} are called {twice!r}; give each once, or evaluate them separately.")
 
 
 def _scores(

@@ -28,11 +28,15 @@ _TAIL = 0.025
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its 95 % limits; nan where undefined (no vehicle found before, fewer than two tiles)."""
+    """An estimate with its 95 % limits; nan where undefined (no vehicle found before, fewer than two tiles).
+
+    `unanimous` says that every tile agreed, so that the limits are the exact binomial ones.
+    """
 
     estimate: float
     low: float
     high: float
+    unanimous: bool = False
 
 
 def resample(clusters: int, *, generator: np.random.Generator, replicates: int = REPLICATES) -> Int[np.ndarray, "R C"]:
@@ -78,8 +82,8 @@ def cluster_interval(
     if np.ptp(replicates) < 1e-12:
         margin = 1 - _TAIL ** (1 / clusters)
         low, high = estimate - margin, estimate + margin
-    else:
-        low, high = np.quantile(replicates, _levels(estimate, replicates, statistic(total - counts.transpose(1, 0, 2))))
+        return Interval(estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
+    low, high = np.quantile(replicates, _levels(estimate, replicates, statistic(total - counts.transpose(1, 0, 2))))
     return Interval(estimate, max(float(low), limits[0]), min(float(high), limits[1]))
 
 

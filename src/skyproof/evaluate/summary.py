@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from skyproof.evaluate.intervals import cluster_interval, holm, mcnemar_p, resample
+from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, resample
 from skyproof.evaluate.outcomes import MATCHES, Outcome
 from skyproof.evaluate.rates import attack_success_rate, enhancement_rate, overall_attack_success_rate
 
@@ -147,14 +147,15 @@ class _Table:
             "er": er.estimate,
         }
         if control:
-            both = np.concatenate([own, self._stack(control, detectors)])
-            net = cluster_interval(both, _net(len(own)), self.weights)
+            random = self._stack(control, detectors)
+            chance = cluster_interval(random, _mean(overall_attack_success_rate), self.weights)
+            net = cluster_interval(np.concatenate([own, random]), _net(len(own)), self.weights)
+            net = _no_surer_than_its_parts(net, easr, chance)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
         row |= self._set_scores(members, detectors, renderer, match)
         row |= {"clusters": self.tiles[members[0], detectors[0]], "draws": len(members)}
         row |= {"asr_low": asr.low, "asr_high": asr.high, "er_low": er.low, "er_high": er.high}
-        random = self._stack(control, detectors) if control else None
-        row["random_easr"] = None if random is None else float(_mean(overall_attack_success_rate)(random.sum(axis=1)))
+        row["random_easr"] = chance.estimate if control else None
         row |= {"random_draws": len(control), "mcnemar_p": None, "mcnemar_p_holm": None}
         total = own.sum(axis=(0, 1))
         if label != MEAN and len(members) == 1 and not name.startswith("R-"):
@@ -185,6 +186,20 @@ class _Table:
 def _mean(rate: Any) -> Any:
     """The unweighted mean of a rate over detectors (and draws), of summed counts `[..., S, 3]`."""
     return lambda counts: rate(counts).mean(axis=-1)
+
+
+def _no_surer_than_its_parts(net: Interval, easr: Interval, chance: Interval) -> Interval:
+    """Widens a net interval where resampling sees no spread in one part, because every tile agrees.
+
+    That part's exact limit then enters by the square-and-add rule for differences of independent rates (MOVER; Zou and
+    Donner 2008).
+    """
+    lower = math.hypot(easr.estimate - easr.low, chance.high - chance.estimate)
+    upper = math.hypot(easr.high - easr.estimate, chance.estimate - chance.low)
+    unanimous = easr.unanimous or chance.unanimous
+    if not unanimous or math.isnan(lower + upper):
+        return net
+    return Interval(net.estimate, min(net.low, net.estimate - lower), max(net.high, net.estimate + upper))
 
 
 def _net(own: int) -> Any:

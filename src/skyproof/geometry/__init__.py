@@ -1,1 +1,1 @@
-"""Pure tensor mathematics: rotations, the oblique orthophoto projection, normals, boxes, colour. Imports torch only."""
+"""Pure tensor mathematics: rotation, the oblique orthophoto projection, normals, colour. Imports torch only."""

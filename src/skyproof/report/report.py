@@ -123,6 +123,7 @@ def _attack_loss(run: Run, name: str) -> Markup | None:
 
 def _training(run: Run) -> Markup | None:
     curves = {
+        # The log holds validations too, which have no loss.
         name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name) if "loss" in row]
         for name in run.detectors
     }

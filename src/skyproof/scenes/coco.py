@@ -131,7 +131,7 @@ def read_coco(folder: Path) -> LabelledImages:
         names = [(Path(folder) / image["file_name"], image["scene_id"]) for image in document["images"]]
         truths = [_boxes(rows[image["id"]], crowd=0) for image in document["images"]]
         ignored = [_boxes(rows[image["id"]], crowd=1) for image in document["images"]]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
     images = [_read_image(file) for file, _ in names]
     return LabelledImages(images=images, boxes=truths, ignore=ignored, ids=[name for _, name in names], gsd_m=gsd_m)

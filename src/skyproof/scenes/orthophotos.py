@@ -21,7 +21,7 @@ from rasterio.io import DatasetReader
 from rasterio.warp import transform as transform_places
 from rasterio.windows import Window
 
-from skyproof.errors import ImageryError
+from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
 
 __all__ = ["SPLIT_SHARES", "tile_orthophotos"]
@@ -89,10 +89,13 @@ def tile_orthophotos(
         progress: called with (blocks done, blocks in all).
 
     Raises:
+        ConfigurationError: `assumed_gsd_m` is not above 0.
         ImageryError: an image that is missing, unreadable, without resolution, coarser than 50 cm or too small; or
             too few blocks for four splits.
         RunFolderError: the disk cannot take it.
     """
+    if assumed_gsd_m is not None and not 0 < assumed_gsd_m < math.inf:
+        raise ConfigurationError(f"--gsd expects metres per pixel above 0, got {assumed_gsd_m}.")
     files = _files(paths)
     order = torch.randperm(len(files), generator=generator).tolist()
     sources = [_inspect(files[i], assumed_gsd_m) for i in order]
@@ -101,7 +104,7 @@ def tile_orthophotos(
         if size < minimum_tile_px:
             raise ImageryError(
                 f"{source.path} is {int(size)} px wide at {gsd_m} m per pixel but {minimum_tile_px} px are needed; "
-                "give larger images or a smaller --size."
+                "give larger images or a smaller --sizes.image-px."
             )
     blocks = _enough_blocks(sources, tile_px, minimum_tile_px, gsd_m)
     by_path = {source.path: source for source in sources}
@@ -225,7 +228,8 @@ def _enough_blocks(sources: list[_Source], tile_px: int, minimum_tile_px: int, g
         if size == minimum_tile_px:
             raise ImageryError(
                 f"The imagery yields {len(blocks)} blocks of {minimum_tile_px} px at {gsd_m} m per pixel but the "
-                f"{len(SPLITS)} splits need at least {len(SPLITS)}; give more or larger images, or a smaller --size."
+                f"{len(SPLITS)} splits need at least {len(SPLITS)}; give more or larger images, or a smaller "
+                "--sizes.image-px."
             )
         size = max(minimum_tile_px, round(size * 0.8))
 
@@ -286,7 +290,7 @@ def _assign_splits(tiles: list[BackgroundTile]) -> list[BackgroundTile]:
     if len(tiles) < len(SPLITS):
         raise ImageryError(
             f"Only {len(tiles)} blocks of the imagery hold data but the {len(SPLITS)} splits need at least "
-            f"{len(SPLITS)}; give more or larger images, or a smaller --size."
+            f"{len(SPLITS)}; give more or larger images, or a smaller --sizes.image-px."
         )
     given = dict.fromkeys(SPLITS, 0)
     assigned: list[BackgroundTile] = []

@@ -113,10 +113,13 @@ def read_scenes(path: Path) -> list[Scene]:
         StoredFileError: the file is missing, not JSON lines, or of another form.
     """
     try:
-        return [_scene(row) for row in read_jsonl(path)]
+        scenes = [_scene(row) for row in read_jsonl(path)]
     except (KeyError, TypeError) as error:
-        message = f"{path} is not a scene file of this version ({error}); sample the scenes again."
+        message = f"{path} is not a scene file of this version ({error!r}); sample the scenes again."
         raise StoredFileError(message) from error
+    if not scenes:
+        raise StoredFileError(f"{path} holds no scene; sample the scenes again.")
+    return scenes
 
 
 def _scene(row: dict[str, Any]) -> Scene:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -151,12 +151,15 @@ class Fleet:
                 raise ValueError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected {dtype} {shape}")
 
 
-def sample_fleet(settings: FleetSettings, *, generator: torch.Generator) -> Fleet:
+def sample_fleet(
+    settings: FleetSettings, *, generator: torch.Generator, progress: Callable[[int, int], None] | None = None
+) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
     Args:
         settings: how many, and of which types.
         generator: CPU generator; the same state gives the same fleet, byte for byte.
+        progress: called with (vehicles done, vehicles in all).
     """
     types = list(settings.weights)
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
@@ -169,6 +172,8 @@ def sample_fleet(settings: FleetSettings, *, generator: torch.Generator) -> Flee
         vertices.append(body.vertices)
         textures.append(texture)
         parts.append(labels)
+        if progress is not None:
+            progress(len(ids), settings.count)
     return Fleet(
         settings, make_template(), tuple(ids), torch.stack(vertices), torch.stack(textures), torch.stack(parts)
     )

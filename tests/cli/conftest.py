@@ -1,0 +1,135 @@
+"""One tiny run of the demo, made once; tests that change it work on copies."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from skyproof.cli.main import run
+
+# A network that has seen eight images finds next to nothing: rates may be undefined, and nothing may fall over that.
+SIZES = [
+    "--sizes.image-px",
+    "128",
+    "--sizes.tiles",
+    "3",
+    "2",
+    "2",
+    "3",
+    "--sizes.vehicles",
+    "3",
+    "2",
+    "2",
+    "3",
+    "--sizes.training-images",
+    "12",
+    "--sizes.validation-images",
+    "6",
+    "--sizes.test-images",
+    "6",
+    "--sizes.training-vehicles",
+    "3",
+    "--sizes.random-draws",
+    "2",
+]
+STEPS = [
+    "--training.steps",
+    "4",
+    "--training.batch-size",
+    "2",
+    "--training.validate-every",
+    "4",
+    "--training.checkpoint-every",
+    "2",
+    "--attack.steps",
+    "4",
+    "--attack.batch-size",
+    "2",
+    "--attack.checkpoint-every",
+    "2",
+]
+TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command left: exit code and both streams."""
+
+    code: int
+    out: str
+    err: str
+
+    def refused(self, *words: str) -> None:
+        """Asserts the one clear sentence: exit code 2, one line, and every one of `words` in it."""
+        assert self.code == 2, self.out + self.err
+        lines = self.err.splitlines()
+        assert len(lines) == 1, self.err
+        assert lines[0].startswith("skyproof: ")
+        for word in words:
+            assert word in lines[0]
+
+
+Skyproof = Callable[..., Answer]
+
+
+@pytest.fixture
+def skyproof(capfd: pytest.CaptureFixture[str]) -> Skyproof:
+    """Runs the command line; file descriptors are captured, because libraries in C print as well."""
+
+    def call(*arguments: object) -> Answer:
+        capfd.readouterr()
+        code = run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Answer(code, out, err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished tiny run; not to be changed."""
+    folder = tmp_path_factory.mktemp("cli") / "finished"
+    assert run(["demo", "--out", str(folder), *TINY]) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Copies the finished run without some of its results, as if it had been stopped there."""
+
+    def copy(*without: str) -> Path:
+        folder = tmp_path / "run"
+        shutil.copytree(finished, folder)
+        for name in without:
+            path = folder / name
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        return folder
+
+    return copy
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    """All files below a folder, by relative path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+RESULTS = (
+    "results.json",
+    "detectors/retinanet/weights.safetensors",
+    "camouflages/T-U/camouflage.safetensors",
+    "camouflages/T-U/texture.png",
+    "evaluation/outcomes.parquet",
+    "datasets/test-T-U/annotations.json",
+)
+
+
+def assert_same_results(folder: Path, reference: Path) -> None:
+    """What a stopped and resumed run leaves equals what an uninterrupted one leaves, and no leftovers lie about."""
+    for name in RESULTS:
+        assert (folder / name).read_bytes() == (reference / name).read_bytes(), name
+    assert (folder / "report.html").exists()
+    assert not [path for path in folder.rglob("*") if "partial" in path.name]
