@@ -77,10 +77,10 @@ def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> No
 
 
 def test_every_stage_is_announced_without_a_terminal(copied, skyproof: Skyproof) -> None:
-    folder = copied("backgrounds", "datasets/test-T-U", "evaluation", "report.html")
+    folder = copied("datasets/test-T-U", "evaluation", "report.html")
     answer = skyproof("demo", "--out", folder, *TINY)
     assert answer.code == 0
-    for stage in ("ground tiles", "render test-T-U", "evaluate"):
+    for stage in ("render test-T-U", "evaluate"):
         assert f"{stage} ..." in answer.out
         assert f"{stage}: done in" in answer.out
     assert "train retinanet ..." not in answer.out  # it was finished before

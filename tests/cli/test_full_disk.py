@@ -14,24 +14,26 @@ from PIL import Image
 
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
+# What is being written, which write of it fails, and the file or folder whose presence means that the stage is finished.
 CASES = {
     "tile": ("tiles/", 3, "backgrounds"),
     "tile index": ("index.json", 1, "backgrounds"),
     "fleet": ("fleets/train/fleet.safetensors", 1, "fleets/train"),
-    "fleet description": ("fleet.json", 1, "fleets/test"),
-    "scenes": ("validation.jsonl", 1, "scenes"),
-    "dataset image": ("datasets/test/images/", 2, "datasets/test"),
+    "fleet description": ("fleets/test/fleet.json", 1, "fleets/test"),
+    "scenes": ("scenes/validation.jsonl", 1, "scenes"),
     "dataset labels": ("datasets/validation/annotations.json", 1, "datasets/validation"),
-    "training checkpoint": ("retinanet/checkpoint.safetensors", 2, "detectors/retinanet"),
-    "training log": ("retinanet/steps.jsonl", 1, "detectors/retinanet"),
-    "detector weights": ("retinanet/weights.safetensors", 1, "detectors/retinanet"),
-    "detector card": ("retinanet/detector.json", 1, "detectors/retinanet"),
-    "attack mark": ("T-U/checkpoint.json", 1, "camouflages/T-U"),
-    "attack preview": ("T-U/previews/", 2, "camouflages/T-U"),
-    "attack checkpoint": ("T-U/checkpoint.safetensors", 1, "camouflages/T-U"),
-    "camouflage": ("T-U/camouflage.safetensors", 1, "camouflages/T-U"),
-    "camouflage picture": ("T-U/texture.png", 1, "camouflages/T-U"),
-    "control": ("R-U-1/texture.png", 1, "camouflages/R-U-1"),
+    "dataset image": ("datasets/test/images/", 2, "datasets/test"),
+    "training checkpoint": ("retinanet/checkpoint.safetensors", 2, "detectors/retinanet/detector.json"),
+    "training log": ("retinanet/steps.jsonl", 1, "detectors/retinanet/detector.json"),
+    "detector weights": ("retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
+    "detector card": ("retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
+    "attack mark": ("T-U/checkpoint.json", 1, "camouflages/T-U/camouflage.json"),
+    "attack checkpoint": ("T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
+    "attack preview": ("T-U/previews/", 2, "camouflages/T-U/camouflage.json"),
+    "camouflage": ("T-U/camouflage.safetensors", 1, "camouflages/T-U/camouflage.json"),
+    "camouflage picture": ("T-U/texture.png", 1, "camouflages/T-U/camouflage.json"),
+    "camouflage record": ("T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
+    "control": ("R-U-1/texture.png", 1, "camouflages/R-U-1/camouflage.json"),
     "pair image": ("datasets/test-T-U/images/", 4, "datasets/test-T-U"),
     "detections": ("evaluation/detections/test-T-U", 1, "evaluation"),
     "outcomes": ("outcomes.parquet", 1, "evaluation"),
@@ -75,22 +77,19 @@ class FullDisk:
         return self.left == 0
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_full_disk(case: str, copied, finished: Path, skyproof: Skyproof) -> None:
-    fragment, nth, stage = CASES[case]
-    folder = copied(*{stage, "report.html"})
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        disk = FullDisk(monkeypatch, fragment, nth)
-        answer = skyproof("demo", "--out", folder, *TINY)
-    assert disk.left <= 0
-    answer.refused("No space left on device", "free space", str(folder))
-    assert not (folder / "report.html").exists()
-    # A folder counts as finished by its name, or by the record that is written last.
-    record = {"detectors/retinanet": "detector.json", "camouflages": "camouflage.json"}
-    last = next((name for start, name in record.items() if stage.startswith(start) and not stage.endswith("png")), "")
-    assert not (folder / stage / last).exists()
-    answer = skyproof("demo", "--out", folder, *TINY)
-    assert answer.code == 0, answer.err
+def test_full_disk_in_every_stage(tmp_path: Path, finished: Path, skyproof: Skyproof) -> None:
+    """One run, stopped by a full disk at every kind of file it writes; each time it goes on from there."""
+    folder = tmp_path / "run"
+    for case, (fragment, nth, result) in CASES.items():
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            disk = FullDisk(monkeypatch, fragment, nth)
+            answer = skyproof("demo", "--out", folder, *TINY)
+        assert disk.left == 0, case
+        answer.refused("No space left on device", "free space", str(folder))
+        # Only what bears this name counts as finished.
+        assert not (folder / result).exists(), case
+        assert not [path for path in folder.rglob("*") if "partial" in path.name], case
+    assert skyproof("demo", "--out", folder, *TINY).code == 0
     assert_same_results(folder, finished)
 
 

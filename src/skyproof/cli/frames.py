@@ -34,6 +34,8 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
         folder, pattern = Path(place), "*"
         if not folder.is_dir():
             folder, pattern = folder.parent, folder.name
+            if not folder.is_dir() or not set(pattern) & set("*?["):
+                raise ConfigurationError(f"{place} is not a folder; check --frames {text}.")
         images = read_yolo_folder(folder, gsd_m=own_gsd_m, target_gsd_m=gsd_m, classes=tuple(classes), pattern=pattern)
         name = folder.name if pattern == "*" else f"{folder.name}/{pattern}"
         note = f"real frames, {own_gsd_m * 100:.1f} cm/px resampled to {gsd_m * 100:.1f} cm/px; 40 px border ignored"

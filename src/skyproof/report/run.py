@@ -75,7 +75,13 @@ class Run:
 
     def steps(self, kind: str, name: str) -> list[Mapping[str, Any]]:
         """The log of a training ("detectors") or an attack ("camouflages"); empty where missing."""
-        return _optional(self.folder / kind / name / "steps.jsonl", read_jsonl, [])
+        path = self.folder / kind / name / "steps.jsonl"
+        rows = _optional(path, _rows, [])
+        if not all(
+            "step" in row and (row.get("kind") == "validation" or row.keys() & {"loss", "losses"}) for row in rows
+        ):
+            raise _other_form(path)
+        return rows
 
     def headlines(self) -> list[Headline]:
         """One entry per learnt or given camouflage and renderer, at the main match criterion."""
@@ -111,11 +117,11 @@ def read_run(folder: Path) -> Run:
     outcomes_path = folder / "evaluation" / "outcomes.parquet"
     return Run(
         folder=folder,
-        config=read_json(folder / "config.json"),
-        environment=_optional(folder / "environment.json", read_json, {}),
+        config=_mapping(folder / "config.json"),
+        environment=_optional(folder / "environment.json", _mapping, {}),
         rows=rows,
-        timings=_optional(folder / "timings.json", read_json, []),
-        clean=_optional(folder / "evaluation" / "clean.json", read_json, []),
+        timings=_optional(folder / "timings.json", _rows, []),
+        clean=_optional(folder / "evaluation" / "clean.json", _rows, []),
         detectors=_folders(folder / "detectors", "detector.json"),
         camouflages=_folders(folder / "camouflages", "camouflage.json"),
         outcomes=read_outcomes(outcomes_path) if outcomes_path.exists() else None,
@@ -126,7 +132,25 @@ def _optional(path: Path, read: Callable[[Path], Any], otherwise: Any) -> Any:
     return read(path) if path.exists() else otherwise
 
 
+def _mapping(path: Path) -> Mapping[str, Any]:
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise _other_form(path)
+    return value
+
+
+def _rows(path: Path) -> list[Mapping[str, Any]]:
+    rows = read_jsonl(path) if path.suffix == ".jsonl" else read_json(path)
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise _other_form(path)
+    return rows
+
+
+def _other_form(path: Path) -> StoredFileError:
+    return StoredFileError(f"{path} is not of the form that this version writes; run its stage again.")
+
+
 def _folders(parent: Path, file: str) -> dict[str, Mapping[str, Any]]:
     if not parent.is_dir():
         return {}
-    return {path.parent.name: read_json(path) for path in sorted(parent.glob(f"*/{file}"))}
+    return {path.parent.name: _mapping(path) for path in sorted(parent.glob(f"*/{file}"))}

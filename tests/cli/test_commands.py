@@ -1,0 +1,201 @@
+"""render, train, attack, evaluate, report and bench on the folders of the tiny run."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Skyproof, bytes_of
+
+CPU = ["--device", "cpu"]
+
+
+def test_render(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    out = tmp_path / "drawn"
+    call = ["render", "--scenes", finished / "scenes/test.jsonl", "--backgrounds", finished / "backgrounds"]
+    worn = ["--camouflage", finished / "camouflages/T-U", *CPU]
+    answer = skyproof(*call, "--fleet", finished / "fleets/test", "--out", out, *worn)
+    assert answer.code == 0, answer.err
+    assert bytes_of(out) == bytes_of(finished / "datasets/test-T-U")
+    again = skyproof(*call, "--fleet", finished / "fleets/test", "--out", out, *worn)
+    again.refused(str(out), "not overwritten")
+    missing = tmp_path / "missing"
+    for flag, words in (
+        ("--scenes", ("missing",)),
+        ("--backgrounds", ("missing",)),
+        ("--fleet", ("missing",)),
+        ("--camouflage", ("missing",)),
+    ):
+        known = dict(zip(call[1::2], call[2::2], strict=True)) | {"--fleet": finished / "fleets/test"}
+        flags = [part for pair in ({**known, flag: missing}).items() for part in pair]
+        skyproof("render", *flags, "--out", tmp_path / "x", *CPU).refused(str(missing), *words)
+        assert not (tmp_path / "x").exists()
+    empty = tmp_path / "empty.jsonl"
+    empty.touch()
+    call[2] = empty
+    skyproof(*call, "--fleet", finished / "fleets/test", "--out", tmp_path / "x").refused(str(empty), "no scene")
+    # Another split's fleet: the scenes name vehicles that it does not have.
+    call[2] = finished / "scenes/test.jsonl"
+    skyproof(*call, "--fleet", finished / "fleets/train", "--out", tmp_path / "x", *CPU).refused("No vehicle")
+    assert not (tmp_path / "x").exists()
+
+
+def test_other_formats_are_named(copied, tmp_path: Path, skyproof: Skyproof) -> None:
+    folder = copied()
+    for file, bad in (
+        ("backgrounds/index.json", '{"format_version": 99}'),
+        ("fleets/test/fleet.json", '{"format": 99}'),
+        ("camouflages/T-U/camouflage.json", '{"format": 99}'),
+        ("camouflages/T-U/camouflage.json", '{"format": 1, "kind": "UniversalTexture"}'),
+        ("camouflages/T-U/camouflage.safetensors", "damaged"),
+        ("fleets/test/fleet.safetensors", "damaged"),
+        ("scenes/test.jsonl", '{"id": 1}\n'),
+        ("scenes/test.jsonl", "{"),
+    ):
+        good = (folder / file).read_bytes()
+        (folder / file).write_text(bad)
+        answer = skyproof(
+            *("render", "--scenes", folder / "scenes/test.jsonl", "--backgrounds", folder / "backgrounds"),
+            *("--fleet", folder / "fleets/test", "--camouflage", folder / "camouflages/T-U"),
+            *("--out", tmp_path / "x", *CPU),
+        )
+        answer.refused(str((folder / file).parent), "again")
+        assert not (tmp_path / "x").exists()
+        (folder / file).write_bytes(good)
+
+
+def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    out = tmp_path / "detector"
+    sets = ["--data", finished / "datasets/train", "--validation", finished / "datasets/validation"]
+    call = ["train", "--detector", "retinanet", *sets, "--steps", 2, "--batch-size", 2, *CPU]
+    answer = skyproof(*call, "--out", out)
+    assert answer.code == 0, answer.err
+    assert "threshold" in answer.out
+    stored = bytes_of(out)
+    assert set(stored) == {"detector.json", "steps.jsonl", "weights.safetensors"}
+    assert skyproof(*call, "--out", out).code == 0
+    skyproof(*call, "--out", out, "--seed", 1).refused(str(out), "another folder")
+    assert bytes_of(out) == stored
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "weights.safetensors").write_text("precious")
+    skyproof(*call, "--out", mine).refused(str(mine), "weights.safetensors", "another --out")
+    assert (mine / "weights.safetensors").read_text() == "precious"
+    skyproof(*call, "--out", mine / "weights.safetensors").refused("is a file")
+    call[2] = "yolo99"
+    skyproof(*call, "--out", tmp_path / "x").refused("yolo99")
+    call[2], call[4] = "retinanet", tmp_path / "missing"
+    skyproof(*call, "--out", tmp_path / "x").refused(str(tmp_path / "missing"), "missing")
+    assert not (tmp_path / "x").exists()
+
+
+def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    detector, out = finished / "detectors/retinanet", tmp_path / "texture"
+    world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
+    steps = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1, *CPU]
+    answer = skyproof("attack", "--detectors", detector, *world, "--out", out, *steps)
+    assert answer.code == 0, answer.err
+    stored = bytes_of(out)
+    assert {"camouflage.json", "camouflage.safetensors", "texture.png", "steps.jsonl"} <= set(stored)
+    assert skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).code == 0
+    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps, "--settings.seed", 3).refused(str(out))
+    assert bytes_of(out) == stored
+    skyproof("attack", "--detectors", detector, detector, *world, "--out", tmp_path / "x", *steps).refused("once")
+    missing = tmp_path / "missing"
+    skyproof("attack", "--detectors", missing, *world, "--out", tmp_path / "x", *steps).refused(str(missing))
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "texture.png").write_text("precious")
+    skyproof("attack", "--detectors", detector, *world, "--out", mine, *steps).refused(str(mine), "texture.png")
+    assert bytes_of(mine) == {"texture.png": b"precious"}
+    (out / "camouflage.safetensors").write_text("damaged")
+    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).refused(str(out), "again")
+
+
+def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) -> None:
+    folder = copied()
+    call = ["evaluate", "--detectors", finished / "detectors/retinanet", "--original", finished / "datasets/test", *CPU]
+    pairs = [f"{name}={finished}/datasets/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
+    out = tmp_path / "evaluation"
+    answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
+    assert answer.code == 0, answer.err
+    assert "EASR" in answer.out
+    assert bytes_of(out) == bytes_of(finished / "evaluation")
+    skyproof(*call, "--camouflaged", *pairs, "--out", out).refused(str(out), "not overwritten")
+    for bad, words in (
+        ([f"T-U={finished}/datasets/validation"], ("does not show the scenes",)),
+        (["T-U"], ("NAME=FOLDER",)),
+        ([f"T-U={tmp_path}/missing"], ("missing",)),
+        ([pairs[0], pairs[0]], ("twice",)),
+        ([pairs[0], pairs[0].replace("T-U=", "T-V=")], ("called 'test-T-U'",)),
+    ):
+        skyproof(*call, "--camouflaged", *bad, "--out", tmp_path / "x").refused(*words)
+        assert not (tmp_path / "x").exists()
+    # Another run numbers its scenes alike: only their content tells.
+    other = folder / "datasets/test-T-U"
+    rows = [json.loads(line) for line in (other / "scenes.jsonl").read_text().splitlines()]
+    rows[0]["sun"]["azimuth_rad"] += 0.5
+    (other / "scenes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused("does not show the scenes")
+    shutil.copy(finished / "datasets/test/scenes.jsonl", other / "scenes.jsonl")
+    image = next((other / "images").iterdir())
+    image.write_bytes(image.read_bytes()[:500])
+    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(str(image), "again")
+    assert not (tmp_path / "x").exists()
+
+
+def test_evaluate_at_another_resolution(copied, tmp_path: Path, skyproof: Skyproof) -> None:
+    folder = copied()
+    card = folder / "detectors/retinanet/detector.json"
+    card.write_text(json.dumps({**json.loads(card.read_text()), "gsd_m": 0.25}))
+    skyproof(
+        *("evaluate", "--detectors", card.parent, "--original", folder / "datasets/test", *CPU),
+        *("--camouflaged", f"T-U={folder}/datasets/test-T-U", "--out", tmp_path / "x"),
+    ).refused(str(card.parent), "0.25 m per pixel")
+
+
+def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
+    folder = copied("report.html")
+    answer = skyproof("report", "--run-folder", folder)
+    assert answer.code == 0, answer.err
+    assert (folder / "report.html").exists()
+    skyproof("report", "--run-folder", tmp_path / "missing").refused(str(tmp_path / "missing"), "missing")
+    (folder / "report.html").unlink()
+    for file, bad in (
+        ("results.json", "{"),
+        ("results.json", '{"rows": []}'),
+        ("config.json", "{"),
+        ("evaluation/outcomes.parquet", "damaged"),
+        ("datasets/test/annotations.json", "{"),
+        ("camouflages/T-U/texture.png", "damaged"),
+        ("detectors/retinanet/steps.jsonl", "{"),
+        ("detectors/retinanet/detector.json", "[]"),
+        ("config.json", "[]"),
+        ("environment.json", "[]"),
+        ("timings.json", "{}"),
+        ("camouflages/T-U/steps.jsonl", "[1]"),
+        ("camouflages/T-U/steps.jsonl", '{"step": 1}'),
+    ):
+        good = (folder / file).read_bytes()
+        (folder / file).write_text(bad)
+        skyproof("report", "--run-folder", folder).refused(str(folder / file))
+        assert not (folder / "report.html").exists()
+        (folder / file).write_bytes(good)
+
+
+@pytest.mark.parametrize("extra", [[], ["--device", "cuda:77"]])
+def test_bench(extra: list[str], tmp_path: Path, skyproof: Skyproof) -> None:
+    file = tmp_path / "bench.json"
+    tiny = ["--image-px", 128, "--batch-size", 1, "--repeats", 1, "--detectors", "retinanet"]
+    answer = skyproof("bench", "--json", file, *tiny, *(extra or CPU))
+    if extra:
+        answer.refused("--device cuda:77")
+        assert not file.exists()
+        return
+    assert answer.code == 0, answer.err
+    figures = json.loads(file.read_text())
+    for key in ("forward", "texture", "vertices"):
+        assert figures[f"crop_64px_{key}_ms"] > 0
+    assert figures["dataset_images_per_second"] > 0
+    assert figures["attack_step_over_detectors"] > 0

@@ -1,0 +1,75 @@
+"""A kill or an interrupt in the middle of any stage: the same command goes on, and the results are the same."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.cli.conftest import STEPS, TINY, assert_same_results
+
+HELPER = Path(__file__).with_name("killed.py")
+
+
+def ended_at(folder: Path, moments: list[list[object]]) -> tuple[list[tuple[int, list[str]]], str]:
+    done = subprocess.run(
+        [sys.executable, str(HELPER), str(folder), json.dumps(moments), *TINY],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return [(code, left) for code, left in map(json.loads, done.stdout.splitlines())], done.stderr
+
+
+def test_killed_in_every_stage(tmp_path: Path, finished: Path) -> None:
+    # How, where, which time; and the name that must not be there yet: the one that means "finished".
+    moments = [
+        ("write", "config.json", 1, "config.json"),
+        ("rename", "config.json", 1, "config.json"),
+        ("write", "tiles/", 4, "backgrounds"),
+        ("rename", "/backgrounds", 1, "backgrounds/tiles"),
+        ("write", "fleet.safetensors", 2, "fleets/validation"),
+        ("write", "scenes/test.jsonl", 1, "scenes"),
+        ("write", "datasets/train/images/", 5, "datasets/train"),
+        ("write", "retinanet/checkpoint.safetensors", 1, "detectors/retinanet/detector.json"),
+        ("appears", "detectors/retinanet/checkpoint.safetensors", 1, "detectors/retinanet/detector.json"),
+        ("rename", "retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
+        ("rename", "retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
+        ("write", "T-U/previews/", 1, "camouflages/T-U/camouflage.json"),
+        ("rename", "T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
+        ("appears", "camouflages/T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
+        ("rename", "T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
+        ("write", "R-U-0/texture.png", 1, "camouflages/R-U-0/camouflage.json"),
+        ("write", "datasets/test-R-U-1/images/", 2, "datasets/test-R-U-1"),
+        ("appears", ".evaluation.partial", 1, "evaluation"),
+        ("rename", "/evaluation", 8, "evaluation"),
+        ("write", "results.json", 1, "results.json"),
+        ("rename", "on_vehicle.png", 1, "camouflages/T-U/on_vehicle.png"),
+        ("write", "report.html", 1, "report.html"),
+    ]
+    folder = tmp_path / "run"
+    ends, errors = ended_at(folder, [list(moment[:3]) for moment in moments])
+    for moment, (code, left) in zip(moments, ends, strict=False):
+        assert code == -9, (moment, errors)
+        assert moment[3] not in left, moment
+        assert "report.html" not in left
+    assert ends[-1][0] == 0, errors
+    assert_same_results(folder, finished)
+    steps = [json.loads(line) for line in (folder / "camouflages/T-U/steps.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in steps] == list(range(1, int(STEPS[STEPS.index("--attack.steps") + 1]) + 1))
+
+
+def test_interrupt_is_one_sentence_and_resumable(tmp_path: Path, finished: Path) -> None:
+    folder = tmp_path / "run"
+    moments: list[list[object]] = [
+        ["interrupt", ".backgrounds.partial/tiles", 1],
+        ["interrupt", "detectors/retinanet/checkpoint.safetensors", 1],
+    ]
+    ends, errors = ended_at(folder, moments)
+    assert [code for code, _ in ends] == [130, 130, 0]
+    assert "backgrounds" not in ends[0][1]
+    assert "detectors/retinanet/detector.json" not in ends[1][1]
+    assert errors.splitlines() == ["skyproof: stopped; give the same command again to go on."] * 2
+    assert_same_results(folder, finished)
