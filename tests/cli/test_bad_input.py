@@ -16,8 +16,29 @@ from rasterio.transform import from_origin
 from tests.cli.conftest import STEPS, TINY, Skyproof, bytes_of
 
 SMALL = [
-    *"--sizes.image-px 128 --sizes.vehicles 2 1 1 1 --sizes.training-images 8 --sizes.validation-images 2".split(),
-    *"--sizes.test-images 2 --sizes.training-vehicles 2 --sizes.random-draws 1 --detectors retinanet".split(),
+    *[
+        "--sizes.image-px",
+        "128",
+        "--sizes.vehicles",
+        "2",
+        "1",
+        "1",
+        "1",
+        "--sizes.training-images",
+        "8",
+        "--sizes.validation-images",
+        "2",
+    ],
+    *[
+        "--sizes.test-images",
+        "2",
+        "--sizes.training-vehicles",
+        "2",
+        "--sizes.random-draws",
+        "1",
+        "--detectors",
+        "retinanet",
+    ],
     *[*STEPS, "--device", "cpu"],
 ]
 

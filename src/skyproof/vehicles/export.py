@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
 from PIL import Image
 
@@ -36,7 +37,8 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     vertices = vehicles.vertices[index].detach().cpu().double().numpy()[:, [1, 2, 0]]
     uvs = template.uvs.detach().cpu().double().numpy()[pairs[:, 1]]
     texture = vehicles.texture[index if len(vehicles.texture) > 1 else 0].detach().cpu()
-    image = Image.fromarray((texture.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy())
+    pixels = texture if texture.dtype == torch.uint8 else (texture.clamp(0, 1) * 255).round().byte()
+    image = Image.fromarray(pixels.permute(1, 2, 0).numpy())
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.5, name=vehicles.ids[index]
     )
