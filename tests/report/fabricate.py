@@ -113,7 +113,7 @@ def _write_rest(folder, rng):
         }
         for d in DETECTORS
         for dataset, ap, note in (
-            ("synthetic test", 0.97, ""),
+            ("rendered test", 0.97, ""),
             ("KIT AIS Munich", 0.21, "trained on synthetic images only; resampled to 0.125 m"),
         )
     ]  # fmt: skip

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco
+from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_visible_fractions
 
 
 def _image(seed, height=20, width=30):
@@ -100,3 +100,14 @@ def test_damage_raises(tmp_path):
     path.write_text(path.read_text().replace("gsd_m", "other"))
     with pytest.raises(StoredFileError, match=r"annotations\.json"):
         read_coco(tmp_path)
+
+
+def test_visible_fractions_follow_the_boxes(tmp_path):
+    image = torch.zeros(3, 8, 8, dtype=torch.uint8)
+    with CocoWriter(tmp_path, gsd_m=0.125) as writer:
+        cut = Annotation((0.0, 0.0, 2.0, 2.0), (1.0, 1.0), visible_fraction=0.25)
+        hidden = Annotation((0.0, 0.0, 8.0, 1.0), (4.0, 0.5), ignore=True)
+        whole = Annotation((4.0, 4.0, 6.0, 6.0), (5.0, 5.0))
+        writer.add(image, "first", [cut, hidden, whole])
+        writer.add(image, "second", [])
+    assert [values.tolist() for values in read_visible_fractions(tmp_path)] == [[0.25, 1.0], []]

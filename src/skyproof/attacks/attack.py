@@ -46,7 +46,7 @@ class AttackSettings:
         balance_batches: batches whose mean losses set the detectors' weights (PAPER 24).
         preview_every: steps between pictures of the batch.
         checkpoint_every: steps between checkpoints.
-        seed: of all scenes.
+        seed: of all scenes; the demo adds its own seed to it.
     """
 
     steps: int = 300

@@ -49,7 +49,9 @@ class DemoSizes:
         image_px: image side; vehicles are of true size at 12.5 cm per pixel.
         tiles: procedural ground tiles per split (train, validation, attack, test), when no imagery is given.
         vehicles: vehicles in the fleet per split.
-        training_images, validation_images, test_images: rendered images.
+        training_images: rendered images to train on.
+        validation_images: to choose weights and threshold by.
+        test_images: to attack and report on.
         training_vehicles: at most so many in one training image; validation and test have 1 to 5 (PAPER 5).
         random_draws: random controls to compare with (PAPER 37).
     """
@@ -255,7 +257,7 @@ def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.d
         demo.out / "backgrounds",
         demo.out / "fleets" / "attack",
         replace(_scene_settings(demo), vehicles_maximum=1),
-        replace(demo.attack, seed=demo.seed),
+        replace(demo.attack, seed=demo.seed + demo.attack.seed),
         folder,
         device=device,
     )

@@ -35,7 +35,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command = tyro.extras.subcommand_cli_from_dict(
             _COMMANDS,
             prog="skyproof",
-            description="How robust is an overhead vehicle detector against camouflage that could really be built?",
+            description="How robust is an overhead vehicle detector to camouflage, and how sure is that number?",
             args=arguments,
         )
         command.run()

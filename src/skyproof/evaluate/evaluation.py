@@ -19,7 +19,7 @@ from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.evaluate.rates import false_alarms_per_km2
 from skyproof.evaluate.summary import SetScore, summarise
 from skyproof.files import finished_folder, write_json, write_jsonl
-from skyproof.scenes.coco import read_coco
+from skyproof.scenes.coco import read_coco, read_visible_fractions
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import Scene, read_scenes
 
@@ -84,7 +84,7 @@ def evaluate_pairs(
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     scenes = read_scenes(Path(original) / "scenes.jsonl")
-    before = read_coco(original)
+    before, visible = read_coco(original), read_visible_fractions(original)
     for place in camouflaged.values():
         # Ids alone do not tell: two runs number their scenes alike.
         if read_scenes(Path(place) / "scenes.jsonl") != scenes:
@@ -112,7 +112,7 @@ def evaluate_pairs(
             found = detect_all(judge.detector, before.images)
             _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
             scores.extend(_scores(ORIGINAL, renderer, judge, scenes, before, found))
-            checks.append(_check(judge, CleanSet("synthetic test", before), found))
+            checks.append(_check(judge, CleanSet("rendered test", before), found))
             step()
             for camouflage, images in after.items():
                 hidden = detect_all(judge.detector, images.images)
@@ -122,7 +122,13 @@ def evaluate_pairs(
                 for match in MATCHES:
                     comparison = Comparison(camouflage, renderer, name, match, judge.threshold, before.gsd_m)
                     pair = compare(
-                        scenes, before.boxes, found, hidden, comparison, adversarial_truth_boxes=images.boxes
+                        scenes,
+                        before.boxes,
+                        found,
+                        hidden,
+                        comparison,
+                        adversarial_truth_boxes=images.boxes,
+                        visible_fractions=visible,
                     )
                     outcomes.extend(pair)
                 step()

@@ -31,7 +31,7 @@ class Outcome:
         detected_original, detected_adversarial: matched by a detection at or above the frozen threshold (PAPER 18).
         score_original, score_adversarial: score of the matched detection, whatever the threshold; 0 where none.
         distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan where none.
-        visible_fraction: share of the vehicle not hidden by others or the border; nan where not known.
+        visible_fraction: share of the vehicle inside the image; nan where not known.
         sun_elevation_deg, sun_azimuth_deg: the sun; azimuth from east towards north.
         tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
         heading_deg: of the vehicle, from east towards north, in [0, 360).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 from torch import Tensor
 
@@ -18,7 +19,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco"]
+__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_visible_fractions"]
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -30,7 +31,7 @@ class Annotation:
     Attributes:
         box_xyxy: pixels, half-open.
         centre_px: where the vehicle's centre lies, (x, y).
-        visible_fraction: of its pixels, how many are inside the image and not hidden.
+        visible_fraction: of its pixels, how many are inside the image.
         mask: `[H, W]` its visible pixels in the whole image, or None.
         vehicle: id in the fleet, or None where not known.
         placement_index: which of the scene's placements it is, or None.
@@ -135,6 +136,24 @@ def read_coco(folder: Path) -> LabelledImages:
         raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
     images = [_read_image(file) for file, _ in names]
     return LabelledImages(images=images, boxes=truths, ignore=ignored, ids=[name for _, name in names], gsd_m=gsd_m)
+
+
+def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
+    """Per image the visible fraction of each vehicle, in the order of `read_coco`'s boxes; nan where not known.
+
+    Raises:
+        StoredFileError: the folder is missing or damaged.
+    """
+    path = Path(folder) / "annotations.json"
+    document = read_json(path)
+    try:
+        fractions: dict[int, list[float]] = {image["id"]: [] for image in document["images"]}
+        for annotation in document["annotations"]:
+            if not annotation["iscrowd"]:
+                fractions[annotation["image_id"]].append(float(annotation.get("visible_fraction", math.nan)))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+    return [torch.tensor(values) for values in fractions.values()]
 
 
 def _boxes(rows: list[dict[str, Any]], *, crowd: int) -> Tensor:
