@@ -11,15 +11,21 @@ import pytest
 
 from skyproof.cli.main import run
 
+
+def flags(text: str) -> list[str]:
+    """Words of a command line."""
+    return text.split()
+
+
 # A network that has seen eight images finds next to nothing: rates may be undefined, and nothing may fall over that.
-SIZES = (
+SIZES = flags(
     "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images 12 "
     "--sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 --sizes.random-draws 2"
-).split()
-STEPS = (
+)
+STEPS = flags(
     "--training.steps 4 --training.batch-size 2 --training.validate-every 4 --training.checkpoint-every 2 "
     "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2"
-).split()
+)
 TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
 
 
@@ -44,7 +50,7 @@ class Answer:
 Skyproof = Callable[..., Answer]
 
 
-@pytest.fixture()
+@pytest.fixture
 def skyproof(capfd: pytest.CaptureFixture[str]) -> Skyproof:
     """Runs the command line; file descriptors are captured, because libraries in C print as well."""
 
@@ -65,7 +71,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture()
+@pytest.fixture
 def copied(finished: Path, tmp_path: Path) -> Callable[..., Path]:
     """Copies the finished run without some of its results, as if it had been stopped there."""
 

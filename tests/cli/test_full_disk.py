@@ -14,7 +14,7 @@ from PIL import Image
 
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
-# What is being written, which write of it fails, and the file or folder whose presence means that the stage is finished.
+# What is written, which write of it fails, and the file or folder whose presence means that the stage is finished.
 CASES = {
     "tile": ("tiles/", 3, "backgrounds"),
     "tile index": ("index.json", 1, "backgrounds"),
@@ -93,7 +93,7 @@ def test_full_disk_in_every_stage(tmp_path: Path, finished: Path, skyproof: Skyp
     assert_same_results(folder, finished)
 
 
-@pytest.fixture()
+@pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 64 MiB in memory."""
     place = tmp_path / "disk"
