@@ -19,6 +19,18 @@ from skyproof.files import (
 )
 
 
+def write_half(path: Path, error: BaseException) -> None:
+    with write_beside(path) as temporary:
+        temporary.write_text("half")
+        raise error
+
+
+def fill_half(path: Path, error: BaseException) -> None:
+    with finished_folder(path) as partial:
+        (partial / "a.png").touch()
+        raise error
+
+
 def full() -> OSError:
     return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -33,17 +45,15 @@ def test_write_beside_replaces_only_when_the_block_ends_well(tmp_path: Path) -> 
         assert not path.exists()
     assert path.read_text() == "first"
     for error, seen in ((full(), RunFolderError), (KeyError("x"), KeyError), (KeyboardInterrupt(), KeyboardInterrupt)):
-        with pytest.raises(seen), write_beside(path) as temporary:
-            temporary.write_text("half")
-            raise error
+        with pytest.raises(seen):
+            write_half(path, error)
         assert path.read_text() == "first"
         assert [entry.name for entry in path.parent.iterdir()] == ["table.csv"]
 
 
 def test_full_disk_names_file_and_remedy(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match=r"table\.csv: No space left on device; free space") as caught:
-        with write_beside(tmp_path / "table.csv"):
-            raise full()
+        write_half(tmp_path / "table.csv", full())
     assert "\n" not in str(caught.value)
 
 
@@ -67,9 +77,8 @@ def test_finished_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [entry.name for entry in path.parent.iterdir()] == ["tiles"]
     assert [entry.name for entry in path.iterdir()] == ["a.png"]
     for error, seen in ((full(), RunFolderError), (KeyError("x"), KeyError), (KeyboardInterrupt(), KeyboardInterrupt)):
-        with pytest.raises(seen), finished_folder(tmp_path / "other") as partial:
-            (partial / "a.png").touch()
-            raise error
+        with pytest.raises(seen):
+            fill_half(tmp_path / "other", error)
         assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
 
 
@@ -87,7 +96,7 @@ def test_refuse_foreign(tmp_path: Path) -> None:
     (tmp_path / "steps.jsonl").touch()
     (tmp_path / ".steps.partial.jsonl").touch()
     refuse_foreign(tmp_path, {"steps.jsonl"})
-    with pytest.raises(RunFolderError, match="steps.jsonl"):
+    with pytest.raises(RunFolderError, match=r"steps\.jsonl"):
         refuse_foreign(tmp_path, ())
     with pytest.raises(RunFolderError, match="is a file"):
         refuse_foreign(tmp_path / "steps.jsonl", ())
@@ -110,7 +119,7 @@ def test_json_round_trip_and_damage(tmp_path: Path) -> None:
 
 def test_unwritable_place_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(RunFolderError, match="file/a.json"):
+    with pytest.raises(RunFolderError, match=r"file/a\.json"):
         write_json(tmp_path / "file" / "a.json", 1)
     with pytest.raises(RunFolderError, match="file/tiles"), finished_folder(tmp_path / "file" / "tiles"):
         pytest.fail("the block must not run")

@@ -11,47 +11,21 @@ import pytest
 
 from skyproof.cli.main import run
 
+
+def flags(text: str) -> list[str]:
+    """Words of a command line."""
+    return text.split()
+
+
 # A network that has seen eight images finds next to nothing: rates may be undefined, and nothing may fall over that.
-SIZES = [
-    "--sizes.image-px",
-    "128",
-    "--sizes.tiles",
-    "3",
-    "2",
-    "2",
-    "3",
-    "--sizes.vehicles",
-    "3",
-    "2",
-    "2",
-    "3",
-    "--sizes.training-images",
-    "12",
-    "--sizes.validation-images",
-    "6",
-    "--sizes.test-images",
-    "6",
-    "--sizes.training-vehicles",
-    "3",
-    "--sizes.random-draws",
-    "2",
-]
-STEPS = [
-    "--training.steps",
-    "4",
-    "--training.batch-size",
-    "2",
-    "--training.validate-every",
-    "4",
-    "--training.checkpoint-every",
-    "2",
-    "--attack.steps",
-    "4",
-    "--attack.batch-size",
-    "2",
-    "--attack.checkpoint-every",
-    "2",
-]
+SIZES = flags(
+    "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images 12 "
+    "--sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 --sizes.random-draws 2"
+)
+STEPS = flags(
+    "--training.steps 4 --training.batch-size 2 --training.validate-every 4 --training.checkpoint-every 2 "
+    "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2"
+)
 TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
 
 

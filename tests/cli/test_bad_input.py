@@ -13,34 +13,15 @@ import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
 
-from tests.cli.conftest import STEPS, TINY, Skyproof, bytes_of
+from tests.cli.conftest import STEPS, TINY, Skyproof, bytes_of, flags
 
-SMALL = [
-    *[
-        "--sizes.image-px",
-        "128",
-        "--sizes.vehicles",
-        "2",
-        "1",
-        "1",
-        "1",
-        "--sizes.training-images",
-        "8",
-        "--sizes.validation-images",
-        "2",
-    ],
-    *[
-        "--sizes.test-images",
-        "2",
-        "--sizes.training-vehicles",
-        "2",
-        "--sizes.random-draws",
-        "1",
-        "--detectors",
-        "retinanet",
-    ],
-    *[*STEPS, "--device", "cpu"],
-]
+SMALL = (
+    flags(
+        "--sizes.image-px 128 --sizes.vehicles 2 1 1 1 --sizes.training-images 8 --sizes.validation-images 2 "
+        "--sizes.test-images 2 --sizes.training-vehicles 2 --sizes.random-draws 1 --detectors retinanet --device cpu"
+    )
+    + STEPS
+)
 
 
 def picture(path: Path, size_px: int = 640) -> Path:
@@ -87,10 +68,10 @@ CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_imagery(case: str, tmp_path: Path, skyproof: Skyproof) -> None:
-    name, make, flags, remedy = CASES[case]
+    name, make, given, remedy = CASES[case]
     path = tmp_path / name
     make(path)
-    answer = skyproof("demo", "--out", tmp_path / "run", "--imagery", path, *flags, *SMALL)
+    answer = skyproof("demo", "--out", tmp_path / "run", "--imagery", path, *given, *SMALL)
     whose = "" if case == "too small for four splits" else str(path)
     answer.refused(whose, remedy)
     left = {entry.name for entry in (tmp_path / "run").iterdir()}
@@ -173,7 +154,7 @@ def test_folder_of_the_users_is_not_taken_for_a_leftover(copied, skyproof: Skypr
 
 
 def test_settings_that_cannot_work(tmp_path: Path, skyproof: Skyproof) -> None:
-    for flags, word in (
+    for wrong, word in (
         (["--detectors", "retinanet", "retinanet"], "once"),
         (["--detectors", "yolo99"], "yolo99"),
         (["--device", "cuda:77"], "--device cuda:77"),
@@ -187,8 +168,8 @@ def test_settings_that_cannot_work(tmp_path: Path, skyproof: Skyproof) -> None:
         (["--frames", "nowhere"], "--frames"),
         (["--frames", f"{tmp_path / 'nowhere'}@0.1"], "nowhere"),
     ):
-        skyproof("demo", "--out", tmp_path / "run", *TINY, *flags).refused(word)
-        assert not (tmp_path / "run").exists(), flags
+        skyproof("demo", "--out", tmp_path / "run", *TINY, *wrong).refused(word)
+        assert not (tmp_path / "run").exists(), wrong
 
 
 def test_wrong_flags(tmp_path: Path, skyproof: Skyproof) -> None:

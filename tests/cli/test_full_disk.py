@@ -14,7 +14,7 @@ from PIL import Image
 
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
-# What is being written, which write of it fails, and the file or folder whose presence means that the stage is finished.
+# What is written, which write of it fails, and the file or folder whose presence means that the stage is finished.
 CASES = {
     "tile": ("tiles/", 3, "backgrounds"),
     "tile index": ("index.json", 1, "backgrounds"),
