@@ -1,13 +1,18 @@
 """Draws the pictures of the documentation with skyproof's own renderer: procedural vehicles and ground, nothing else.
 
     python tools/make_pictures.py
+    python tools/make_pictures.py runs/demo
 
-writes docs/pictures/fleet.png and docs/pictures/scenes.png. The same code gives the same pictures.
+The first writes docs/pictures/fleet.png and docs/pictures/scenes.png; the same code gives the same pictures. The second
+writes docs/pictures/demo-result.png from a finished demo on procedural ground.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import math
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +23,8 @@ from PIL import Image, ImageDraw, ImageFont
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
+from skyproof.report.pairs import make_pairs
+from skyproof.report.run import read_run
 from skyproof.scenes.backgrounds import write_procedural_backgrounds
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
@@ -141,10 +148,35 @@ def draw_scenes() -> Image.Image:
     return sheet
 
 
+def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int = 4) -> Image.Image:
+    """The first matched pairs of a demo's report, side by side: above without, below with the learnt texture."""
+    run = read_run(run_folder)
+    if not run.synthetic_only:
+        raise SystemExit("expected a demo on procedural ground: pictures in the repository show procedural data")
+    pairs = make_pairs(run, "T-U", "torch", detector)[:count]
+    rows = [[pair.original for pair in pairs], [pair.adversarial for pair in pairs]]
+    side, gap, label = 320, 6, 30
+    sheet = Image.new("RGB", (count * (side + gap) + gap, 2 * (side + label) + gap), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    texts = ("As built: RetinaNet finds them (green)", "With the learnt texture T-U: missed (orange, dashed)")
+    for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
+        top = number * (side + label)
+        pen.text((gap, top + 3), text, fill=INK, font=font(20))
+        for column, uri in enumerate(row):
+            picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
+            place = (gap + column * (side + gap), top + label)
+            sheet.paste(picture.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), place)
+    return sheet
+
+
 def main() -> None:
-    """Writes both pictures."""
+    """Writes the pictures asked for."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for name, sheet in (("fleet.png", draw_fleet()), ("scenes.png", draw_scenes())):
+    if len(sys.argv) > 1:
+        sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
+    else:
+        sheets = {"fleet.png": draw_fleet(), "scenes.png": draw_scenes()}
+    for name, sheet in sheets.items():
         path = FOLDER / name
         sheet.save(path, optimize=True)
         print(f"{path.name}: {sheet.width} x {sheet.height} px, {path.stat().st_size // 1024} KB")
