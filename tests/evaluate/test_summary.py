@@ -141,6 +141,15 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
     assert row["net_easr_low"] < 0.75 - margin
 
 
+def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
+    # One detector loses everything on all 20 tiles, the other all but one vehicle.
+    found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes("T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)])
+    rows = {row["detector"]: row for row in summarise(found, [], generator=rng)}
+    margins = [rows[name]["easr"] - rows[name]["easr_low"] for name in ("retinanet", "yolov5")]
+    assert margins[0] == pytest.approx(1 - 0.025 ** (1 / 20))
+    assert rows["mean"]["easr_low"] == pytest.approx(rows["mean"]["easr"] - sum(margins) / 2)
+
+
 def test_undefined_becomes_null(rng):
     row = summarise(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3), [], generator=rng)[0]
     assert row["easr"] is None

@@ -30,7 +30,7 @@ _TAIL = 0.025
 class Interval:
     """An estimate with its 95 % limits; nan where undefined (no vehicle found before, fewer than two tiles).
 
-    `unanimous` says that every tile agreed, so that the limits are the exact binomial ones.
+    `unanimous` says that every tile agreed in some part, so that exact binomial limits entered.
     """
 
     estimate: float
