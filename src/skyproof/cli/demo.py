@@ -115,7 +115,6 @@ class Demo:
 def run_demo(demo: Demo) -> None:
     """Runs all stages that are not finished yet, and prints where the report lies."""
     device = choose_device(demo.device)
-    _check_detectors(demo.detectors)
     names = [str(path) for path in demo.imagery]
     config = {
         "title": "How robust are these vehicle detectors to camouflage?",
@@ -128,6 +127,7 @@ def run_demo(demo: Demo) -> None:
     if report.exists():
         say(f"This run is finished. Report: {report.resolve()}")
         return
+    _check_detectors(demo.detectors)
     # Read first: a mistake in these folders should show before an hour's work, not after it.
     clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
     run.start(str(device))
