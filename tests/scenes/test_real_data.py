@@ -1,0 +1,37 @@
+"""The development imagery, where it is present: counts that were taken from its own description."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from skyproof.scenes.orthophotos import tile_orthophotos
+from skyproof.scenes.yolo_text import read_yolo_folder
+
+FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))
+pytestmark = [
+    pytest.mark.data,
+    pytest.mark.skipif("SKYPROOF_DATA" not in os.environ, reason="SKYPROOF_DATA does not name the development imagery"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "gsd_m", "vehicles"), [("MOS*", 0.116, 509), ("MunichStreet02*", 0.121, 746)])
+def test_annotated_frames_hold_the_vehicles_their_description_says(pattern, gsd_m, vehicles):
+    frames = read_yolo_folder(
+        FOLDER / "kit_ais_munich",
+        gsd_m=gsd_m,
+        target_gsd_m=0.125,
+        classes=("car", "minibus"),
+        border_px=0,
+        pattern=pattern,
+    )
+    assert len(frames) == 20
+    assert sum(len(boxes) for boxes in frames.boxes) == vehicles
+
+
+def test_orthophotos_of_five_reference_systems_become_tiles(tmp_path):
+    tiles = tile_orthophotos(
+        [FOLDER / "backgrounds"], tmp_path, tile_px=411, minimum_tile_px=274, generator=torch.Generator().manual_seed(0)
+    )
+    assert len({tile.source for split in ("train", "validation", "attack", "test") for tile in tiles.tiles(split)}) == 5
