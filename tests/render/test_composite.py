@@ -82,7 +82,7 @@ def layer(size, seed):
 
 def compose(photograph, bodies, body_at, shadows, shadow_at, settings, scene=(0,), nearness=(0.0,), seeds=(0,)):
     return composite(
-        photograph,
+        photograph.clone(),
         (Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
         (Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
         torch.tensor(scene),

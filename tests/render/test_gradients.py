@@ -82,14 +82,15 @@ def test_light_passes_gradcheck_in_the_normal():
     upward = normalize(normal(6, 3, seed=1) + torch.tensor([0.0, 0.0, 2.0]), dim=-1).requires_grad_()
     sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1).expand(6, 3)
     viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1).expand(6, 3)
-    assert torch.autograd.gradcheck(lambda n: light(n, sun, viewer, RenderSettings()), upward)
+    half = normalize(sun + viewer, dim=-1)
+    assert torch.autograd.gradcheck(lambda n: light(n, sun, viewer, half, RenderSettings()), upward)
 
 
 def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
     up = torch.tensor([[0.0, 0.0, 1.0]])
     for elevation in (0.3, 0.8, 1.5):
         sun = torch.tensor([[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]])
-        diffuse, _ = light(up, sun, up, RenderSettings())
+        diffuse, _ = light(up, sun, up, normalize(sun + up, dim=-1), RenderSettings())
         assert float(diffuse) == pytest.approx(1.0, abs=1e-6)
 
 

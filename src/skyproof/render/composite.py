@@ -15,7 +15,7 @@ from skyproof.render.settings import RenderSettings
 __all__ = ["composite"]
 
 # Sensor noise repeats after this many pixels; only vehicles, far smaller, show it.
-_NOISE_TILE_PX = 128
+_NOISE_TILE_PX = 64
 
 
 def composite(
@@ -38,7 +38,7 @@ def composite(
     by as much as the blurred vehicle covers it.
 
     Args:
-        photographs: sRGB.
+        photographs: sRGB; written over.
         bodies: per vehicle linear colour times coverage, and coverage.
         shadows: per vehicle the shaded part of each pixel.
         scene: each vehicle's image.
@@ -69,12 +69,13 @@ def composite(
         pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
     inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
-    if bool(inside.all()):
-        place, pixels = place.reshape(-1), pixels.reshape(-1)
-    else:
-        inside = inside.expand_as(pixels)
-        place, pixels = place[inside], pixels[inside]
-    return photographs.view(-1).index_put((place,), pixels).view_as(photographs)
+    place, pixels = place.reshape(-1), pixels.reshape(-1)
+    if not bool(inside.all()):
+        held = torch.nonzero(inside.expand(-1, 3, -1, -1).reshape(-1))[:, 0]
+        place, pixels = place.index_select(0, held), pixels.index_select(0, held)
+    # In place: a copy of the images would cost as much as the rest of this function.
+    photographs.view(-1).index_put_((place,), pixels)
+    return photographs
 
 
 @torch.no_grad()

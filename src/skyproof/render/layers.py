@@ -76,23 +76,24 @@ def draw_bodies(
     visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
     levels = _texture_levels(samples.detach(), vehicles).view(-1)
     seen = visibility.vehicle * len(template.faces) + visibility.face
-    finest = int(levels[seen].min()) if len(seen) else 0
+    finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
     texture = LinearTexture(vehicles.texture, finest, samples.dtype)
     # One row per (vehicle, face) with all that is interpolated, so that a sample takes one look-up.
     normals = vertex_normals(vertices, template.faces)[:, template.faces]
     uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
     surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
+    directions = torch.cat((sun, viewer, torch.nn.functional.normalize(sun + viewer, dim=-1)), dim=1)
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         row = vehicle * len(template.faces) + face
         uv, normal = _interpolate(surface.index_select(0, row), weights).split((2, 3), dim=1)
         normal = torch.nn.functional.normalize(normal, dim=-1)
         albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
-        diffuse, mirrored = light(normal, sun.index_select(0, vehicle), viewer.index_select(0, vehicle), settings)
+        to_sun, to_viewer, half = directions.index_select(0, vehicle).split(3, dim=1)
+        diffuse, mirrored = light(normal, to_sun, to_viewer, half, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
-    row = visibility.covered // wide
-    centre = torch.stack((visibility.covered - row * wide, row - visibility.vehicle * wide), dim=-1) + 0.5
+    centre = torch.stack((visibility.x, visibility.y), dim=-1) + 0.5
     corners = samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
     colour = radiance(visibility.vehicle, visibility.face, _barycentric(corners, centre))
     layers = _average(visibility, colour, factor)
@@ -163,10 +164,7 @@ def _average(visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int) 
     """Averages samples to pixels: colour times coverage, and coverage."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
-    row = visibility.covered // wide
-    x = visibility.covered - row * wide
-    # Windows are stacked, so a row of samples maps to a row of pixels across all of them.
-    pixel = row // factor * size + x // factor
+    pixel = (visibility.vehicle * size + visibility.y // factor) * size + visibility.x // factor
     values = torch.cat((colour, colour.new_ones(len(colour), 1)), dim=1) / factor**2
     layers = colour.new_zeros(count * size * size, 4).index_add(0, pixel, values)
     return layers.view(count, size, size, 4).permute(0, 3, 1, 2)

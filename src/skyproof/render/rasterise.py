@@ -23,12 +23,15 @@ class Visibility:
     Attributes:
         keys: `[N, S, S]` (depth, vehicle, face) packed into one integer; the largest integer where nothing is.
         covered: `[K]` flat indices into `keys` of the samples that see a triangle.
+        x, y: `[K]` their places in their windows.
         vehicle: `[K]` which vehicle each of them sees.
         face: `[K]` and which of its faces.
     """
 
     keys: Int[Tensor, "N S S"]
     covered: Int[Tensor, " K"]
+    x: Int[Tensor, " K"]
+    y: Int[Tensor, " K"]
     vehicle: Int[Tensor, " K"]
     face: Int[Tensor, " K"]
 
@@ -66,46 +69,58 @@ def rasterise(
         raise ValueError(f"expected fewer than 65536 faces and 32768 vehicles, got {len(faces)} and {len(screen)}")
     areas = face_areas(screen, faces)
     vehicle, face = torch.nonzero(areas > 1e-12, as_tuple=True)
-    corner = vehicle[:, None] * screen.shape[1] + faces[face]
-    corners = screen.flatten(0, 1)[corner]
+    # Row look-ups by `index_select` are about twice as fast as indexing here.
+    corner = (vehicle[:, None] * screen.shape[1] + faces.index_select(0, face)).flatten()
+    corners = screen.flatten(0, 1).index_select(0, corner).view(-1, 3, 2)
+    corner_depth = depth.flatten().index_select(0, corner).view(-1, 3)
     # Counted from a whole sample near the triangle, coordinates keep their digits.
-    base = corners.amin(1).floor()
-    planes, depth_plane = _planes(corners - base[:, None], depth.flatten()[corner], areas[vehicle, face])
+    low, high = corners.amin(1), corners.amax(1)
+    base = low.floor()
+    planes, depth_plane = _planes(corners - base[:, None], corner_depth, areas[vehicle, face])
     x_base, y_base = base.long().unbind(1)
 
-    low_y = (corners[..., 1].amin(1) - 0.5).ceil().long().clamp(min=0)
-    high_y = (corners[..., 1].amax(1) - 0.5).floor().long().clamp(max=size - 1)
+    low_y = (low[:, 1] - 0.5).ceil().long().clamp(min=0)
+    high_y = (high[:, 1] - 0.5).floor().long().clamp(max=size - 1)
     row, step = _enumerate((high_y - low_y + 1).clamp(min=0))
-    y = low_y[row] + step
-    low, high = _span(planes.index_select(0, row), (y - y_base[row]).to(screen.dtype))
-    offset = x_base[row]
-    low_x = (low.ceil().long() + offset).clamp(min=0)
-    high_x = (high.floor().long() + offset).clamp(max=size - 1)
+    # Per row of a triangle: y, counted from the triangle's base, and the ends of the span of x, likewise.
+    y_step = (low_y - y_base).index_select(0, row) + step
+    span_low, span_high = _span(planes.index_select(0, row), y_step.to(screen.dtype))
+    offset = x_base.index_select(0, row)
+    low_x = torch.maximum(span_low.ceil().long(), -offset)
+    high_x = torch.minimum(span_high.floor().long(), size - 1 - offset)
+    # What a span's samples share: their place at x step 0, and the part of depth and key that does not change.
+    place = ((vehicle * size + y_base) * size + x_base).index_select(0, row) + y_step * size
+    slope = depth_plane.index_select(0, row)
+    start = torch.addcmul(slope[:, 2], slope[:, 1], y_step.to(screen.dtype))
+    label = ((vehicle << _FACE_BITS) | face).index_select(0, row)
 
     span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
-    triangle, x = row[span], low_x[span] + step
-    slope = depth_plane.index_select(0, triangle)
-    near = torch.addcmul(slope[:, 2], slope[:, 0], (x - x_base[triangle]).to(screen.dtype))
-    near = torch.addcmul(near, slope[:, 1], (y[span] - y_base[triangle]).to(screen.dtype))
+    x_step = low_x.index_select(0, span) + step
+    rise = slope[:, 0].contiguous().index_select(0, span)
+    near = torch.addcmul(start.index_select(0, span), rise, x_step.to(screen.dtype))
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
-    key = (key << _DEPTH_SHIFT) | ((vehicle << _FACE_BITS) | face)[triangle]
-    sample = ((vehicle * size)[row] + y)[span] * size + x
+    key = (key << _DEPTH_SHIFT) | label.index_select(0, span)
+    sample = place.index_select(0, span) + x_step
     nearest = torch.full((len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device)
     nearest.scatter_reduce_(0, sample, key, "amin")
     covered = torch.nonzero(nearest != _NOTHING)[:, 0]
     seen = nearest[covered]
+    vehicle_seen = (seen >> _FACE_BITS) & ((1 << _VEHICLE_BITS) - 1)
+    row = covered // size
     return Visibility(
-        nearest.view(len(screen), size, size),
-        covered,
-        (seen >> _FACE_BITS) & ((1 << _VEHICLE_BITS) - 1),
-        seen & ((1 << _FACE_BITS) - 1),
+        keys=nearest.view(len(screen), size, size),
+        covered=covered,
+        x=covered - row * size,
+        y=row - vehicle_seen * size,
+        vehicle=vehicle_seen,
+        face=seen & ((1 << _FACE_BITS) - 1),
     )
 
 
 def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
     """For counts (2, 0, 3): rows (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
-    row = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
-    step = torch.arange(len(row), device=counts.device) - (counts.cumsum(0) - counts)[row]
+    row = torch.repeat_interleave(counts)
+    step = torch.arange(len(row), device=counts.device) - (counts.cumsum(0) - counts).index_select(0, row)
     return row, step
 
 

@@ -109,10 +109,9 @@ def _label(
     visibility: Visibility, window: Windows, factor: int, size_px: int, masks: bool
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
     """Visible pixels, the fraction inside the image, and the masks."""
-    count, wide, _ = visibility.keys.shape
-    vehicle, row = visibility.vehicle, visibility.covered // wide
-    sample = torch.stack((visibility.covered - row * wide, row - vehicle * wide), dim=-1)
-    pixel = window.origin[vehicle] + sample // factor
+    count = len(visibility.keys)
+    vehicle = visibility.vehicle
+    pixel = window.origin[vehicle] + torch.stack((visibility.x, visibility.y), dim=-1) // factor
     held = ((pixel >= 0) & (pixel < size_px)).all(-1)
     every = torch.bincount(vehicle, minlength=count).double()
     visible = torch.bincount(vehicle[held], minlength=count).double()

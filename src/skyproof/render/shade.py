@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
@@ -51,7 +53,7 @@ class LinearTexture:
         level = level.clamp(self.finest, self.levels - 1)
         width, height = self.width >> level, self.height >> level
         index = torch.zeros_like(index) if self.count == 1 else index
-        base = self._offsets[level - self.finest] + index * height * width
+        base = self._offsets.index_select(0, level - self.finest) + index * height * width
         x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
         left, top = x.detach().floor(), y.detach().floor()
         across, down = (x - left)[:, None], (y - top)[:, None]
@@ -90,15 +92,29 @@ def _linear(texture: Tensor, dtype: torch.dtype, finest: int) -> Tensor:
 
 
 def _halve(level: Tensor) -> Tensor:
-    """Means of 2 x 2; strided sums are twice as fast as average pooling on a CPU."""
-    even, odd = level[..., ::2, :], level[..., 1::2, :]
-    return (even[..., ::2] + even[..., 1::2] + odd[..., ::2] + odd[..., 1::2]) * 0.25
+    return _Halve.apply(level)
+
+
+class _Halve(torch.autograd.Function):
+    """Means of 2 x 2: strided sums beat average pooling on a CPU, but each slice's own gradient would fill a map."""
+
+    @staticmethod
+    def forward(context: Any, level: Tensor) -> Tensor:
+        even, odd = level[..., ::2, :], level[..., 1::2, :]
+        return (even[..., ::2] + even[..., 1::2] + odd[..., ::2] + odd[..., 1::2]).mul_(0.25)
+
+    @staticmethod
+    def backward(context: Any, *gradients: Tensor) -> Tensor:
+        quarter = gradients[0] * 0.25
+        *others, height, width = quarter.shape
+        return quarter[..., None, :, None].expand(*others, height, 2, width, 2).reshape(*others, 2 * height, 2 * width)
 
 
 def light(
     normal: Float[Tensor, "K 3"],
     sun: Float[Tensor, "K 3"],
     viewer: Float[Tensor, "K 3"],
+    half: Float[Tensor, "K 3"],
     settings: RenderSettings,
 ) -> tuple[Float[Tensor, "K 1"], Float[Tensor, "K 1"]]:
     """How much light falls on a surface and how much is mirrored by its clear coat.
@@ -110,6 +126,7 @@ def light(
         normal: unit normals, world frame.
         sun: unit vectors towards the sun.
         viewer: unit vectors towards the camera.
+        half: unit vectors half-way between the two.
 
     Returns:
         The diffuse factor and the mirrored radiance.
@@ -123,7 +140,6 @@ def light(
     # From above, a steep side mirrors the ground, not the sky.
     mirrored_up = 0.5 + 0.5 * (2 * cosine * normal[:, 2:] - viewer[:, 2:])
     surroundings = settings.sky_share * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
-    half = torch.nn.functional.normalize(sun + viewer, dim=-1)
     lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
     glint = settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
     return diffuse, fresnel * surroundings + glint

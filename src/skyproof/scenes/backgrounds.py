@@ -152,14 +152,17 @@ class BackgroundSet:
         if window.rotation_rad == 0 and left == round(left) and top == round(top):
             return pixels[:, int(top) : int(top) + size_px, int(left) : int(left) + size_px].float() / 255
         x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
-        crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float() / 255
+        crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
         # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and down to (sin, cos).
         steps = torch.arange(size_px, dtype=torch.float64) + 0.5 - half
-        across, down = steps[None, :], steps[:, None]
-        x = window.centre_x_px - x0 + cosine * across + sine * down
-        y = window.centre_y_px - y0 - sine * across + cosine * down
-        grid = torch.stack([2 * x / crop.shape[2] - 1, 2 * y / crop.shape[1] - 1], -1).float()
-        return F.grid_sample(crop[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False)[0]
+        per_x, per_y = 2 / crop.shape[2], 2 / crop.shape[1]
+        across_x, down_x = cosine * steps * per_x, (window.centre_x_px - x0 + sine * steps) * per_x - 1
+        across_y, down_y = -sine * steps * per_y, (window.centre_y_px - y0 + cosine * steps) * per_y - 1
+        grid = torch.empty(1, size_px, size_px, 2)
+        torch.add(across_x.float()[None, :], down_x.float()[:, None], out=grid[0, ..., 0])
+        torch.add(across_y.float()[None, :], down_y.float()[:, None], out=grid[0, ..., 1])
+        sampled = F.grid_sample(crop[None], grid, mode="bilinear", padding_mode="border", align_corners=False)
+        return sampled[0].div_(255)
 
     def sample_window(self, split: str, size_px: int, *, generator: torch.Generator) -> BackgroundWindow:
         """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
