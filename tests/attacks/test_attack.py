@@ -171,6 +171,9 @@ def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, wo
     other = dataclasses.replace(FEW, learning_rate=0.2)
     with pytest.raises(RunFolderError, match="other settings"):
         attack(start(), [StandIn()], world, other, tmp_path)
+    # The same name with other weights is another detector.
+    with pytest.raises(RunFolderError, match="other detectors"):
+        attack(start(), [StandIn(seed=1)], world, FEW, tmp_path)
     (tmp_path / "checkpoint.safetensors").write_bytes(b"damaged")
     with pytest.raises(StoredFileError, match=r"checkpoint\.safetensors"):
         attack(start(), [StandIn()], world, FEW, tmp_path)

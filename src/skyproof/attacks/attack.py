@@ -21,6 +21,7 @@ from skyproof.attacks.objective import balanced_weights, empty_truth_losses, fro
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_json, read_jsonl, refuse_foreign, write_beside, write_bytes, write_json, write_jsonl
 from skyproof.render.dataset import placed_vehicles
@@ -116,13 +117,13 @@ def attack(
         on_step: called with each row of `steps.jsonl`.
 
     Raises:
-        RunFolderError: the folder holds an attack with other settings, or the disk is full.
+        RunFolderError: the folder holds an attack with other settings or detectors, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
     identity = {
         "camouflage": camouflage.name,
-        "detectors": [detector.name for detector in detectors],
+        "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
     }
@@ -263,7 +264,9 @@ class _Run:
 
 def _same_attack(stored: Any, wanted: dict[str, Any], folder: Path) -> None:
     if stored != json.loads(json.dumps(wanted)):
-        raise RunFolderError(f"{folder} holds an attack with other settings; choose another folder or remove it first.")
+        raise RunFolderError(
+            f"{folder} holds an attack with other settings or on other detectors; choose another folder or remove it."
+        )
 
 
 def _write_preview(path: Path, images: UInt8[Tensor, "B 3 H W"]) -> None:

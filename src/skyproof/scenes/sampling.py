@@ -147,7 +147,7 @@ def _sample_placements(
             return placements
     raise ConfigurationError(
         f"No room was found for {number} vehicles in an image of {settings.size_px} px; "
-        "lower vehicles_maximum or choose a larger image."
+        "place fewer vehicles or choose a larger image."
     )
 
 
