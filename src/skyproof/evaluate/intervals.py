@@ -15,12 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Num
 from scipy import stats
 
-__all__ = ["REPLICATES", "Interval", "cluster_interval", "holm", "mcnemar_p", "resample"]
+__all__ = ["REPLICATES", "Interval", "cluster_interval", "holm", "mcnemar_p", "mean_interval", "resample"]
 
 REPLICATES = 2000
 _TAIL = 0.025
@@ -85,6 +86,31 @@ def cluster_interval(
         return Interval(estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
     low, high = np.quantile(replicates, _levels(estimate, replicates, statistic(total - counts.transpose(1, 0, 2))))
     return Interval(estimate, max(float(low), limits[0]), min(float(high), limits[1]))
+
+
+def mean_interval(
+    counts: Int[np.ndarray, "S C 3"],
+    rate: Callable[[np.ndarray], np.ndarray],
+    weights: Int[np.ndarray, "R C"],
+    limits: tuple[float, float],
+) -> Interval:
+    """The interval of a rate's mean over series (detectors, draws), no surer than they are.
+
+    Where every tile agrees in some series but not in all, resampling sees only the others' spread. Then the mean of the
+    series' own margins counts, as if they all erred together: they stand on the same tiles.
+    """
+
+    def mean(summed: np.ndarray) -> Any:
+        return rate(summed).mean(axis=-1)
+
+    whole = cluster_interval(counts, mean, weights, limits=limits)
+    parts = [cluster_interval(each[None], mean, weights, limits=limits) for each in counts]
+    if whole.unanimous or not any(part.unanimous for part in parts):
+        return whole
+    below = float(np.mean([part.estimate - part.low for part in parts]))
+    above = float(np.mean([part.high - part.estimate for part in parts]))
+    low, high = min(whole.low, whole.estimate - below), max(whole.high, whole.estimate + above)
+    return Interval(whole.estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
 
 
 def _levels(

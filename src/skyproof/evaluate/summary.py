@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, resample
+from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, mean_interval, resample
 from skyproof.evaluate.outcomes import MATCHES, Outcome
 from skyproof.evaluate.rates import attack_success_rate, enhancement_rate, overall_attack_success_rate
 
@@ -129,9 +129,9 @@ class _Table:
         control = [] if name.startswith("R-") else self.draws.get(matched_control(name), [])
         control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
         own = self._stack(members, detectors)
-        easr = _mean_interval(own, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
-        asr = _mean_interval(own, attack_success_rate, self.weights, (0.0, 1.0))
-        er = _mean_interval(own, enhancement_rate, self.weights, (0.0, math.inf))
+        easr = mean_interval(own, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
+        asr = mean_interval(own, attack_success_rate, self.weights, (0.0, 1.0))
+        er = mean_interval(own, enhancement_rate, self.weights, (0.0, math.inf))
         row: dict[str, Any] = {
             "camouflage": name,
             "renderer": renderer,
@@ -148,7 +148,7 @@ class _Table:
         }
         if control:
             random = self._stack(control, detectors)
-            chance = _mean_interval(random, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
+            chance = mean_interval(random, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
             net = cluster_interval(np.concatenate([own, random]), _net(len(own)), self.weights)
             net = _no_surer_than_its_parts(net, easr, chance)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
@@ -186,24 +186,6 @@ class _Table:
 def _mean(rate: Any) -> Any:
     """The unweighted mean of a rate over detectors (and draws), of summed counts `[..., S, 3]`."""
     return lambda counts: rate(counts).mean(axis=-1)
-
-
-def _mean_interval(
-    counts: Int[np.ndarray, "S C 3"], rate: Any, weights: Int[np.ndarray, "R C"], limits: tuple[float, float]
-) -> Interval:
-    """The interval of a rate's mean over series (detectors, draws), no surer than they are.
-
-    Where every tile agrees in some series but not in all, resampling sees only the others' spread. Then the mean of the
-    series' own margins counts, as if they all erred together: they stand on the same tiles.
-    """
-    whole = cluster_interval(counts, _mean(rate), weights, limits=limits)
-    parts = [cluster_interval(each[None], _mean(rate), weights, limits=limits) for each in counts]
-    if whole.unanimous or not any(part.unanimous for part in parts):
-        return whole
-    below = float(np.mean([part.estimate - part.low for part in parts]))
-    above = float(np.mean([part.high - part.estimate for part in parts]))
-    low, high = min(whole.low, whole.estimate - below), max(whole.high, whole.estimate + above)
-    return Interval(whole.estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
 
 
 def _no_surer_than_its_parts(net: Interval, easr: Interval, chance: Interval) -> Interval:

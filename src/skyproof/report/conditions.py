@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyproof.evaluate.intervals import Interval, cluster_interval, resample
+from skyproof.evaluate.intervals import Interval, mean_interval, resample
 from skyproof.evaluate.outcomes import Outcome
 from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.evaluate.summary import cluster_counts
@@ -83,6 +83,4 @@ def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interv
     detectors = sorted({o.detector for o in outcomes})
     counts = np.stack([cluster_counts([o for o in outcomes if o.detector == name], tiles) for name in detectors])
     weights = resample(len(tiles), generator=generator)
-    return cluster_interval(
-        counts, lambda c: overall_attack_success_rate(c).mean(axis=-1), weights, limits=(-np.inf, 1.0)
-    )
+    return mean_interval(counts, overall_attack_success_rate, weights, (-np.inf, 1.0))

@@ -75,7 +75,9 @@ def answer(headline: Headline) -> list[str]:
         ]
     if several:
         rates = [r["easr"] for r in headline.by_detector if r["detector"] != "mean" and r["easr"] is not None]
-        sentences.append(f"Detector by detector it is {percent(min(rates))} to {percent(max(rates))}.")
+        least, most = percent(min(rates)), percent(max(rates))
+        alike = f"For every detector it is {most}."
+        sentences.append(alike if least == most else f"Detector by detector it is {least} to {most}.")
     return sentences + _net_sentences(row)
 
 
