@@ -27,12 +27,13 @@ def test_import_leaves_home_environment_and_torch_alone(tmp_path: Path) -> None:
     pytest.importorskip("ultralytics", reason="ultralytics is not installed")
     program = """
 import os, socket, torch
+from PIL import Image
 def refuse(*arguments, **named): raise AssertionError("network")
 socket.socket.connect = socket.getaddrinfo = refuse
-before, save = dict(os.environ), torch.save
+before, save, image_open = dict(os.environ), torch.save, Image.open
 from skyproof.detectors.yolov5 import YoloV5Detector
 detector = YoloV5Detector("slim")
-assert dict(os.environ) == before and torch.save is save
+assert dict(os.environ) == before and torch.save is save and Image.open is image_open
 from ultralytics.utils import SETTINGS
 assert SETTINGS["sync"] is False, SETTINGS
 print(sum(parameter.numel() for parameter in detector.parameters()))

@@ -20,6 +20,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
@@ -118,13 +119,13 @@ class YoloV5Detector(TrainableDetector):
 
 @contextmanager
 def _quiet_import() -> Iterator[None]:
-    """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or a patched torch.
+    """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or patched libraries.
 
-    Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder and replaces
-    `torch.save`; all three are undone. Where the program imported Ultralytics before us, its settings stay as they are.
+    Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder, replaces `torch.save`,
+    and replaces Pillow's `Image.open` by one that installs packages when it meets a damaged file; all are undone. Where the program imported Ultralytics before us, its settings stay as they are.
     """
     logger = logging.getLogger("ultralytics")
-    level, environment, save = logger.level, dict(os.environ), torch.save
+    level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
     with tempfile.TemporaryDirectory(prefix="skyproof-yolo-") as folder:
         os.environ.update({"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"})
         first = "ultralytics" not in sys.modules
@@ -141,7 +142,7 @@ def _quiet_import() -> Iterator[None]:
                 'YOLOv5 needs Ultralytics (AGPL-3.0), which is not installed: pip install "skyproof[yolo]".'
             ) from error
         finally:
-            torch.save = save
+            torch.save, Image.open = save, image_open
             os.environ.clear()
             os.environ.update(environment)
             logger.setLevel(level)

@@ -1,0 +1,5 @@
+"""`python -m skyproof`."""
+
+from skyproof.cli import main
+
+main()
