@@ -14,7 +14,8 @@ FLOORS = [
     {"camouflage", "render", "detectors"},
     {"attacks", "evaluate"},
     {"report"},
-    {"cli", "__main__", "__init__"},
+    {"cli", "__init__"},
+    {"__main__"},
 ]
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 

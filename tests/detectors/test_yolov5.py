@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,9 @@ def test_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.yolo
 def test_import_leaves_home_environment_and_torch_alone(tmp_path: Path) -> None:
-    pytest.importorskip("ultralytics", reason="ultralytics is not installed")
+    # Not importorskip: importing it here would patch Pillow for every later test.
+    if find_spec("ultralytics") is None:
+        pytest.skip("ultralytics is not installed")
     program = """
 import os, socket, torch
 from PIL import Image

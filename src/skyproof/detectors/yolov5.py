@@ -122,7 +122,8 @@ def _quiet_import() -> Iterator[None]:
     """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or patched libraries.
 
     Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder, replaces `torch.save`,
-    and replaces Pillow's `Image.open` by one that installs packages when it meets a damaged file; all are undone. Where the program imported Ultralytics before us, its settings stay as they are.
+    and replaces Pillow's `Image.open` by one that installs packages when it meets a damaged file; all are undone. Where
+    the program imported Ultralytics before us, its settings stay as they are.
     """
     logger = logging.getLogger("ultralytics")
     level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
