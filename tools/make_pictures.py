@@ -158,7 +158,10 @@ def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int =
     side, gap, label = 320, 6, 30
     sheet = Image.new("RGB", (count * (side + gap) + gap, 2 * (side + label) + gap), PAPER)
     pen = ImageDraw.Draw(sheet)
-    texts = ("As built: RetinaNet finds them (green)", "With the learnt texture T-U: missed (orange, dashed)")
+    texts = (
+        "As built. RetinaNet: found green, missed orange and dashed, false alarm yellow and dotted",
+        "The same scenes with the learnt texture T-U",
+    )
     for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
         top = number * (side + label)
         pen.text((gap, top + 3), text, fill=INK, font=font(20))
