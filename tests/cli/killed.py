@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import torch
@@ -75,7 +76,10 @@ def main() -> None:
     for how, fragment, nth in [*moments, ["never", "", 0]]:
         with contextlib.suppress(OSError):
             sys.stdout.flush()
-        child = os.fork()
+        # Python 3.12 and later warn of forking beside torch's idle threads; no child uses them.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
         if not child:
             arm(how, fragment, nth)
             with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
