@@ -12,7 +12,7 @@ from torch import Tensor
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 
-__all__ = ["empty_truth_losses", "frozen"]
+__all__ = ["balanced_weights", "empty_truth_losses", "frozen"]
 
 
 def empty_truth_losses(

@@ -51,10 +51,8 @@ def render_dataset(
         write_scenes(partial / "scenes.jsonl", scenes)
         for start in range(0, len(scenes), batch_size):
             batch = scenes[start : start + batch_size]
-            vehicles = placed_vehicles(fleet, batch).to(device) if any(s.placements for s in batch) else None
-            if vehicles is None:
-                vehicles = fleet.batch([])
-            frames = renderer(batch, camouflage(vehicles) if camouflage and len(vehicles) else vehicles, masks=True)
+            vehicles = placed_vehicles(fleet, batch).to(device)
+            frames = renderer(batch, camouflage(vehicles) if camouflage else vehicles, masks=True)
             images = (frames.image * 255).round().byte().cpu()
             for index, scene in enumerate(batch):
                 rows = torch.nonzero(frames.scene_index == index)[:, 0].tolist()
