@@ -1,0 +1,139 @@
+"""One universal displacement map that pushes every vehicle's surface outward: S-O when learnt, R-S-O as drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
+
+__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap"]
+
+DISPLACEMENT_SIZE = 64
+
+_START = -4.0  # sigmoid 0.018: negative and nearly undeformed (PAPER 48)
+_LARGEST = 8.0  # sigmoid 0.9997; beyond it nothing moves and nothing is learnt
+
+
+class DisplacementMap(Camouflage):
+    """Moves every vertex away from the middle of its vehicle, further where the map is bright (PAPER 43-51).
+
+    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV, R_i the vector from
+    the mean of the vehicle's vertices to the vertex, W the vehicle's width. The map is made symmetric first, so
+    mirrored vertices move alike.
+
+    Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push every vertex towards
+    one corner (PAPER 47). Wheels and underside stay where they are, and no vertex is pushed below the ground: there its
+    way ends, in the same direction. So a deformed vehicle can still roll.
+
+    Attributes:
+        magnitude: PM, the largest displacement as a fraction of the width (PAPER 49).
+        frozen_parts: whether wheels and underside stay (PAPER 51).
+        displacement: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as in `Template.uvs`.
+    """
+
+    # Sigmoid has to come up from -4 within the steps of one attack.
+    learning_rates: Mapping[str, float] = {"displacement": 4.0}
+
+    def __init__(
+        self, name: str, magnitude: float, *, generator: torch.Generator | None = None, frozen_parts: bool = True
+    ) -> None:
+        """Nearly undeformed, or the random control.
+
+        Args:
+            name: "S-O@0.4".
+            magnitude: PM, in [0, 1]; at 0 every vehicle keeps its vertices bit for bit.
+            generator: if given, sigmoid(D) is drawn uniformly from [0, 1] for every texel and its mirror image.
+            frozen_parts: whether wheels and underside stay as they are.
+
+        Raises:
+            ConfigurationError: PM outside [0, 1].
+        """
+        super().__init__()
+        if not 0.0 <= magnitude <= 1.0:
+            raise ConfigurationError(
+                f"The perturbation magnitude PM must be between 0 and 1 (a fraction of the vehicle's width), "
+                f"but got {magnitude}."
+            )
+        self.name = name
+        self.magnitude = float(magnitude)
+        self.frozen_parts = frozen_parts
+        start = torch.full((DISPLACEMENT_SIZE, DISPLACEMENT_SIZE), _START)
+        if generator is not None:
+            half = torch.rand(DISPLACEMENT_SIZE, DISPLACEMENT_SIZE // 2, generator=generator)
+            start = torch.cat((half, half.flip(1)), dim=1).logit().clamp(-_LARGEST, _LARGEST)
+        self.displacement = nn.Parameter(start)
+
+    def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
+        """The vehicles deformed; at PM = 0 the vehicles themselves, without a gradient."""
+        if self.magnitude == 0.0:
+            return vehicles
+        return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
+
+    def map(self) -> Float[Tensor, "64 64"]:
+        """sigmoid of the symmetric map, in [0, 1]: the fraction of PM * W by which each place moves."""
+        return self._symmetric().sigmoid()
+
+    @torch.no_grad()
+    def project_(self) -> None:
+        """Clips D to [-8, 8], beyond which sigmoid is flat."""
+        self.displacement.clamp_(-_LARGEST, _LARGEST)
+
+    @torch.no_grad()
+    def finalise(self) -> None:
+        """Stores the symmetric map that is applied."""
+        self.project_()
+        self.displacement.copy_(self._symmetric())
+
+    def _symmetric(self) -> Float[Tensor, "64 64"]:
+        return (self.displacement + self.displacement.flip(1)) / 2
+
+    def _offsets(self, vehicles: VehicleBatch) -> Float[Tensor, "N V 3"]:
+        vertices, template = vehicles.vertices, vehicles.template
+        radius = vertices - vertices.mean(dim=1, keepdim=True)
+        direction = torch.nn.functional.normalize(radius, dim=-1)
+        width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
+        sampled = _sample(self._symmetric(), template.vertex_uvs.to(self.displacement.dtype))
+        # Mirrored vertices read the map at places that are mirrored up to rounding only.
+        sampled = (sampled + sampled[template.mirror]) / 2
+        distance = self.magnitude * width[:, None] * sampled.sigmoid().to(vertices.dtype)
+        if self.frozen_parts:
+            distance = distance.masked_fill(_frozen(vehicles), 0.0)
+        return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
+
+
+def _sample(displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
+    """Bilinear between texel centres (i + 0.5) / 64: circular in u, replicated in v (PAPER 45)."""
+    column = uvs[:, 0] * DISPLACEMENT_SIZE - 0.5
+    row = (uvs[:, 1] * DISPLACEMENT_SIZE - 0.5).clamp(0.0, DISPLACEMENT_SIZE - 1.0)
+    left, top = column.floor(), row.floor()
+    across, down = column - left, row - top
+    columns = torch.stack((left, left + 1), dim=-1).long() % DISPLACEMENT_SIZE
+    rows = torch.stack((top, top + 1), dim=-1).long().clamp(max=DISPLACEMENT_SIZE - 1)
+    texels = displacement[rows[:, :, None], columns[:, None, :]]
+    upper, lower = texels.unbind(1)
+    between = upper + down[:, None] * (lower - upper)
+    return between[:, 0] + across * (between[:, 1] - between[:, 0])
+
+
+def _frozen(vehicles: VehicleBatch) -> Bool[Tensor, "N V"]:
+    """Vertices on, or at the edge of, wheel or underside; a vertex and its mirror image always together."""
+    template: Template = vehicles.template
+    size = vehicles.parts.shape[-1]
+    column, row = (template.vertex_uvs * size).long().clamp(max=size - 1).unbind(1)
+    parts = vehicles.parts[:, row, column]
+    frozen = (parts == Part.WHEEL) | (parts == Part.UNDERSIDE)
+    # A vertex between two texels reads one of them, its mirror image the other.
+    return frozen | frozen[:, template.mirror]
+
+
+def _way_to_ground(vertices: Float[Tensor, "N V 3"], direction: Float[Tensor, "N V 3"]) -> Float[Tensor, "N V"]:
+    """How far each vertex may go along its direction before z = 0; infinite where it does not go down."""
+    height, fall = vertices[..., 2].clamp(min=0.0), -direction[..., 2]
+    return torch.where(fall > 0, height / fall.clamp(min=1e-9), torch.inf)

@@ -1,0 +1,250 @@
+"""The displacement map: how far vertices move, where, which not, and that it stays symmetric and learnable."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.vehicle import Part
+from tests.render.bodies import double, vehicles
+
+MIRROR = torch.tensor([1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def cars():
+    """One vehicle of each body type but the van."""
+    types = ("saloon", "hatchback", "estate", "suv", "pickup")
+    batches = [
+        sample_fleet(FleetSettings(1, {name: 1.0}), generator=torch.Generator().manual_seed(seed))
+        for seed, name in enumerate(types)
+    ]
+    return dataclasses.replace(
+        batches[0].batch(batches[0].ids),
+        vertices=torch.cat([fleet.vertices for fleet in batches]),
+        texture=torch.cat([fleet.textures for fleet in batches]),
+        parts=torch.cat([fleet.parts for fleet in batches]),
+        ids=tuple(name for fleet in batches for name in fleet.ids),
+    )
+
+
+def filled(value, magnitude=0.4, **options):
+    """A map of one sigmoid value, or of a `[64, 64]` tensor of them."""
+    camouflage = DisplacementMap("S-O", magnitude, **options)
+    with torch.no_grad():
+        camouflage.displacement.copy_(torch.as_tensor(value).logit().expand(64, 64))
+    return camouflage
+
+
+def random_map(magnitude, seed=0, **options):
+    return DisplacementMap("R-S-O", magnitude, generator=torch.Generator().manual_seed(seed), **options)
+
+
+def radii(batch):
+    """Unit vectors from the mean of the vertices, and the distances."""
+    radius = batch.vertices.double() - batch.vertices.double().mean(1, keepdim=True)
+    length = radius.norm(dim=-1)
+    return radius / length[..., None], length
+
+
+def moved(camouflage, batch):
+    with torch.no_grad():
+        return camouflage(batch).vertices - batch.vertices
+
+
+def labels_at_vertices(batch, inset=0.0):
+    """The part under each vertex, read on the left half only, because labels are symmetric."""
+    u, v = batch.template.vertex_uvs.unbind(1)
+    column = (torch.minimum(u, 1 - u) * 512 - inset).long().clamp(min=0)
+    return batch.parts[:, (v * 512).long().clamp(max=511), column]
+
+
+def test_without_a_generator_it_starts_negative_and_nearly_undeformed(cars):
+    camouflage = DisplacementMap("S-O@1.0", 1.0)
+    assert (camouflage.displacement == -4).all()
+    width = cars.vertices[..., 1].amax(1) - cars.vertices[..., 1].amin(1)
+    assert (moved(camouflage, cars).norm(dim=-1).amax(1) <= 0.018 * width).all()
+
+
+@pytest.mark.parametrize("magnitude", [0.1, 0.4, 1.0])
+def test_no_vertex_moves_further_than_pm_times_the_width_and_none_inward(cars, magnitude):
+    change = moved(random_map(magnitude), cars).double()
+    width = (cars.vertices[..., 1].amax(1) - cars.vertices[..., 1].amin(1)).double()
+    direction, _ = radii(cars)
+    along = (change * direction).sum(-1)
+    assert (change.norm(dim=-1) <= magnitude * width[:, None] + 1e-6).all()
+    assert (along >= -1e-6).all()
+    # Nothing sideways, and the bound is nearly reached.
+    assert (change - along[..., None] * direction).abs().max() < 1e-6
+    assert (along.amax(1) > 0.9 * magnitude * width).all()
+
+
+def test_at_pm_zero_the_vertices_are_the_same_bit_for_bit(cars):
+    change = random_map(0.0)(cars)
+    assert torch.equal(change.vertices.view(torch.int32), cars.vertices.view(torch.int32))
+
+
+def test_texture_parts_and_ids_stay(cars):
+    change = random_map(0.5)(cars)
+    assert change.texture is cars.texture
+    assert change.parts is cars.parts
+    assert change.ids == cars.ids
+
+
+@pytest.mark.parametrize("frozen_parts", [True, False])
+def test_mirrored_vertices_move_alike(cars, frozen_parts):
+    camouflage = random_map(1.0, frozen_parts=frozen_parts)
+    with torch.no_grad():
+        noise = torch.randn(64, 64, generator=torch.Generator().manual_seed(1))
+        camouflage.displacement.copy_(3 * noise)
+        changed = camouflage(cars).vertices
+    assert (changed - changed[:, cars.template.mirror] * MIRROR).abs().max() < 1e-6
+    assert (changed - cars.vertices).norm(dim=-1).max() > 1.0
+
+
+def test_both_halves_of_the_map_count_alike():
+    camouflage = DisplacementMap("S-O", 0.5)
+    with torch.no_grad():
+        camouflage.displacement[20, 10] = 0.0
+    shown = camouflage.map().detach()
+    assert shown[20, 10] == shown[20, 53]
+    assert float(shown[20, 10]) == pytest.approx(1 / (1 + math.exp(2)))
+
+
+def test_a_displacement_computed_by_hand():
+    # Vertex 32 * 9 + 5 of the sphere template has u = 5/32, v = 10/32: between the centres of columns 9 and 10 and of
+    # rows 19 and 20, half way each. Its mirror image has columns 53 and 54.
+    batch = double(vehicles())
+    camouflage = DisplacementMap("S-O", 0.5).double()
+    with torch.no_grad():
+        for row, column, value in ((19, 9, 1.0), (19, 10, 2.0), (20, 9, -3.0), (20, 10, 4.0)):
+            camouflage.displacement[row, column] = value
+            camouflage.displacement[row, 63 - column] = value
+    index = 32 * 9 + 5
+    points = batch.vertices[0]
+    radius = points[index] - points.sum(0) / len(points)
+    width = points[:, 1].max() - points[:, 1].min()
+    wanted = 0.5 * width * (1 / (1 + math.exp(-1.0))) * radius / radius.square().sum().sqrt()
+    assert wanted[2] > -0.2
+    assert torch.allclose(moved(camouflage, batch)[0, index], wanted, rtol=0, atol=1e-12)
+
+
+def test_the_map_is_continuous_across_the_seam():
+    # Columns 63 and 0 meet at u = 0 (and 1): a vertex there reads half of each, one beside it nearly the same.
+    batch = vehicles()
+    uvs = batch.template.vertex_uvs.clone()
+    uvs[:3] = torch.tensor([[1e-6, 0.3], [1 - 1e-6, 0.3], [0.0, 0.3]])
+    radius = torch.tensor([0.3, 0.0, 0.4])
+    batch = dataclasses.replace(
+        batch,
+        template=dataclasses.replace(batch.template, vertex_uvs=uvs),
+        vertices=torch.cat((batch.vertices.mean(1, keepdim=True) + radius.expand(1, 3, 3), batch.vertices[:, 3:]), 1),
+    )
+    camouflage = filled(torch.linspace(0.2, 0.9, 64), frozen_parts=False)
+    change = moved(camouflage, batch)[0, :3]
+    assert (change[0] - change[1]).abs().max() < 1e-4
+    assert (change[0] - change[2]).abs().max() < 1e-4
+    # The map's own value at the seam: logits of 0.2 and 0.9 averaged, which no clamped edge would give.
+    logit = (math.log(0.2 / 0.8) + math.log(0.9 / 0.1)) / 2
+    assert float(change[2].norm()) == pytest.approx(0.4 * 1.8 / (1 + math.exp(-logit)), abs=1e-4)
+
+
+def test_the_poles_read_the_first_and_last_row():
+    # Half a texel of the map's rows lies beyond the last centre; a wrap would mix nose and tail.
+    values = torch.full((64, 64), 0.5)
+    values[0], values[-1] = 0.1, 0.8
+    batch = vehicles()
+    length = moved(filled(values, magnitude=1.0), batch)[0].norm(dim=-1)
+    assert float(length[-2]) == pytest.approx(0.1 * 1.8, abs=1e-5)
+    assert float(length[-1]) == pytest.approx(0.8 * 1.8, abs=1e-5)
+
+
+def test_the_gradient_is_the_derivative():
+    batch = double(vehicles())
+    camouflage = random_map(0.6).double()
+    rows, columns = torch.tensor([19, 19, 20, 20, 40]), torch.tensor([9, 10, 53, 54, 32])
+    base = camouflage.displacement.detach()
+
+    def some(values):
+        changed = torch.func.functional_call(
+            camouflage, {"displacement": base.index_put((rows, columns), values)}, (batch,)
+        )
+        return changed.vertices[0, [32 * 9 + 5, 32 * 9 + 27, 32 * 19 + 16, 2]]
+
+    values = base[rows, columns].clone().requires_grad_()
+    assert torch.autograd.gradcheck(some, (values,))
+    some(values)[..., 0].sum().backward()
+    assert (values.grad != 0).all()
+
+
+def test_wheels_and_underside_stay_unless_asked(cars):
+    labels = labels_at_vertices(cars)
+    fixed = (labels == Part.WHEEL) | (labels == Part.UNDERSIDE)
+    assert (fixed.sum(1) > 100).all()
+    change = moved(filled(0.9), cars)
+    assert (change[fixed] == 0).all()
+    # Everything else moves, but for vertices that border on them: the sill is the edge of the underside.
+    beside = labels_at_vertices(cars, inset=0.5)
+    free = ~fixed & (beside != Part.WHEEL) & (beside != Part.UNDERSIDE)
+    assert (free.sum(1) > 700).all()
+    assert (change[free].norm(dim=-1) > 0.2).all()
+    assert (moved(filled(0.9, frozen_parts=False), cars)[labels == Part.WHEEL].norm(dim=-1) > 0).any()
+
+
+def test_nothing_goes_below_the_ground_and_the_direction_is_kept(cars):
+    camouflage = filled(0.99, magnitude=1.0, frozen_parts=False)
+    changed = camouflage(cars).vertices.detach()
+    assert changed[..., 2].min() > -1e-6
+    stopped = (changed[..., 2].abs() < 1e-6) & (cars.vertices[..., 2] > 0.05)
+    assert stopped.sum() > 50
+    direction, _ = radii(cars)
+    change = (changed - cars.vertices).double()
+    assert (torch.linalg.cross(change, direction)[stopped].abs() < 1e-6).all()
+
+
+def test_the_random_control_is_uniform_and_symmetric():
+    camouflage = random_map(0.4)
+    drawn = camouflage.map().detach()
+    assert torch.allclose(drawn, drawn.flip(1), rtol=0, atol=0)
+    left = drawn[:, :32].flatten().sort().values
+    even = (torch.arange(2048) + 0.5) / 2048
+    # Kolmogorov-Smirnov: above 1.95 / sqrt(n) one draw in a thousand.
+    assert (left - even).abs().max() < 1.95 / math.sqrt(2048)
+    assert camouflage.displacement.isfinite().all()
+    assert torch.equal(camouflage.displacement, random_map(0.4).displacement)
+    assert not torch.equal(camouflage.displacement, random_map(0.4, seed=1).displacement)
+
+
+def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
+    camouflage = DisplacementMap("S-O", 0.4)
+    with torch.no_grad():
+        camouflage.displacement.copy_(6 * torch.randn(64, 64, generator=torch.Generator().manual_seed(0)))
+        camouflage.project_()
+    assert float(camouflage.displacement.detach().abs().max()) == 8.0
+    before = moved(camouflage, cars)
+    camouflage.finalise()
+    assert torch.equal(camouflage.displacement, camouflage.displacement.flip(1))
+    assert torch.equal(moved(camouflage, cars), before)
+    assert camouflage.displacement.requires_grad
+
+
+def test_adam_lifts_the_map_within_few_steps(cars):
+    # Pushing the roof out is worth something at once: the rate must bring sigmoid from 0.02 past a half.
+    camouflage = DisplacementMap("S-O", 0.4)
+    optimiser = torch.optim.Adam(camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"])
+    for _ in range(30):
+        optimiser.zero_grad()
+        (-camouflage(cars).vertices[..., 2].sum()).backward()
+        optimiser.step()
+        camouflage.project_()
+    assert camouflage.map()[32, 32] > 0.5
+
+
+@pytest.mark.parametrize("magnitude", [-0.1, 1.1, math.nan, math.inf])
+def test_a_magnitude_outside_zero_to_one_is_one_clear_sentence(magnitude):
+    with pytest.raises(ConfigurationError, match=r"between 0 and 1.*but got"):
+        DisplacementMap("S-O", magnitude)
