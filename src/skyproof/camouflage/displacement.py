@@ -13,7 +13,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
 
-__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap"]
+__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "sample_map"]
 
 DISPLACEMENT_SIZE = 64
 
@@ -99,7 +99,7 @@ class DisplacementMap(Camouflage):
         radius = vertices - vertices.mean(dim=1, keepdim=True)
         direction = torch.nn.functional.normalize(radius, dim=-1)
         width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
-        sampled = _sample(self._symmetric(), template.vertex_uvs.to(self.displacement.dtype))
+        sampled = sample_map(self._symmetric(), template.vertex_uvs.to(self.displacement.dtype))
         # Mirrored vertices read the map at places that are mirrored up to rounding only.
         sampled = (sampled + sampled[template.mirror]) / 2
         distance = self.magnitude * width[:, None] * sampled.sigmoid().to(vertices.dtype)
@@ -108,8 +108,8 @@ class DisplacementMap(Camouflage):
         return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
 
 
-def _sample(displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
-    """Bilinear between texel centres (i + 0.5) / 64: circular in u, replicated in v (PAPER 45)."""
+def sample_map(displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
+    """Reads a map bilinearly between its texel centres (i + 0.5) / 64: circular in u, replicated in v (PAPER 45)."""
     column = uvs[:, 0] * DISPLACEMENT_SIZE - 0.5
     row = (uvs[:, 1] * DISPLACEMENT_SIZE - 0.5).clamp(0.0, DISPLACEMENT_SIZE - 1.0)
     left, top = column.floor(), row.floor()
