@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import nn
 
-from skyproof.attacks.attack import AttackSettings, AttackWorld, attack
+from skyproof.attacks.attack import AttackSettings, attack
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import TrainableDetector
@@ -113,8 +114,8 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
         assert row["loss"] == pytest.approx(sum(weights[name] * row["losses"][name] for name in weights))
 
     stored = load_camouflage(tmp_path)
-    assert torch.equal(stored.texture, result.texture)
-    assert torch.equal((stored.texture * 255).round() / 255, stored.texture)
+    assert torch.equal(stored.cells, result.cells)
+    assert torch.equal((stored.cells * 255).round() / 255, stored.cells)
     assert {path.name for path in tmp_path.iterdir()} == {
         "steps.jsonl",
         "previews",
@@ -142,14 +143,14 @@ def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
     resumed = attack(start(seed=9), [StandIn()], world, FEW, tmp_path / "killed", on_step=done.append)
     # The last checkpoint was after step 3; the parameters come from there, not from the caller.
     assert [row["step"] for row in done] == [4, 5, 6, 7]
-    assert torch.equal(whole.texture, resumed.texture)
+    assert torch.equal(whole.cells, resumed.cells)
     assert without_seconds(tmp_path / "whole") == without_seconds(tmp_path / "killed")
     assert [row["step"] for row in rows(tmp_path / "killed")] == [1, 2, 3, 4, 5, 6, 7]
 
     # Both folders are finished now; a third call neither computes nor writes.
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*")}
     again = attack(start(seed=5), [StandIn()], world, FEW, tmp_path / "killed", on_step=kill)
-    assert torch.equal(again.texture, whole.texture)
+    assert torch.equal(again.cells, whole.cells)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*")} == written
     with pytest.raises(RunFolderError, match="other settings"):
         attack(start(), [StandIn()], world, dataclasses.replace(FEW, seed=1), tmp_path / "killed")
@@ -187,17 +188,17 @@ def test_an_attack_does_not_depend_on_the_global_generator(tmp_path, world):
     torch.manual_seed(1)
     before = torch.random.get_rng_state()
     two = attack(start(), [detector], world, short, tmp_path / "two")
-    assert torch.equal(one.texture, two.texture)
+    assert torch.equal(one.cells, two.cells)
     assert torch.equal(torch.random.get_rng_state(), before)
     other = attack(start(), [StandIn()], world, dataclasses.replace(short, seed=1), tmp_path / "three")
-    assert not torch.equal(one.texture, other.texture)
+    assert not torch.equal(one.cells, other.cells)
 
 
 def test_colours_stay_within_bounds_at_every_step(tmp_path, world):
     camouflage, extremes = start(), []
 
     def look(row):
-        extremes.append((float(camouflage.texture.detach().min()), float(camouflage.texture.detach().max())))
+        extremes.append((float(camouflage.cells.detach().min()), float(camouflage.cells.detach().max())))
 
     fast = dataclasses.replace(FEW, steps=2, learning_rate=0.8, balance_batches=1)
     attack(camouflage, [StandIn()], world, fast, tmp_path, on_step=look)

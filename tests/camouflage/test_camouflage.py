@@ -30,7 +30,7 @@ def test_one_map_replaces_every_texture_and_nothing_else():
     batch, camouflage = vehicles(3), texture()
     changed = camouflage(batch)
     assert changed.texture.shape == (1, 3, 512, 512)
-    assert torch.equal(changed.texture[0], camouflage.texture)
+    assert torch.equal(changed.texture[0], camouflage.cells)
     assert changed.vertices is batch.vertices
     assert changed.parts is batch.parts
     assert changed.ids == batch.ids
@@ -39,18 +39,18 @@ def test_one_map_replaces_every_texture_and_nothing_else():
 def test_the_map_can_be_learnt():
     camouflage = texture()
     camouflage(vehicles()).texture.sum().backward()
-    assert torch.equal(camouflage.texture.grad, torch.ones(3, 512, 512))
+    assert torch.equal(camouflage.cells.grad, torch.ones(3, 512, 512))
 
 
 def test_a_random_control_is_where_the_attack_with_its_seed_starts():
     # R-U and T-U from one seed are the same map, uniform in [0, 1] (PAPER 27, 34).
     control, start = texture("R-U-0", seed=7), texture("T-U", seed=7)
-    assert torch.equal(control.texture, start.texture)
-    assert not torch.equal(control.texture, texture("R-U-1", seed=8).texture)
-    assert control.texture.min() >= 0
-    assert control.texture.max() <= 1
-    assert float(control.texture.detach().mean()) == pytest.approx(0.5, abs=0.005)
-    assert float(control.texture.detach().var()) == pytest.approx(1 / 12, abs=0.001)
+    assert torch.equal(control.cells, start.cells)
+    assert not torch.equal(control.cells, texture("R-U-1", seed=8).cells)
+    assert control.cells.min() >= 0
+    assert control.cells.max() <= 1
+    assert float(control.cells.detach().mean()) == pytest.approx(0.5, abs=0.005)
+    assert float(control.cells.detach().var()) == pytest.approx(1 / 12, abs=0.001)
 
 
 def test_drawing_a_map_leaves_the_global_generator_alone():
@@ -62,25 +62,25 @@ def test_drawing_a_map_leaves_the_global_generator_alone():
 def test_projection_clips_colours_and_keeps_those_inside():
     camouflage = texture()
     with torch.no_grad():
-        camouflage.texture[0] += 2.0
-        camouflage.texture[1] -= 2.0
-    inside = camouflage.texture[2].clone()
+        camouflage.cells[0] += 2.0
+        camouflage.cells[1] -= 2.0
+    inside = camouflage.cells[2].clone()
     camouflage.project_()
-    assert (camouflage.texture[0] == 1).all()
-    assert (camouflage.texture[1] == 0).all()
-    assert torch.equal(camouflage.texture[2], inside)
+    assert (camouflage.cells[0] == 1).all()
+    assert (camouflage.cells[1] == 0).all()
+    assert torch.equal(camouflage.cells[2], inside)
 
 
 def test_finished_colours_have_eight_bits_and_are_the_nearest():
     camouflage = texture()
-    before = camouflage.texture.detach().clone()
+    before = camouflage.cells.detach().clone()
     camouflage.finalise()
-    levels = camouflage.texture.detach() * 255
-    assert torch.equal(levels.round() / 255, camouflage.texture.detach())
+    levels = camouflage.cells.detach() * 255
+    assert torch.equal(levels.round() / 255, camouflage.cells.detach())
     assert (levels - before * 255).abs().max() <= 0.5 + 1e-4
-    once = camouflage.texture.detach().clone()
+    once = camouflage.cells.detach().clone()
     camouflage.finalise()
-    assert torch.equal(once, camouflage.texture)
+    assert torch.equal(once, camouflage.cells)
 
 
 def test_no_camouflage_hands_the_vehicles_through():
@@ -93,11 +93,11 @@ def test_a_stored_camouflage_reads_back_bit_for_bit_and_its_png_shows_it(tmp_pat
     loaded = load_camouflage(tmp_path / "one")
     assert isinstance(loaded, UniversalTexture)
     assert loaded.name == "T-U"
-    assert torch.equal(loaded.texture, saved.texture)
-    assert not loaded.texture.requires_grad
+    assert torch.equal(loaded.cells, saved.cells)
+    assert not loaded.cells.requires_grad
     with Image.open(tmp_path / "one" / "texture.png") as image:
         pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1)
-    assert torch.equal(pixels.float() / 255, saved.texture.detach())
+    assert torch.equal(pixels.float() / 255, saved.cells.detach())
     assert json.loads((tmp_path / "one" / "camouflage.json").read_text())["record"] == {"note": "made in a test"}
     assert {path.name for path in (tmp_path / "one").iterdir()} == {
         "camouflage.json",
@@ -128,8 +128,8 @@ def rewritten(**fields):
         ("camouflage.json", lambda path: path.write_text("{")),
         ("camouflage.json", lambda path: path.write_text("[1]")),
         ("camouflage.json", rewritten(format=99)),
-        ("camouflage.json", rewritten(kind="Invisibility")),
-        ("camouflage.json", lambda path: path.write_text('{"format": 1, "kind": "UniversalTexture"}')),
+        ("camouflage.json", rewritten(camouflage={"kind": "Invisibility", "name": "T-U"})),
+        ("camouflage.json", rewritten(camouflage={"kind": "UniversalTexture"})),
         ("camouflage.safetensors", lambda path: path.unlink()),
         ("camouflage.safetensors", cut),
         ("camouflage.safetensors", lambda path: path.write_bytes(b"")),
@@ -145,7 +145,7 @@ def test_damage_is_one_error_that_names_the_file(tmp_path, name, spoil):
 
 def test_a_map_of_another_size_is_damage(tmp_path):
     stored(tmp_path / "one")
-    save_file({"texture": torch.zeros(3, 8, 8)}, tmp_path / "one" / "camouflage.safetensors")
+    save_file({"cells": torch.zeros(3, 8, 8)}, tmp_path / "one" / "camouflage.safetensors")
     with pytest.raises(StoredFileError, match=r"camouflage\.safetensors"):
         load_camouflage(tmp_path / "one")
 

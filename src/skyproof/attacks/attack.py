@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
+import re
+import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import UInt8
@@ -17,21 +20,16 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen, paper_weights
+from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_json, read_jsonl, refuse_foreign, write_beside, write_bytes, write_json, write_jsonl
-from skyproof.render.dataset import placed_vehicles
-from skyproof.render.frames import Renderer
-from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
-from skyproof.scenes.scene import Scene
-from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["AttackSettings", "AttackWorld", "attack"]
+__all__ = ["AttackSettings", "attack"]
 
 _CHECKPOINT = "checkpoint.safetensors"
 
@@ -44,7 +42,11 @@ class AttackSettings:
         steps: optimiser steps.
         batch_size: images, and so vehicles, a step.
         learning_rate: Adam's at the start; half a cosine takes it to a tenth.
-        balance_batches: batches whose mean losses set the detectors' weights (PAPER 24).
+        balance_batches: batches, seen by no step, whose mean losses set the detectors' weights (PAPER 24), and
+            measure what the last rounding costs (PAPER 32).
+        weights: of the detectors' losses: "balanced" by their first values, or the paper's own numbers.
+        keep_at: steps after which a finished copy is kept in `snapshots/`, to see an attack grow stronger; then also
+            one from before the last rounding, "relaxed" (PAPER 32).
         preview_every: steps between pictures of the batch.
         checkpoint_every: steps between checkpoints.
         seed: of all scenes; the demo adds its own seed to it.
@@ -54,6 +56,8 @@ class AttackSettings:
     batch_size: int = 8
     learning_rate: float = 0.05
     balance_batches: int = 4
+    weights: Literal["balanced", "paper"] = "balanced"
+    keep_at: tuple[int, ...] = ()
     preview_every: int = 100
     checkpoint_every: int = 25
     seed: int = 0
@@ -65,34 +69,6 @@ class AttackSettings:
             raise ConfigurationError(f"An attack expects a learning rate above 0, but got {self.learning_rate}.")
 
 
-@dataclass(frozen=True)
-class AttackWorld:
-    """What the attack sees: ground, vehicles, light and camera, drawn anew at every step.
-
-    Attributes:
-        renderer: differentiable, on `backgrounds`.
-        backgrounds: their split "attack" is used.
-        fleet: vehicles to camouflage.
-        scenes: how scenes are drawn; exactly one vehicle an image (PAPER 5).
-    """
-
-    renderer: Renderer
-    backgrounds: BackgroundSet
-    fleet: Fleet
-    scenes: SceneSettings
-
-    def __post_init__(self) -> None:
-        if not self.renderer.differentiable:
-            raise ConfigurationError("An attack needs a differentiable renderer.")
-        if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
-            raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
-
-    def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
-        """Random scenes on the attack backgrounds."""
-        sizes = {vehicle: self.fleet.size_m(vehicle) for vehicle in self.fleet.ids}
-        return sample_scenes(self.scenes, self.backgrounds, "attack", sizes, count, generator=generator)
-
-
 def attack(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
@@ -100,6 +76,7 @@ def attack(
     settings: AttackSettings,
     folder: Path,
     *,
+    record: Mapping[str, Any] | None = None,
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> Camouflage:
     """Optimises the camouflage so that the ensemble's losses against an empty truth fall (PAPER 21).
@@ -114,6 +91,7 @@ def attack(
         camouflage: on the device to work on; optimised in place.
         detectors: on the same device; not changed, which is checked.
         folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage (see `save_camouflage`).
+        record: further facts to store with the camouflage.
         on_step: called with each row of `steps.jsonl`.
 
     Raises:
@@ -129,15 +107,19 @@ def attack(
     }
     if (folder / "camouflage.json").exists():
         document = read_json(folder / "camouflage.json")
-        record = document.get("record") if isinstance(document, dict) else None
-        _same_attack(record.get("attack") if isinstance(record, dict) else None, identity, folder)
+        stored = document.get("record") if isinstance(document, dict) else None
+        _same_attack(stored.get("attack") if isinstance(stored, dict) else None, identity, folder)
         camouflage.load_state_dict(load_camouflage(folder).state_dict())
         return camouflage
     run = _Run(camouflage, settings, identity)
     run.resume(folder)
     with frozen(detectors):
         if not run.weights:
-            run.weights = _balance(camouflage, detectors, world, settings)
+            run.weights = (
+                paper_weights(camouflage.name, [detector.name for detector in detectors])
+                if settings.weights == "paper"
+                else balanced_weights(_measure(camouflage, detectors, world, settings))
+            )
             run.claim(folder)
         while run.step < settings.steps:
             started = time.perf_counter()
@@ -152,39 +134,49 @@ def attack(
             run.rows.append(row)
             if run.step % settings.preview_every == 0 or run.step in (1, settings.steps):
                 _write_preview(folder / "previews" / f"{run.step:06d}.png", images)
+            if run.step in settings.keep_at:
+                _snapshot(camouflage, f"step{run.step}", folder, finalise=True)
             if run.step % settings.checkpoint_every == 0 and run.step < settings.steps:
                 run.store(folder)
             if on_step is not None:
                 on_step(row)
-    camouflage.finalise()
+        if settings.keep_at:
+            _snapshot(camouflage, "relaxed", folder, finalise=False)
+        before = _measure(camouflage, detectors, world, settings)
+        camouflage.finalise()
+        gap = {"before": before, "after": _measure(camouflage, detectors, world, settings)}
     write_jsonl(folder / "steps.jsonl", run.rows)
-    save_camouflage(folder, camouflage, {"attack": identity, "weights": run.weights})
+    discretisation = {
+        when: {name: statistics.fmean(each) for name, each in found.items()} for when, found in gap.items()
+    }
+    facts = {"attack": identity, "weights": run.weights, "discretisation": discretisation}
+    save_camouflage(folder, camouflage, {**facts, **(record or {})})
     (folder / _CHECKPOINT).unlink(missing_ok=True)
     (folder / "checkpoint.json").unlink(missing_ok=True)
     return camouflage
 
 
-def _generator(seed: int, step: int) -> torch.Generator:
-    return torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
-
-
-def _images(camouflage: Camouflage, world: AttackWorld, settings: AttackSettings, step: int) -> Tensor:
-    scenes = world.draw(settings.batch_size, generator=_generator(settings.seed, step))
-    device = next(camouflage.parameters()).device
-    return world.renderer(scenes, camouflage(placed_vehicles(world.fleet, scenes).to(device))).image
-
-
 @torch.no_grad()
-def _balance(
+def _measure(
     camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
-) -> dict[str, float]:
-    first: dict[str, list[float]] = {detector.name: [] for detector in detectors}
+) -> dict[str, list[float]]:
+    """Every detector's mean loss on each of the batches that no step sees."""
+    found: dict[str, list[float]] = {detector.name: [] for detector in detectors}
     for batch in range(settings.balance_batches):
-        # Steps count from 1, so these scenes are not those of the first steps.
-        images = _images(camouflage, world, settings, -batch)
+        images = world.frames(camouflage, world.step_scenes(settings.batch_size, settings.seed, -batch)).image
         for name, losses in empty_truth_losses(detectors, images).items():
-            first[name].append(float(losses.mean()))
-    return balanced_weights(first)
+            found[name].append(float(losses.mean()))
+    return found
+
+
+def _snapshot(camouflage: Camouflage, variant: str, folder: Path, *, finalise: bool) -> None:
+    """A copy of the camouflage as it is now, under a name of its own: "T-U-0" after 10 steps is "T-U_step10-0"."""
+    copied = copy.deepcopy(camouflage)
+    base, repeat = re.fullmatch(r"(.*?)(-\d+)?", camouflage.name).groups()  # type: ignore[union-attr]
+    copied.name = f"{base}_{variant}{repeat or ''}"
+    if finalise:
+        copied.finalise()
+    save_camouflage(folder / "snapshots" / copied.name, copied, {"of": camouflage.name, "variant": variant})
 
 
 class _Run:
@@ -193,7 +185,16 @@ class _Run:
     def __init__(self, camouflage: Camouflage, settings: AttackSettings, identity: dict[str, Any]) -> None:
         self.camouflage, self.settings = camouflage, settings
         self.identity = json.loads(json.dumps(identity))
-        self.optimiser = torch.optim.Adam(camouflage.parameters(), lr=settings.learning_rate)
+        rates = camouflage.learning_rates
+        groups = [
+            {"params": [value], "factor": rates.get(name, 1.0)}
+            for name, value in camouflage.named_parameters()
+            # The finished texture under a sequential attack's shape is not learnt.
+            if value.requires_grad
+        ]
+        if not groups:
+            raise ConfigurationError(f"{camouflage.name} has nothing to learn; attack with one that is not finished.")
+        self.optimiser = torch.optim.Adam(groups, lr=settings.learning_rate)
         self.weights: dict[str, float] = {}
         self.rows: list[dict[str, Any]] = []
         self.step = 0
@@ -204,11 +205,13 @@ class _Run:
         """One step; returns the batch's images and every detector's mean loss before it."""
         share = self.step / self.settings.steps
         for group in self.optimiser.param_groups:
-            group["lr"] = self.settings.learning_rate * (0.55 + 0.45 * math.cos(math.pi * share))
+            group["lr"] = self.settings.learning_rate * group["factor"] * (0.55 + 0.45 * math.cos(math.pi * share))
         self.step += 1
-        images = _images(self.camouflage, world, self.settings, self.step)
+        self.camouflage.before_step_(self.step, self.settings.steps)
+        scenes = world.step_scenes(self.settings.batch_size, self.settings.seed, self.step)
+        images = world.frames(self.camouflage, scenes).image
         # One detector at a time, so that only one network's activations are held.
-        leaf = images.detach().requires_grad_()
+        leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
         losses = {}
         for detector in detectors:
             loss = empty_truth_losses([detector], leaf)[detector.name].mean()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -11,8 +12,23 @@ from torch import Tensor
 
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
+from skyproof.errors import ConfigurationError
 
-__all__ = ["balanced_weights", "empty_truth_losses", "frozen"]
+__all__ = ["balanced_weights", "empty_truth_losses", "frozen", "paper_weights"]
+
+_PAPER_ORDER = ("retinanet", "faster_rcnn", "yolov5")
+_PAPER_WEIGHTS = {
+    **dict.fromkeys(("T-U", "T-Ma", "T-Pix", "T-PixMa", "T-Lc", "T-PixLc"), (0.020, 10.0, 10.0)),
+    **dict.fromkeys(("T-Fc", "T-PixFc"), (0.002, 10.0, 2.5)),
+    "T-LcMa": (0.007, 10.0, 5.0),
+    "T-FcMa": (0.002, 10.0, 2.0),
+    "T-PixLcMa": (0.020, 10.0, 5.0),
+    "T-PixFcMa": (0.003, 10.0, 2.0),
+    "S-O": (0.020, 15.0, 32.0),
+    **dict.fromkeys(("C-Fc-seq", "C-Fc-par"), (0.020, 10.0, 30.0)),
+    "C-PixFc-seq": (0.013, 18.740, 20.444),
+    "C-PixFc-par": (0.011, 13.180, 20.860),
+}
 
 
 def empty_truth_losses(
@@ -26,6 +42,28 @@ def empty_truth_losses(
 def balanced_weights(first_losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """Weights that bring every detector's first losses to 1 (PAPER 24)."""
     return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in first_losses.items()}
+
+
+def paper_weights(camouflage: str, detectors: Sequence[str]) -> dict[str, float]:
+    """The paper's own weights λ of RetinaNet, Faster R-CNN and YOLOv5 for one of its attacks (PAPER 24).
+
+    Differences from the paper: our losses are normalised per image (PAPER 22), theirs partly sum over anchors, so that
+    equal weights do not balance alike.
+
+    Args:
+        camouflage: its name; magnitude, variant and repeat do not matter.
+        detectors: names; all three, in any order.
+
+    Raises:
+        ConfigurationError: another ensemble, or an attack for which the paper gives no weights.
+    """
+    base = re.sub(r"-\d+$", "", camouflage).partition("_")[0].partition("@")[0]
+    if base not in _PAPER_WEIGHTS or sorted(detectors) != sorted(_PAPER_ORDER):
+        raise ConfigurationError(
+            f"The paper gives weights for {', '.join(_PAPER_WEIGHTS)} on {', '.join(_PAPER_ORDER)} together, not for "
+            f"{base} on {', '.join(detectors)}; use balanced weights."
+        )
+    return dict(zip(_PAPER_ORDER, _PAPER_WEIGHTS[base], strict=True))
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from torch import nn
 
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -14,13 +16,18 @@ class Camouflage(nn.Module):
 
     Attributes:
         name: "T-U", "R-U-0", "none": as tables show it.
+        learning_rates: parameter name to a multiple of the attack's learning rate, where it is not 1.
     """
 
     name: str
+    learning_rates: Mapping[str, float] = {}
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
         """The same vehicles, camouflaged; differentiable in the parameters."""
         raise NotImplementedError
+
+    def before_step_(self, step: int, steps: int) -> None:
+        """Sets what depends on the progress of an attack, such as a temperature; called before step 1 to `steps`."""
 
     def project_(self) -> None:
         """Puts the parameters back into what is allowed; called after every optimiser step."""

@@ -1,4 +1,4 @@
-"""A camouflage as a folder: `camouflage.json`, `camouflage.safetensors`, and the map as `texture.png` to look at."""
+"""A camouflage as a folder: `camouflage.json`, `camouflage.safetensors`, and its maps as PNGs to look at."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ import torch
 from PIL import Image
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
+from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage, NoCamouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.errors import StoredFileError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json, write_beside, write_bytes, write_json
 
 __all__ = ["load_camouflage", "save_camouflage"]
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def save_camouflage(folder: Path, camouflage: Camouflage, record: dict[str, Any] | None = None) -> None:
@@ -34,13 +38,14 @@ def save_camouflage(folder: Path, camouflage: Camouflage, record: dict[str, Any]
     folder = Path(folder)
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in camouflage.state_dict().items()}
     write_bytes(folder / "camouflage.safetensors", save(state))
-    if isinstance(camouflage, UniversalTexture):
-        pixels = (camouflage.texture.detach().cpu().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
-        with write_beside(folder / "texture.png") as temporary:
-            Image.fromarray(pixels).save(temporary)
+    parts = [camouflage.texture, camouflage.shape] if isinstance(camouflage, Combination) else [camouflage]
+    for part in parts:
+        if isinstance(part, UniversalTexture):
+            _write_png(folder / "texture.png", part.bytes().permute(1, 2, 0))
+        elif isinstance(part, DisplacementMap):
+            _write_png(folder / "displacement.png", (part.map().detach() * 255).round().byte())
     write_json(
-        folder / "camouflage.json",
-        {"format": _FORMAT, "name": camouflage.name, "kind": type(camouflage).__name__, "record": record or {}},
+        folder / "camouflage.json", {"format": _FORMAT, "camouflage": _describe(camouflage), "record": record or {}}
     )
 
 
@@ -52,18 +57,67 @@ def load_camouflage(folder: Path) -> Camouflage:
     """
     path = Path(folder) / "camouflage.json"
     document = read_json(path)
-    if not isinstance(document, dict) or document.get("format") != _FORMAT or "name" not in document:
+    if not isinstance(document, dict) or document.get("format") != _FORMAT or "camouflage" not in document:
         raise StoredFileError(f"{path} was not written by this version of skyproof; make the camouflage again.")
-    if document.get("kind") == "NoCamouflage":
-        return NoCamouflage()
-    if document.get("kind") != "UniversalTexture":
-        raise StoredFileError(f"{path} holds a {document.get('kind')!r}, unknown to this version; make it again.")
-    if not isinstance(document.get("name"), str):
-        raise StoredFileError(f"{path} is damaged (it has no name); make the camouflage again.")
-    camouflage = UniversalTexture(document["name"], generator=torch.Generator().manual_seed(0))
     weights = Path(folder) / "camouflage.safetensors"
+    try:
+        camouflage = _build(document["camouflage"])
+    except (KeyError, TypeError, AttributeError, ValueError, ConfigurationError) as error:
+        raise StoredFileError(f"{path} is damaged ({error!r}); make the camouflage again.") from error
     try:
         camouflage.load_state_dict(load_file(weights))
     except (OSError, SafetensorError, RuntimeError) as error:
         raise StoredFileError(f"{weights} is missing or damaged ({error}); make the camouflage again.") from error
     return camouflage.requires_grad_(False)
+
+
+def _describe(camouflage: Camouflage) -> dict[str, Any]:
+    """What is needed to build it again, but for its tensors."""
+    described: dict[str, Any] = {"kind": type(camouflage).__name__, "name": camouflage.name}
+    if isinstance(camouflage, UniversalTexture):
+        described |= {
+            "constraints": camouflage.constraints.name,
+            "blocks": camouflage.blocks,
+            "colours": len(camouflage.palette) if camouflage.restricted else None,
+            "literal": camouflage.literal,
+        }
+    elif isinstance(camouflage, DisplacementMap):
+        described |= {"magnitude": camouflage.magnitude, "frozen_parts": camouflage.frozen_parts}
+    elif isinstance(camouflage, Combination):
+        described |= {
+            "texture": _describe(camouflage.texture),
+            "shape": _describe(camouflage.shape),
+            "turn_steps": camouflage.turn_steps,
+        }
+    return described
+
+
+def _build(described: dict[str, Any]) -> Camouflage:
+    kind, name = described["kind"], described["name"]
+    if not isinstance(name, str):
+        raise TypeError("its name is no text")
+    if kind == "NoCamouflage":
+        return NoCamouflage()
+    if kind == "UniversalTexture":
+        constraints, colours = TextureConstraints.parse(described["constraints"]), described["colours"]
+        return UniversalTexture(
+            name,
+            constraints,
+            generator=torch.Generator().manual_seed(0),
+            palette=torch.zeros(colours, 3) if constraints.colours == "fixed" else None,
+            colours=colours or 5,
+            blocks=described["blocks"],
+            literal=described["literal"],
+        )
+    if kind == "DisplacementMap":
+        return DisplacementMap(name, described["magnitude"], frozen_parts=described["frozen_parts"])
+    if kind == "Combination":
+        texture, shape = _build(described["texture"]), _build(described["shape"])
+        if isinstance(texture, UniversalTexture) and isinstance(shape, DisplacementMap):
+            return Combination(name, texture, shape, turn_steps=described["turn_steps"])
+    raise ValueError(f"kind {kind!r} is unknown to this version")
+
+
+def _write_png(path: Path, pixels: Tensor) -> None:
+    with write_beside(path) as temporary:
+        Image.fromarray(pixels.cpu().numpy()).save(temporary)

@@ -1,16 +1,13 @@
-"""The single stages as commands: render, train, attack, evaluate, report."""
+"""The single stages around an attack as commands: render, train, evaluate, report."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.attacks.attack import AttackSettings
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import (
-    attack_ensemble,
     choose_device,
     evaluate_folders,
     render_folder,
@@ -21,10 +18,8 @@ from skyproof.detectors.training import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
-from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings
 
-__all__ = ["Attack", "Evaluate", "Render", "Report", "Train"]
+__all__ = ["Evaluate", "Render", "Report", "Train"]
 
 
 @dataclass(frozen=True)
@@ -101,44 +96,6 @@ class Train:
             f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold {card.threshold:.3f}. "
             f"Detector: {self.out.resolve()}"
         )
-
-
-@dataclass(frozen=True)
-class Attack:
-    """Learns a universal texture (T-U) against detectors; goes on where it was stopped.
-
-    Attributes:
-        detectors: detector folders, attacked together.
-        backgrounds: background set folder; its attack split is used.
-        fleet: fleet folder.
-        out: camouflage folder to write.
-        image_px: image side; the first detector's training size where not given.
-        settings: steps, batch, learning rate, seed.
-        device: auto, cpu or cuda.
-    """
-
-    detectors: tuple[Path, ...]
-    backgrounds: Path
-    fleet: Path
-    out: Path
-    image_px: int | None = None
-    settings: AttackSettings = field(default_factory=AttackSettings)
-    device: str = "auto"
-
-    def run(self) -> None:
-        """Learns the texture."""
-        if not self.detectors:
-            raise ConfigurationError("--detectors expects at least one detector folder.")
-        size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
-        scenes = SceneSettings(
-            size_px=size_px, gsd_m=BackgroundSet.open(self.backgrounds).gsd_m, vehicles_maximum=1,
-            tilt_maximum_rad=math.radians(20),
-        )  # fmt: skip
-        device = choose_device(self.device)
-        attack_ensemble(
-            "T-U", self.detectors, self.backgrounds, self.fleet, scenes, self.settings, self.out, device=device
-        )
-        say(f"Camouflage: {self.out.resolve()}")
 
 
 @dataclass(frozen=True)

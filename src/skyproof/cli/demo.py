@@ -147,9 +147,9 @@ def run_demo(demo: Demo) -> None:
     learnt = out / "camouflages" / "T-U"
     run.stage("attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device))
     controls = [f"R-U-{draw}" for draw in range(sizes.random_draws)]
-    for draw, name in enumerate(controls):
+    for name in controls:
         folder = out / "camouflages" / name
-        run.stage("random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed, draw))
+        run.stage("random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed))
     worn = {name: out / "datasets" / f"test-{name}" for name in ("T-U", *controls)}
     for name, place in worn.items():
         camouflage = out / "camouflages" / name

@@ -10,7 +10,8 @@ import torch
 import tyro
 
 from skyproof.cli.bench import Bench
-from skyproof.cli.commands import Attack, Evaluate, Render, Report, Train
+from skyproof.cli.camouflages import Attack, Control, Palette, Score
+from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
 from skyproof.errors import SkyproofError
@@ -21,7 +22,10 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "render": Render,
     "train": Train,
+    "palette": Palette,
     "attack": Attack,
+    "control": Control,
+    "score": Score,
     "evaluate": Evaluate,
     "report": Report,
     "bench": Bench,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,13 @@ from typing import Any
 import torch
 from PIL import Image
 
-from skyproof.attacks.attack import AttackSettings, AttackWorld, attack
+from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.sign_test import sign_test
+from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.texture import UniversalTexture
+from skyproof.camouflage.palette import fit_palette, save_palette
+from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.cli.console import progress_bar
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
@@ -36,10 +40,15 @@ __all__ = [
     "draw_control",
     "evaluate_folders",
     "generator_of",
+    "ground_palette",
+    "load_ensemble",
     "paint_portrait",
     "render_folder",
+    "score_camouflages",
     "train_detector",
 ]
+
+_PALETTE_PIXELS = 4000  # per tile
 
 
 def choose_device(name: str) -> torch.device:
@@ -142,7 +151,8 @@ def load_ensemble(
                 f"{folder} was trained at {card.gsd_m} m per pixel but the images have {gsd_m} m; "
                 "give a detector and images of one resolution."
             )
-        loaded.append((detector.to(device), card.threshold))
+        # On a CPU convolutions are faster this way round.
+        loaded.append((detector.to(device).to(memory_format=torch.channels_last), card.threshold))
     return loaded
 
 
@@ -155,13 +165,23 @@ def attack_ensemble(
     settings: AttackSettings,
     out: Path,
     *,
+    materials: Materials | None = None,
     device: torch.device | str,
 ) -> None:
-    """Learns one universal texture against an ensemble."""
+    """Learns the camouflage of a name against an ensemble, after a sign test of its gradient."""
+    recipe, made_from = read_recipe(name), materials or Materials()
+    if recipe.random:
+        raise ConfigurationError(f"{name} is a random control, which is not learnt; draw it with skyproof control.")
+    if recipe.magnitude == 0:
+        raise ConfigurationError(
+            f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
+        )
     models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
     photographs = BackgroundSet.open(backgrounds)
     world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
-    camouflage = UniversalTexture(name, generator=generator_of(settings.seed, "texture", name)).to(device)
+    generator = generator_of(settings.seed, "texture", name)
+    camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
+    signs = {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)
     with progress_bar(f"attack {name}") as update:
         attack(
             camouflage,
@@ -169,15 +189,29 @@ def attack_ensemble(
             world,
             settings,
             out,
+            record={"sign_test": signs},
             on_step=lambda row: update(row["step"], settings.steps),
         )
 
 
-def draw_control(name: str, folder: Path, seed: int, draw: int) -> None:
+def draw_control(name: str, folder: Path, seed: int, *, materials: Materials | None = None) -> None:
     """A random draw of the same kind of camouflage, not learnt (PAPER 34, 37)."""
-    control = UniversalTexture(name, generator=generator_of(seed, "control", name))
-    control.finalise()
-    save_camouflage(folder, control, {"seed": seed, "draw": draw})
+    recipe = read_recipe(name)
+    if not recipe.random:
+        raise ConfigurationError(f"{name} is learnt, not drawn; random controls are called R-..., such as R-PixFc.")
+    control = make_camouflage(recipe, materials or Materials(), generator=generator_of(seed, "control", name))
+    save_camouflage(folder, control, {"seed": seed})
+
+
+def ground_palette(backgrounds: Path, out: Path, *, colours: int, seed: int) -> None:
+    """The palette of the ground that attacks see, evenly from all of their tiles (PAPER 33)."""
+    photographs, generator = BackgroundSet.open(backgrounds), generator_of(seed, "palette")
+    pixels = []
+    for tile in photographs.tiles("attack"):
+        flat = photographs.pixels(tile.id).flatten(1)
+        pixels.append(flat[:, torch.randint(flat.shape[1], (_PALETTE_PIXELS,), generator=generator)].T)
+    palette = fit_palette(torch.cat(pixels).float() / 255, colours, seed=seed)
+    save_palette(out, palette, {"backgrounds": str(backgrounds), "split": "attack", "seed": seed})
 
 
 def evaluate_folders(
@@ -196,6 +230,31 @@ def evaluate_folders(
     judges = [Judge(detector, threshold) for detector, threshold in ensemble]
     with progress_bar("evaluate") as update:
         return evaluate_pairs(judges, original, camouflaged, out, clean=clean, seed=seed, progress=update)
+
+
+def score_camouflages(
+    detectors: Sequence[Path],
+    camouflages: Sequence[Path],
+    scenes: Path,
+    backgrounds: Path,
+    fleet: Path,
+    original: Path,
+    out: Path,
+    *,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+) -> list[dict[str, Any]]:
+    """Renders the scenes with each camouflage folder (its name is the camouflage's) and compares; keeps no images."""
+    names = [folder.name for folder in camouflages]
+    if len(set(names)) != len(names):
+        raise ConfigurationError("--camouflages expects folders of different names; score the others separately.")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.images.") as images:
+        rendered = {folder.name: Path(images) / folder.name for folder in camouflages}
+        for folder in camouflages:
+            place = rendered[folder.name]
+            render_folder(scenes, backgrounds, fleet, place, camouflage=folder, device=device)
+        return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
 
 
 def paint_portrait(camouflage: Path, fleet: Path, out: Path) -> None:

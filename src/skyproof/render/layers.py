@@ -77,7 +77,7 @@ def draw_bodies(
     levels = _texture_levels(samples.detach(), vehicles).view(-1)
     seen = visibility.vehicle * len(template.faces) + visibility.face
     finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
-    texture = LinearTexture(vehicles.texture, finest, samples.dtype)
+    texture = LinearTexture(vehicles.texture, finest, samples.dtype, vehicles.overlay)
     # One row per (vehicle, face) with all that is interpolated, so that a sample takes one look-up.
     normals = vertex_normals(vertices, template.faces)[:, template.faces]
     uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)

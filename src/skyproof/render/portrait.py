@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float, UInt8
@@ -44,16 +43,8 @@ def close_up(
     renderer = TorchRenderer(_Asphalt(), RenderSettings(blur_sigma_px=0.0, noise=0.0, supersampling=3))
     pictures = []
     for index, name in enumerate(vehicles.ids):
-        texture = vehicles.texture if len(vehicles.texture) == 1 else vehicles.texture[index : index + 1]
-        one = replace(
-            vehicles,
-            vertices=vehicles.vertices[index : index + 1],
-            texture=texture,
-            parts=vehicles.parts[index : index + 1],
-            ids=(name,),
-        )
         scene = Scene(name, window, camera, _SUN, (Placement(name, 0.0, 0.0, heading_rad),), seed=0)
-        pictures.append((renderer([scene], one).image[0] * 255).round().byte())
+        pictures.append((renderer([scene], vehicles.row(index)).image[0] * 255).round().byte())
     return torch.stack(pictures)
 
 

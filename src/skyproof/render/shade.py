@@ -11,6 +11,7 @@ from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.settings import RenderSettings
+from skyproof.vehicles.vehicle import Overlay
 
 __all__ = ["LinearTexture", "light"]
 
@@ -24,6 +25,7 @@ class LinearTexture:
     Args:
         texture: `[T, 3, H, W]` sRGB, as bytes or in [0, 1]; sides are powers of two.
         finest: the first level worth building; the full map is level 0.
+        overlay: lies on top of `texture`.
     """
 
     levels = 7
@@ -33,16 +35,17 @@ class LinearTexture:
         texture: Float[Tensor, "T 3 H W"] | UInt8[Tensor, "T 3 H W"],
         finest: int = 0,
         dtype: torch.dtype = torch.float32,
+        overlay: Overlay | None = None,
     ) -> None:
         self.finest = min(finest, self.levels - 1)
-        level = _linear(texture, dtype, self.finest)
+        level = _linear(texture, dtype, self.finest) if overlay is None else _covered(texture, overlay, self.finest)
+        self.count, (self.height, self.width) = len(level), texture.shape[2:]
         texels, offsets = [], [0]
         for index in range(self.levels):
             if index >= self.finest:
                 texels.append(level.permute(0, 2, 3, 1).reshape(-1, 3))
                 offsets.append(offsets[-1] + len(texels[-1]))
                 level = _halve(level)
-        self.count, _, self.height, self.width = texture.shape
         self._texels = torch.cat(texels)
         self._offsets = torch.tensor(offsets[:-1], device=texture.device)
 
@@ -74,21 +77,54 @@ class LinearTexture:
 def _linear(texture: Tensor, dtype: torch.dtype, finest: int) -> Tensor:
     """Linear light, already reduced to level `finest`."""
     if texture.dtype != torch.uint8:
-        level = srgb_to_linear(texture)
-        for _ in range(finest):
-            level = _halve(level)
-        return level
-    table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
-    reduced = []
+        return _reduced(srgb_to_linear(texture), finest)
     # One vehicle at a time: the full maps of a batch together would fall out of every cache.
-    for each in texture:
-        # NumPy's table look-up is several times faster than indexing here.
-        on_cpu = each.device.type == "cpu"
-        level = torch.from_numpy(np.take(table.numpy(), each.numpy())) if on_cpu else table[each.int()]
-        for _ in range(finest):
-            level = _halve(level)
-        reduced.append(level)
-    return torch.stack(reduced)
+    return torch.stack([_reduced(_bytes_to_linear(each, dtype), finest) for each in texture])
+
+
+def _bytes_to_linear(texture: UInt8[Tensor, "3 H W"], dtype: torch.dtype) -> Float[Tensor, "3 H W"]:
+    table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
+    # NumPy's table look-up is several times faster than indexing here.
+    on_cpu = texture.device.type == "cpu"
+    return torch.from_numpy(np.take(table.numpy(), texture.numpy())) if on_cpu else table[texture.int()]
+
+
+def _reduced(level: Tensor, finest: int) -> Tensor:
+    for _ in range(finest):
+        level = _halve(level)
+    return level
+
+
+def _covered(texture: Tensor, overlay: Overlay, finest: int) -> Float[Tensor, "N 3 h w"]:
+    """Level `finest` of the textures under an overlay; the gradient reaches the overlay alone."""
+    return _Covered.apply(srgb_to_linear(overlay.texture), overlay.mask, texture.detach(), finest)
+
+
+class _Covered(torch.autograd.Function):
+    """One vehicle at a time, forward and backward: a whole batch of full maps would fall out of every cache."""
+
+    @staticmethod
+    def forward(context: Any, cover: Tensor, masks: Tensor, own: Tensor, finest: int) -> Tensor:
+        context.save_for_backward(masks)
+        context.finest = finest
+        reduced = []
+        for index, mask in enumerate(masks):
+            below = own[index if len(own) > 1 else 0]
+            below = _bytes_to_linear(below, cover.dtype) if below.dtype == torch.uint8 else srgb_to_linear(below)
+            reduced.append(_reduced(torch.where(mask, cover, below), finest))
+        return torch.stack(reduced)
+
+    @staticmethod
+    def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        (masks,) = context.saved_tensors
+        side = 2**context.finest
+        total = None
+        for mask, gradient in zip(masks, gradients[0] / side**2, strict=True):
+            channels, height, width = gradient.shape
+            spread = gradient[:, :, None, :, None].expand(channels, height, side, width, side)
+            reached = spread.reshape(channels, height * side, width * side) * mask
+            total = reached if total is None else total.add_(reached)
+        return total, None, None, None
 
 
 def _halve(level: Tensor) -> Tensor:

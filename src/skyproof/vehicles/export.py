@@ -36,7 +36,7 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     pairs, corners = np.unique(np.stack([faces, face_uvs], -1).reshape(-1, 2), axis=0, return_inverse=True)
     vertices = vehicles.vertices[index].detach().cpu().double().numpy()[:, [1, 2, 0]]
     uvs = template.uvs.detach().cpu().double().numpy()[pairs[:, 1]]
-    texture = vehicles.texture[index if len(vehicles.texture) > 1 else 0].detach().cpu()
+    texture = vehicles.row(index).worn_texture()[0].detach().cpu()
     pixels = texture if texture.dtype == torch.uint8 else (texture.clamp(0, 1) * 255).round().byte()
     image = Image.fromarray(pixels.permute(1, 2, 0).numpy())
     material = trimesh.visual.material.PBRMaterial(

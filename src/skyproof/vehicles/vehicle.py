@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-__all__ = ["TEXTURE_SIZE", "Part", "Template", "VehicleBatch"]
+__all__ = ["TEXTURE_SIZE", "Overlay", "Part", "Template", "VehicleBatch"]
 
 TEXTURE_SIZE = 512
 
@@ -51,6 +51,21 @@ class Template:
 
 
 @dataclass(frozen=True)
+class Overlay:
+    """One texture that hides the vehicles' own where each vehicle's mask is true (PAPER 29).
+
+    Kept apart from them: a renderer then needs no full map in floats for every vehicle.
+
+    Attributes:
+        texture: `[3, 512, 512]` sRGB in [0, 1].
+        mask: `[N, 512, 512]`.
+    """
+
+    texture: Float[Tensor, "3 512 512"]
+    mask: Bool[Tensor, "N 512 512"]
+
+
+@dataclass(frozen=True)
 class VehicleBatch:
     """Some vehicles on one template.
 
@@ -62,6 +77,7 @@ class VehicleBatch:
         texture: `[N or 1, 3, 512, 512]` sRGB, as bytes or in [0, 1]; a first dimension of 1 is one map shared by all.
         parts: `[N, 512, 512]` values of `Part`.
         ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
+        overlay: a common texture on top of `texture`, or none.
     """
 
     template: Template
@@ -69,16 +85,38 @@ class VehicleBatch:
     texture: Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]
     parts: UInt8[Tensor, "N 512 512"]
     ids: tuple[str, ...]
+    overlay: Overlay | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def to(self, device: torch.device | str) -> VehicleBatch:
         """The same vehicles on another device."""
+        over = self.overlay
         return VehicleBatch(
             self.template.to(device),
             self.vertices.to(device),
             self.texture.to(device),
             self.parts.to(device),
             self.ids,
+            over and Overlay(over.texture.to(device), over.mask.to(device)),
         )
+
+    def row(self, index: int) -> VehicleBatch:
+        """One vehicle as a batch of its own."""
+        one, over = slice(index, index + 1), self.overlay
+        return VehicleBatch(
+            self.template,
+            self.vertices[one],
+            self.texture if len(self.texture) == 1 else self.texture[one],
+            self.parts[one],
+            self.ids[one],
+            over and Overlay(over.texture, over.mask[one]),
+        )
+
+    def worn_texture(self) -> Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]:
+        """The textures as they are seen, the overlay included: `[N or 1, 3, 512, 512]`, one map where it is shared."""
+        if self.overlay is None:
+            return self.texture
+        own = self.texture.float() / 255 if self.texture.dtype == torch.uint8 else self.texture
+        return torch.where(self.overlay.mask[:, None], self.overlay.texture, own)

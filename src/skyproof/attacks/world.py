@@ -1,0 +1,56 @@
+"""What an attack sees: ground, vehicles, light and camera, drawn anew at every step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.errors import ConfigurationError
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.frames import Frames, Renderer
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import Scene
+from skyproof.vehicles.fleet import Fleet
+
+__all__ = ["AttackWorld"]
+
+
+@dataclass(frozen=True)
+class AttackWorld:
+    """What the attack sees, drawn anew at every step.
+
+    Attributes:
+        renderer: differentiable, on `backgrounds`.
+        backgrounds: their split "attack" is used.
+        fleet: vehicles to camouflage.
+        scenes: how scenes are drawn; exactly one vehicle an image (PAPER 5).
+    """
+
+    renderer: Renderer
+    backgrounds: BackgroundSet
+    fleet: Fleet
+    scenes: SceneSettings
+
+    def __post_init__(self) -> None:
+        if not self.renderer.differentiable:
+            raise ConfigurationError("An attack needs a differentiable renderer.")
+        if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
+            raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
+
+    def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
+        """Random scenes on the attack backgrounds."""
+        sizes = {vehicle: self.fleet.size_m(vehicle) for vehicle in self.fleet.ids}
+        return sample_scenes(self.scenes, self.backgrounds, "attack", sizes, count, generator=generator)
+
+    def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
+        """The scenes of one step; those of steps 0, -1, -2 ... are seen by no step, and serve to measure."""
+        return self.draw(count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63))
+
+    def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
+        """The scenes, their vehicles in the camouflage, on its device."""
+        tensors = [*camouflage.parameters(), *camouflage.buffers()]
+        vehicles = placed_vehicles(self.fleet, scenes).to(tensors[0].device)
+        return self.renderer(scenes, camouflage(vehicles))

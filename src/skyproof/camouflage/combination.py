@@ -1,0 +1,71 @@
+"""Texture and shape together, one after the other or in turns (PAPER 53)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["Combination"]
+
+
+class Combination(Camouflage):
+    """A texture and a displacement map on the same vehicles.
+
+    Differences from the paper: masked textures may be combined too, because texture, part map and displacement share
+    one UV map, which a displacement leaves as it is.
+
+    Attributes:
+        texture, shape: its two parts.
+        turn_steps: parallel attacks change sides after so many steps (the paper's n_pll); None is sequential: the
+            texture stays as it is and the shape alone is learnt.
+
+    Args:
+        turn_steps: as the attribute.
+
+    Raises:
+        ConfigurationError: turns of less than one step.
+    """
+
+    def __init__(
+        self, name: str, texture: UniversalTexture, shape: DisplacementMap, *, turn_steps: int | None = None
+    ) -> None:
+        super().__init__()
+        if turn_steps is not None and turn_steps < 1:
+            raise ConfigurationError(f"A parallel attack expects turns of at least 1 step, got {turn_steps}.")
+        self.name, self.texture, self.shape, self.turn_steps = name, texture, shape, turn_steps
+        if turn_steps is None:
+            texture.requires_grad_(False)
+        self.learning_rates: Mapping[str, float] = {
+            f"{side}.{name}": rate
+            for side, part in (("texture", texture), ("shape", shape))
+            for name, rate in part.learning_rates.items()
+        }
+
+    def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
+        """The vehicles in both."""
+        return self.shape(self.texture(vehicles))
+
+    def before_step_(self, step: int, steps: int) -> None:
+        """Whose turn it is: the texture begins."""
+        if self.turn_steps is not None:
+            texture_turn = (step - 1) // self.turn_steps % 2 == 0
+            self.texture.requires_grad_(texture_turn)
+            self.shape.requires_grad_(not texture_turn)
+            self.texture.before_step_(step, steps)
+        self.shape.before_step_(step, steps)
+
+    def project_(self) -> None:
+        """Both parts' own."""
+        if self.turn_steps is not None:
+            self.texture.project_()
+        self.shape.project_()
+
+    def finalise(self) -> None:
+        """Both parts' own."""
+        self.texture.finalise()
+        self.shape.finalise()

@@ -1,0 +1,221 @@
+"""The three texture constraints and all their combinations (PAPER 27-34)."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.texture import LITERAL_TEMPERATURE, UniversalTexture
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.vehicle import Part
+
+PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+SETTINGS = [
+    TextureConstraints(pixelised, colours, masked)
+    for pixelised, colours, masked in itertools.product((False, True), ("free", "learnt", "fixed"), (False, True))
+]
+
+
+def drawn(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def texture(constraints=None, seed=0, name="T-X", **more):
+    if constraints and constraints.colours == "fixed":
+        more = {"palette": PALETTE, **more}
+    return UniversalTexture(name, constraints, generator=drawn(seed), **more)
+
+
+@pytest.fixture(scope="module")
+def vehicles():
+    fleet = sample_fleet(FleetSettings(count=3), generator=drawn(0))
+    return fleet.batch(fleet.ids)
+
+
+def learn(camouflage, vehicles, steps=6):
+    """A few steps towards an arbitrary goal, as an attack takes them."""
+    goal = torch.rand(3, 512, 512, generator=drawn(9))
+    groups = [
+        {"params": [value], "lr": 0.05 * camouflage.learning_rates.get(name, 1.0)}
+        for name, value in camouflage.named_parameters()
+    ]
+    optimiser = torch.optim.Adam(groups)
+    for step in range(1, steps + 1):
+        camouflage.before_step_(step, steps)
+        optimiser.zero_grad()
+        (camouflage(vehicles).worn_texture() - goal).square().mean().backward()
+        optimiser.step()
+        camouflage.project_()
+    return camouflage
+
+
+def colours_of(path):
+    with Image.open(path) as image:
+        return {tuple(pixel) for pixel in np.array(image).reshape(-1, 3)}
+
+
+@pytest.mark.parametrize("constraints", SETTINGS, ids=lambda each: each.name)
+def test_every_setting_keeps_its_constraints_after_learning_and_in_its_png(tmp_path, vehicles, constraints):
+    camouflage = learn(texture(constraints), vehicles)
+    camouflage.finalise()
+    save_camouflage(tmp_path, camouflage)
+    with Image.open(tmp_path / "texture.png") as image:
+        pixels = np.array(image)
+    found = {tuple(pixel) for pixel in pixels.reshape(-1, 3)}
+    if constraints.colours == "free":
+        assert len(found) > 900
+    else:
+        assert 2 <= len(found) <= 5
+    if constraints.colours == "fixed":
+        assert found <= {tuple(row) for row in (PALETTE * 255).round().int().tolist()}
+    if constraints.pixelised:
+        blocks = pixels.reshape(32, 16, 32, 16, 3)
+        assert (blocks == blocks[:, :1, :, :1]).all()
+    worn = camouflage(vehicles).worn_texture()
+    if constraints.masked:
+        painted = vehicles.parts == Part.BODY
+        own = vehicles.texture.float() / 255
+        elsewhere = (worn != own).any(dim=1) & ~painted
+        assert not elsewhere.any()
+        everywhere = camouflage.map().expand(3, 3, 512, 512).permute(0, 2, 3, 1)
+        assert torch.equal(worn.permute(0, 2, 3, 1)[painted], everywhere[painted])
+    else:
+        assert worn.shape == (1, 3, 512, 512)
+        assert torch.equal(worn[0], camouflage.map())
+    # What is stored is what was learnt, and evaluation sees the same map.
+    loaded = load_camouflage(tmp_path)
+    assert loaded.constraints == constraints
+    assert torch.equal(loaded.map(), camouflage.map())
+    assert np.array_equal((loaded.map().detach() * 255).round().byte().permute(1, 2, 0).numpy(), pixels)
+
+
+@pytest.mark.parametrize("constraints", SETTINGS, ids=lambda each: each.name)
+def test_every_setting_learns(vehicles, constraints):
+    goal = torch.rand(3, 512, 512, generator=drawn(9))
+    camouflage = texture(constraints)
+    with torch.no_grad():
+        before = float((camouflage(vehicles).worn_texture() - goal).square().mean())
+    learn(camouflage, vehicles, steps=10)
+    with torch.no_grad():
+        after = float((camouflage(vehicles).worn_texture() - goal).square().mean())
+    assert after < before
+
+
+@pytest.mark.parametrize("constraints", SETTINGS, ids=lambda each: each.name)
+def test_a_random_control_is_the_finished_start_of_its_attack(constraints):
+    start, control = texture(constraints, seed=4), texture(constraints, seed=4)
+    control.finalise()
+    if constraints.colours == "free":
+        assert (control.map() - start.map()).abs().max() <= 0.5 / 255 + 1e-6
+    else:
+        # Uniform draws: every colour is as likely.
+        shares = torch.bincount(control.cells.argmax(0).flatten(), minlength=5) / control.cells[0].numel()
+        assert (shares - 0.2).abs().max() < (0.04 if constraints.pixelised else 0.005)
+        assert torch.equal(control.cells, start.cells)
+    assert not torch.equal(control.cells, texture(constraints, seed=5).cells)
+
+
+def test_the_mixture_is_a_softmax_of_logits_over_the_temperature():
+    camouflage = texture(TextureConstraints(True, "fixed"))
+    with torch.no_grad():
+        camouflage.cells[:, 0, 0] = torch.tensor([0.0, 1.0, 0.0, 0.0, 2.0])
+    camouflage.before_step_(1, 5)
+    weights = [math.exp(value) for value in (0, 1, 0, 0, 2)]
+    wanted = sum(weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True))
+    assert torch.allclose(camouflage.map()[:, 0, 0], wanted, atol=1e-6)
+    camouflage.before_step_(3, 5)
+    assert float(camouflage.temperature) == pytest.approx(math.sqrt(0.1))
+    camouflage.before_step_(5, 5)
+    assert float(camouflage.temperature) == pytest.approx(0.1)
+    weights = [math.exp(value / 0.1) for value in (0, 1, 0, 0, 2)]
+    wanted = sum(weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True))
+    assert torch.allclose(camouflage.map()[:, 15, 15], wanted, atol=1e-6)
+    assert not torch.allclose(camouflage.map()[:, 16, 0], wanted, atol=1e-3)
+
+
+def softmax_of_paper(p, tau):
+    """PAPER 30, written out: s(r_i) = exp(ln(r_i) / tau) / sum_j exp(ln(r_j) / tau)."""
+    powers = torch.exp(torch.log(p) / tau)
+    return powers / powers.sum(0)
+
+
+def test_the_literal_form_is_the_papers_double_softmax():
+    camouflage = texture(TextureConstraints(True, "fixed"), literal=True)
+    p = camouflage.cells.detach().clone()
+    assert torch.allclose(p.sum(0), torch.ones(32, 32), atol=1e-6)
+    weights = softmax_of_paper(softmax_of_paper(p, LITERAL_TEMPERATURE), LITERAL_TEMPERATURE)
+    wanted = torch.einsum("kij,kc->cij", weights, PALETTE)
+    assert torch.allclose(camouflage.map()[:, ::16, ::16], wanted, atol=1e-5)
+    before = float(camouflage.temperature)
+    camouflage.before_step_(4, 5)
+    assert float(camouflage.temperature) == before
+    camouflage.project_()
+    assert torch.allclose(camouflage.cells.detach(), torch.softmax(p, dim=0))
+
+
+def test_the_literal_form_forgets(vehicles):
+    """A plain softmax after every step drives p to uniform (PAPER 31); logits stay."""
+    fixed = TextureConstraints(True, "fixed")
+    literal, annealed = texture(fixed, literal=True), texture(fixed)
+    kept = annealed.cells.detach().clone()
+    for _ in range(8):
+        literal.project_()
+        annealed.project_()
+    assert (literal.cells - 0.2).abs().max() < 1e-4
+    assert torch.equal(annealed.cells, kept)
+
+
+def test_annealing_leaves_little_to_the_last_rounding(vehicles):
+    annealed = learn(texture(TextureConstraints(True, "learnt")), vehicles, steps=20)
+    soft = annealed.map().detach()
+    annealed.finalise()
+    assert float((soft - annealed.map()).abs().mean()) < 0.03
+
+
+def test_fixed_colours_do_not_move_and_learnt_ones_do(vehicles):
+    fixed, learnt = texture(TextureConstraints(False, "fixed")), texture(TextureConstraints(False, "learnt"))
+    before = learnt.palette.detach().clone()
+    learn(fixed, vehicles, 2)
+    learn(learnt, vehicles, 2)
+    assert torch.equal(fixed.palette, PALETTE)
+    assert not torch.equal(learnt.palette.detach(), before)
+    assert {name for name, _ in fixed.named_parameters()} == {"cells"}
+
+
+@pytest.mark.parametrize(("blocks", "side"), [(8, 64), (512, 1), (1, 512)])
+def test_blocks_cover_the_map_evenly(blocks, side):
+    shown = texture(TextureConstraints(True), blocks=blocks).map().detach()
+    assert torch.equal(shown[:, ::side, ::side].repeat_interleave(side, 1).repeat_interleave(side, 2), shown)
+
+
+@pytest.mark.parametrize("blocks", [1024, 33, 0, -4])
+def test_blocks_that_do_not_fit_the_map_are_refused(blocks):
+    with pytest.raises(ConfigurationError, match=f"512 texels a side, got {blocks}"):
+        texture(TextureConstraints(True), blocks=blocks)
+
+
+def test_a_palette_of_one_colour_is_refused():
+    with pytest.raises(ConfigurationError, match="at least 2 colours, got 1"):
+        texture(TextureConstraints(colours="fixed"), palette=PALETTE[:1])
+    with pytest.raises(ConfigurationError, match="at least 2 colours, got 1"):
+        texture(TextureConstraints(colours="learnt"), colours=1)
+
+
+def test_a_palette_belongs_to_fixed_colours_alone():
+    with pytest.raises(ConfigurationError, match="expect a palette"):
+        UniversalTexture("T-Fc", TextureConstraints(colours="fixed"), generator=drawn(0))
+    with pytest.raises(ConfigurationError, match="a palette for T-X"):
+        texture(TextureConstraints(colours="learnt"), palette=PALETTE)
+
+
+def test_a_mask_that_covers_nothing_is_refused(vehicles):
+    bare = vehicles.row(0)
+    bare.parts.fill_(Part.GLASS)
+    with pytest.raises(ConfigurationError, match="covers nothing"):
+        texture(TextureConstraints(masked=True))(bare)
