@@ -3,8 +3,8 @@
     python tools/make_pictures.py
     python tools/make_pictures.py runs/demo
 
-The first writes docs/pictures/fleet.png and docs/pictures/scenes.png; the same code gives the same pictures. The second
-writes docs/pictures/demo-result.png from a finished demo on procedural ground.
+The first writes fleet.png, scenes.png and weather.png into docs/pictures; the same code gives the same pictures. The
+second writes docs/pictures/demo-result.png from a finished demo on procedural ground.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from skyproof.report.run import read_run
 from skyproof.scenes.backgrounds import write_procedural_backgrounds
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.weather import CONDITIONS, Weather
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -40,6 +41,7 @@ CELL_PX = (22, 50)
 PER_TYPE = 4
 COLUMNS = 12
 PAPER, INK = (255, 255, 255), (30, 30, 30)
+WEATHER_TILE_SEED, WEATHER_SCENE_SEED = 2, 1
 
 
 class PlainGround:
@@ -148,6 +150,45 @@ def draw_scenes() -> Image.Image:
     return sheet
 
 
+@torch.no_grad()
+def draw_weather_sheet() -> Image.Image:
+    """One scene of 384 px under every condition: 2 x 4 pictures."""
+    size_px, columns = 384, 4
+    fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
+    sizes = {name: fleet.size_m(name) for name in fleet.ids}
+    with tempfile.TemporaryDirectory() as folder:
+        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 1}, 700, seed=WEATHER_TILE_SEED)
+        renderer = TorchRenderer(backgrounds)
+        pictures = []
+        for condition in CONDITIONS:
+            settings = SceneSettings(size_px=size_px, vehicles_minimum=5, conditions=(condition,))
+            generator = torch.Generator().manual_seed(WEATHER_SCENE_SEED)
+            scenes = sample_scenes(settings, backgrounds, "test", sizes, 1, generator=generator)
+            frames = renderer(scenes, placed_vehicles(fleet, scenes))
+            title = f"{condition.replace('_', ' ')}{_strength(scenes[0])}"
+            pictures.append((title, as_image((frames.image[0] * 255).round().byte())))
+    gap, label = 6, 30
+    rows = math.ceil(len(pictures) / columns)
+    sheet = Image.new("RGB", (columns * (size_px + gap) + gap, rows * (size_px + label) + gap), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for index, (title, picture) in enumerate(pictures):
+        x, y = gap + index % columns * (size_px + gap), gap + index // columns * (size_px + label)
+        sheet.paste(picture, (x, y))
+        pen.text((x, y + size_px + 3), title, fill=INK, font=font(20))
+    return sheet
+
+
+def _strength(scene: Scene) -> str:
+    """The number that makes the condition, for a caption."""
+    weather, plain = scene.weather, Weather()
+    if weather.condition == "low_sun":
+        return f", {math.degrees(scene.sun.elevation_rad):.0f}° above the horizon"
+    changed = [
+        (name.replace("_", " "), value) for name, value in vars(weather).items() if value != getattr(plain, name)
+    ]
+    return "".join(f", {name} {value:.2g}" for name, value in changed if name != "condition")
+
+
 def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int = 4) -> Image.Image:
     """The first matched pairs of a demo's report, side by side: above without, below with the learnt texture."""
     run = read_run(run_folder)
@@ -178,7 +219,7 @@ def main() -> None:
     if len(sys.argv) > 1:
         sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
     else:
-        sheets = {"fleet.png": draw_fleet(), "scenes.png": draw_scenes()}
+        sheets = {"fleet.png": draw_fleet(), "scenes.png": draw_scenes(), "weather.png": draw_weather_sheet()}
     for name, sheet in sheets.items():
         path = FOLDER / name
         sheet.save(path, optimize=True)

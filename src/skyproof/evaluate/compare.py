@@ -163,4 +163,5 @@ def _outcome(
         camera_azimuth_deg=math.degrees(scene.camera.azimuth_rad) % 360,
         heading_deg=heading_deg,
         heading_to_sun_deg=min(turned_deg, 360 - turned_deg),
+        condition=scene.weather.condition,
     )

@@ -36,6 +36,7 @@ class Outcome:
         tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
         heading_deg: of the vehicle, from east towards north, in [0, 360).
         heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving into the sun.
+        condition: of the weather ("clear", "haze", ...; PAPER 56).
     """
 
     scene: str
@@ -60,6 +61,7 @@ class Outcome:
     camera_azimuth_deg: float
     heading_deg: float
     heading_to_sun_deg: float
+    condition: str = "clear"
 
 
 _ARROW_TYPES = {"str": pa.string(), "int": pa.int32(), "bool": pa.bool_(), "float": pa.float64()}

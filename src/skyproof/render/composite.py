@@ -26,6 +26,7 @@ def composite(
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
     settings: RenderSettings,
+    sky_share: Float[Tensor, " B"] | None = None,
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
@@ -45,6 +46,7 @@ def composite(
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: of the noise, per image.
         settings: sky share, blur, noise.
+        sky_share: per image, where it is not the settings'.
     """
     count, _, height, width = photographs.shape
     origin, size = _whole([bodies[0], shadows[0]], scene, count, settings.blur_radius_px)
@@ -61,7 +63,8 @@ def composite(
     kernel = _blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
     layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
     colour, alpha = layers[:, :3], layers[:, 3:]
-    composed = ground * (1 - (1 - settings.sky_share) * shadow) * (1 - alpha) + colour
+    sky = settings.sky_share if sky_share is None else sky_share[:, None, None, None]
+    composed = ground * (1 - (1 - sky) * shadow) * (1 - alpha) + colour
     reached = (alpha.detach() > 0) | (shadow.detach() > 0)
     pixels = linear_to_srgb(composed)
     if settings.noise > 0:

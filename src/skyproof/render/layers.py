@@ -55,6 +55,7 @@ def draw_bodies(
     sun: Float[Tensor, "N 3"],
     vehicles: VehicleBatch,
     settings: RenderSettings,
+    sky_share: Float[Tensor, " N"] | None = None,
 ) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
     """Visibility first, then light on the visible samples, then averaging to pixels (PAPER 11).
 
@@ -66,6 +67,7 @@ def draw_bodies(
         viewer, sun: unit vectors.
         vehicles: for template and texture.
         settings: light and supersampling.
+        sky_share: where it is not the settings'.
 
     Returns:
         What each sample sees, and per pixel linear colour times coverage (3) and coverage (1).
@@ -90,7 +92,8 @@ def draw_bodies(
         normal = torch.nn.functional.normalize(normal, dim=-1)
         albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
         to_sun, to_viewer, half = directions.index_select(0, vehicle).split(3, dim=1)
-        diffuse, mirrored = light(normal, to_sun, to_viewer, half, settings)
+        sky = None if sky_share is None else sky_share.index_select(0, vehicle)[:, None]
+        diffuse, mirrored = light(normal, to_sun, to_viewer, half, settings, sky)
         return torch.addcmul(mirrored, albedo, diffuse)
 
     centre = torch.stack((visibility.x, visibility.y), dim=-1) + 0.5

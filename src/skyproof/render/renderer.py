@@ -15,6 +15,7 @@ from skyproof.render.frames import Frames
 from skyproof.render.layers import Windows, draw_bodies, draw_shadows, windows_around
 from skyproof.render.rasterise import Visibility
 from skyproof.render.settings import RenderSettings
+from skyproof.render.weather import finish_images, sky_shares, wet_grounds
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -38,7 +39,8 @@ class TorchRenderer:
 
     Differences from the paper: the camera is the orthophoto's own parallel projection (see `Camera`), not a
     perspective one at a distance that the paper does not give; there is a cast shadow; light adds up linearly; the
-    photograph is hidden by blurred coverage (see `composite`); noise is added where something was rendered.
+    photograph is hidden by blurred coverage (see `composite`); noise is added where something was rendered; a scene's
+    weather changes light, ground and picture (see `skyproof.render.weather`).
 
     Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes, of the body and of its shadow.
     Vehicles cast no shadow on themselves or on each other; masks and visible pixels ignore that one may hide another.
@@ -67,12 +69,12 @@ class TorchRenderer:
         if len(placements) != len(vehicles):
             raise ValueError(f"expected {len(placements)} vehicles, one per placement, got {len(vehicles)}")
         device = vehicles.vertices.device
-        photographs = self.photographs(scenes, device)
+        photographs = wet_grounds(self.photographs(scenes, device), scenes)
         if not placements:
             nothing = photographs.new_zeros(0)
             empty_masks = photographs.new_zeros(0, *photographs.shape[2:]).bool() if masks else None
             return Frames(
-                photographs,
+                finish_images(photographs, scenes),
                 torch.zeros(0, dtype=torch.long, device=device),
                 nothing.view(0, 4),
                 nothing.view(0, 2),
@@ -92,10 +94,13 @@ class TorchRenderer:
         screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
         shadow_screen, _ = project(vertices, sun, camera.gsd_m, camera.size_px)
         window, cast = windows_around(screen), windows_around(shadow_screen)
-        visibility, bodies = draw_bodies(window, screen, depth, vertices, viewer, sun, vehicles, settings)
+        sky = sky_shares(scenes, settings.sky_share, like)
+        own_sky = None if sky is None else sky[scene]
+        visibility, bodies = draw_bodies(window, screen, depth, vertices, viewer, sun, vehicles, settings, own_sky)
         shadows = draw_shadows(cast, shadow_screen, vehicles.template.faces, settings)
         nearness, seeds = (ground * viewer).sum(-1), [each.seed for each in scenes]
-        image = composite(photographs, (window, bodies), (cast, shadows), scene, nearness, seeds, settings)
+        image = composite(photographs, (window, bodies), (cast, shadows), scene, nearness, seeds, settings, sky)
+        image = finish_images(image, scenes)
 
         visible_px, fraction, drawn = _label(visibility, window, settings.supersampling, camera.size_px, masks)
         boxes = torch.cat((screen.detach().amin(1), screen.detach().amax(1)), dim=1).clamp(0, camera.size_px)

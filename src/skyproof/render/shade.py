@@ -152,6 +152,7 @@ def light(
     viewer: Float[Tensor, "K 3"],
     half: Float[Tensor, "K 3"],
     settings: RenderSettings,
+    sky_share: Float[Tensor, "K 1"] | None = None,
 ) -> tuple[Float[Tensor, "K 1"], Float[Tensor, "K 1"]]:
     """How much light falls on a surface and how much is mirrored by its clear coat.
 
@@ -163,19 +164,22 @@ def light(
         sun: unit vectors towards the sun.
         viewer: unit vectors towards the camera.
         half: unit vectors half-way between the two.
+        settings: material and light.
+        sky_share: where it is not the settings', under an overcast sky; 1 leaves no direct sun.
 
     Returns:
         The diffuse factor and the mirrored radiance.
     """
-    sun_strength = (1 - settings.sky_share) / sun[:, 2:]
+    sky = settings.sky_share if sky_share is None else sky_share
+    sun_strength = (1 - sky) / sun[:, 2:]
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]
-    diffuse = sun_strength * towards_sun + settings.sky_share * open_sky + settings.ground_reflectance * (1 - open_sky)
+    diffuse = sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)
     cosine = (normal * viewer).sum(-1, keepdim=True)
     fresnel = settings.reflectance + (1 - settings.reflectance) * _fifth_power(1 - cosine.clamp(0.0, 1.0))
     # From above, a steep side mirrors the ground, not the sky.
     mirrored_up = 0.5 + 0.5 * (2 * cosine * normal[:, 2:] - viewer[:, 2:])
-    surroundings = settings.sky_share * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
+    surroundings = sky * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
     lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
     glint = settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
     return diffuse, fresnel * surroundings + glint

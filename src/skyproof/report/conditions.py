@@ -1,4 +1,4 @@
-"""Success by condition: sun, tilt, heading, body type; the mean over detectors with its cluster interval."""
+"""Success by condition: sun, tilt, heading, body type, weather; the mean over detectors with its cluster interval."""
 
 from __future__ import annotations
 
@@ -48,6 +48,8 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
         ("Vehicle's heading and the sun", _heading_label, [label for _, label in _HEADINGS]),
         ("Body type", lambda o: body_name(o.body_type).replace(" ", "\n"), None),
     ]
+    if len({o.condition for o in outcomes}) > 1:
+        labellers.append(("Weather and light", lambda o: o.condition.replace("_", " ").replace(" ", "\n"), None))
     overall = _rate(outcomes, generator).estimate
     panels = []
     for title, labeller, order in labellers:

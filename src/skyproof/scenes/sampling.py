@@ -1,4 +1,4 @@
-"""Random scenes: how many vehicles, where, which way, under which camera and sun (PAPER 5, 6)."""
+"""Random scenes: how many vehicles, where, which way, under which camera, sun and weather (PAPER 5, 6, 56)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
+from skyproof.scenes.weather import CONDITIONS, LOW_SUN_ELEVATION_RAD, draw_weather
 
 __all__ = ["SceneSettings", "rectangles_overlap", "sample_scenes"]
 
@@ -32,6 +33,9 @@ class SceneSettings:
         sun_elevation_minimum_rad, sun_elevation_maximum_rad: uniform between; the sun's azimuth is uniform.
         gap_m: the least free room between two vehicles.
         margin_m: the least distance of a vehicle's centre from the image's edge.
+        conditions: of weather, light and sensor, each equally likely in every scene (PAPER 56); see
+            `skyproof.scenes.weather.CONDITIONS`. The same seed gives the same scenes under every choice of
+            conditions, but for the weather and the elevation of a low sun.
     """
 
     size_px: int = 384
@@ -43,6 +47,7 @@ class SceneSettings:
     sun_elevation_maximum_rad: float = math.radians(65)
     gap_m: float = 0.4
     margin_m: float = 2.0
+    conditions: tuple[str, ...] = ("clear",)
 
     def __post_init__(self) -> None:
         if not 0 <= self.vehicles_minimum <= self.vehicles_maximum:
@@ -55,6 +60,12 @@ class SceneSettings:
         if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
             raise ConfigurationError(
                 "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
+            )
+        unknown = sorted(set(self.conditions) - set(CONDITIONS))
+        if unknown or not self.conditions:
+            raise ConfigurationError(
+                f"Scenes cannot be drawn under conditions {', '.join(unknown) or '(none)'}; "
+                f"give one or more of {', '.join(CONDITIONS)}."
             )
         if self.half_m <= 0:
             raise ConfigurationError(
@@ -107,6 +118,12 @@ def sample_scenes(
         window = backgrounds.sample_window(split, settings.size_px, generator=own)
         radius, camera_turn, sun_turn, sun_height = torch.rand(4, dtype=torch.float64, generator=own).tolist()
         low, high = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
+        placements = _sample_placements(settings, vehicle_sizes_m, generator=own)
+        # Drawn last, so that everything else is the same whatever the conditions.
+        condition = settings.conditions[int(torch.randint(len(settings.conditions), (1,), generator=own))]
+        strength = float(torch.rand(1, dtype=torch.float64, generator=own))
+        if condition == "low_sun":
+            (low, high), sun_height = LOW_SUN_ELEVATION_RAD, strength
         scenes.append(
             Scene(
                 id=f"{prefix}-{number:06d}",
@@ -119,8 +136,9 @@ def sample_scenes(
                     size_px=settings.size_px,
                 ),
                 sun=Sun(azimuth_rad=2 * math.pi * sun_turn, elevation_rad=low + (high - low) * sun_height),
-                placements=_sample_placements(settings, vehicle_sizes_m, generator=own),
+                placements=placements,
                 seed=seed,
+                weather=draw_weather(condition, strength),
             )
         )
     return scenes

@@ -1,4 +1,4 @@
-"""A scene as plain data: which ground, seen from where, under which sun, with which vehicles where."""
+"""A scene as plain data: which ground, seen from where, under which sun and weather, with which vehicles where."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skyproof.errors import StoredFileError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_jsonl, write_jsonl
+from skyproof.scenes.weather import CLEAR, Weather
 
 __all__ = ["BackgroundWindow", "Camera", "Placement", "Scene", "Sun", "read_scenes", "write_scenes"]
 
@@ -91,6 +92,7 @@ class Scene:
     Attributes:
         id: unique within its set.
         seed: of everything drawn while rendering (sensor noise).
+        weather: clear where not given.
     """
 
     id: str
@@ -99,11 +101,12 @@ class Scene:
     sun: Sun
     placements: tuple[Placement, ...]
     seed: int
+    weather: Weather = CLEAR
 
 
 def write_scenes(path: Path, scenes: Iterable[Scene]) -> None:
     """Writes a set of scenes, one JSON object a line."""
-    write_jsonl(path, (dataclasses.asdict(scene) for scene in scenes))
+    write_jsonl(path, map(_row, scenes))
 
 
 def read_scenes(path: Path) -> list[Scene]:
@@ -114,12 +117,20 @@ def read_scenes(path: Path) -> list[Scene]:
     """
     try:
         scenes = [_scene(row) for row in read_jsonl(path)]
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ConfigurationError) as error:
         message = f"{path} is not a scene file of this version ({error!r}); sample the scenes again."
         raise StoredFileError(message) from error
     if not scenes:
         raise StoredFileError(f"{path} holds no scene; sample the scenes again.")
     return scenes
+
+
+def _row(scene: Scene) -> dict[str, Any]:
+    row = dataclasses.asdict(scene)
+    # Clear weather is not written, so that scenes of a clear day are the same file in every version.
+    if scene.weather == CLEAR:
+        del row["weather"]
+    return row
 
 
 def _scene(row: dict[str, Any]) -> Scene:
@@ -130,6 +141,7 @@ def _scene(row: dict[str, Any]) -> Scene:
         sun=Sun(**row["sun"]),
         placements=tuple(Placement(**placement) for placement in row["placements"]),
         seed=row["seed"],
+        weather=Weather(**row.get("weather", {})),
     )
 
 

@@ -1,0 +1,110 @@
+"""A scene's weather in its picture: wet ground and sky before vehicles are drawn, the rest after (PAPER 56)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.scenes.scene import Scene
+from skyproof.scenes.weather import Weather
+
+__all__ = ["AIRLIGHT", "finish_images", "jpeg", "sky_shares", "wet", "wet_grounds"]
+
+AIRLIGHT = (0.42, 0.47, 0.54)
+"""Linear red, green and blue of haze seen from above, before a ground of reflectance 0: grey with a little blue."""
+
+_WATER_INDEX = 1.33
+# Any odd constant: the picture's noise must not repeat the noise on its vehicles, which has the scene's own seed.
+_NOISE_STREAM = 0x5DEECE66D
+
+
+def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Tensor, " B"] | None:
+    """The sky's part of the light in every scene; None where all have a clear sky's, `clear`.
+
+    Overcast moves the sun's part to the sky, so that a white matt surface lying on open ground still sends 1.
+    """
+    if not any(scene.weather.overcast for scene in scenes):
+        return None
+    return like.new_tensor([clear + (1 - clear) * scene.weather.overcast for scene in scenes])
+
+
+def wet_grounds(photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]) -> Float[Tensor, "B 3 H W"]:
+    """The photographs with wet ground where it rained; the others keep their bits. Written over."""
+    for photograph, scene in zip(photographs, scenes, strict=True):
+        if scene.weather.wetness > 0:
+            photograph.copy_(linear_to_srgb(wet(srgb_to_linear(photograph), scene.weather.wetness)))
+    return photographs
+
+
+def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
+    """Reflectance under a film of water, in linear light (Ångström 1925): a / (a + n^2 (1 - a)), n = 1.33.
+
+    Light that leaves the ground is partly thrown back by the water's surface and meets the ground again. Dark ground
+    keeps 0.56 to 0.7 of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68), white ground all of it; a channel that was
+    darker loses more, so colours deepen. The photograph's value stands for the reflectance: white is 1.
+    """
+    darkened = ground / (ground + _WATER_INDEX**2 * (1 - ground))
+    return torch.lerp(ground, darkened, wetness)
+
+
+def finish_images(images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]) -> Float[Tensor, "B 3 H W"]:
+    """Haze, exposure, noise, JPEG, in this order, over everything in the picture; clear pictures keep their bits.
+
+    Differentiable; where exposure or noise clips a pixel its gradient is zero, as the picture's own is.
+    """
+    if not any(_finishes(scene.weather) for scene in scenes):
+        return images
+    finished = [
+        _finish(image, scene.weather, scene.seed) if _finishes(scene.weather) else image
+        for image, scene in zip(images, scenes, strict=True)
+    ]
+    return torch.stack(finished)
+
+
+def jpeg(image: Float[Tensor, "3 H W"], quality: int) -> Float[Tensor, "3 H W"]:
+    """The picture after a real JPEG of this quality (Pillow, colour at half resolution as usual).
+
+    Its gradient is passed straight through, as if JPEG changed nothing: rounding of coefficients has none of its own.
+    """
+    return _Jpeg.apply(image, quality)
+
+
+class _Jpeg(torch.autograd.Function):
+    @staticmethod
+    def forward(context: Any, image: Tensor, quality: int) -> Tensor:
+        pixels = (image.detach() * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+        buffer = io.BytesIO()
+        Image.fromarray(pixels).save(buffer, "JPEG", quality=quality)
+        with Image.open(buffer) as stored:
+            decoded = torch.from_numpy(np.array(stored.convert("RGB")))
+        return decoded.permute(2, 0, 1).to(image.device, image.dtype) / 255
+
+    @staticmethod
+    def backward(context: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return gradients[0], None
+
+
+def _finishes(weather: Weather) -> bool:
+    """Whether anything is left to do once the vehicles are in the picture."""
+    return bool(weather.haze or weather.exposure_stops or weather.noise or weather.jpeg_quality)
+
+
+def _finish(image: Float[Tensor, "3 H W"], weather: Weather, seed: int) -> Float[Tensor, "3 H W"]:
+    if weather.haze or weather.exposure_stops:
+        light = srgb_to_linear(image)
+        if weather.haze:
+            light = torch.lerp(light, light.new_tensor(AIRLIGHT)[:, None, None], weather.haze)
+        image = linear_to_srgb(light * 2.0**weather.exposure_stops)
+    if weather.noise:
+        generator = torch.Generator().manual_seed(seed ^ _NOISE_STREAM)
+        noise = torch.randn(image.shape, generator=generator).to(image)
+        image = torch.add(image, noise, alpha=weather.noise).clamp(0.0, 1.0)
+    return image if weather.jpeg_quality is None else jpeg(image, weather.jpeg_quality)
