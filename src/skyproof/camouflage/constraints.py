@@ -1,0 +1,62 @@
+"""Which of the three texture constraints hold, and the names made of them: Pix, Lc or Fc, Ma (PAPER 28-33)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from skyproof.errors import ConfigurationError
+
+__all__ = ["TextureConstraints"]
+
+_WORDS = ("Pix", "Lc", "Fc", "Ma")
+_WORD = re.compile("|".join(_WORDS))
+
+
+@dataclass(frozen=True)
+class TextureConstraints:
+    """One of the 12 texture settings {–, Pix} × {–, Lc, Fc} × {–, Ma}.
+
+    Attributes:
+        pixelised: Pix, one colour per square block of texels.
+        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc), a few given colours.
+        masked: Ma, only painted body panels are changed.
+    """
+
+    pixelised: bool = False
+    colours: Literal["free", "learnt", "fixed"] = "free"
+    masked: bool = False
+
+    @property
+    def name(self) -> str:
+        """Such as "PixFcMa"; "U" without any constraint."""
+        colours = {"free": "", "learnt": "Lc", "fixed": "Fc"}[self.colours]
+        return ("Pix" if self.pixelised else "") + colours + ("Ma" if self.masked else "") or "U"
+
+    @classmethod
+    def parse(cls, text: str) -> TextureConstraints:
+        """The constraints that `name` gave this text.
+
+        Raises:
+            ConfigurationError: an unknown word, the same one twice, another order, or both Lc and Fc.
+        """
+        if text == "U":
+            return cls()
+        words = _WORD.findall(text)
+        if not words or "".join(words) != text:
+            raise ConfigurationError(
+                f"Unknown texture constraints {text!r}: write U for none, or put together Pix, Lc or Fc, and Ma, "
+                "such as PixFcMa."
+            )
+        if "Lc" in words and "Fc" in words:
+            raise ConfigurationError(
+                f"Lc and Fc exclude each other, but {text!r} has both: colours are either learnt (Lc) or fixed (Fc)."
+            )
+        colours: Literal["free", "learnt", "fixed"] = (
+            "learnt" if "Lc" in words else "fixed" if "Fc" in words else "free"
+        )
+        constraints = cls(pixelised="Pix" in words, colours=colours, masked="Ma" in words)
+        if constraints.name != text:
+            raise ConfigurationError(f"Texture constraints {text!r} must be written {constraints.name!r}.")
+        return constraints
