@@ -1,9 +1,9 @@
-"""How large a texel of the UV map is on a vehicle, in centimetres."""
+"""How large a texel of the UV map is on a vehicle, and which texels are roof, bonnet or sides."""
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skyproof.vehicles.template import (
@@ -13,46 +13,64 @@ from skyproof.vehicles.template import (
     TOPOLOGY_RAIL,
     TOPOLOGY_SILL,
     column_u,
-    row_v,
 )
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
-__all__ = ["texel_sizes"]
+__all__ = ["texel_metric", "texel_regions", "texel_sizes"]
+
+_ROWS = TEXTURE_SIZE // (RINGS + 1)  # texels between two rings; whole, because rings are even in v
 
 
-def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
-    """Median size of a texel over the vehicles of a batch.
+def texel_metric(
+    vehicles: VehicleBatch,
+) -> tuple[Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"]]:
+    """Length across, length along and area of every texel on every vehicle, from its present vertices.
 
-    The regions are roof, bonnet, sides (between sill and shoulder), glass and underside. Bonnet and roof are the
-    painted texels inside the roof rail before and behind the first glass of the middle column.
+    Each cell of the template is taken as bilinear for lengths; its two triangles' area is shared out evenly among its
+    texels, so that all texels of a vehicle add up to the area of its mesh. A pole's cells are quads with one side
+    shrunk to the pole: texels narrow towards it. The mesh itself shows only a triangle of each of them there.
 
     Args:
-        vehicles: procedural vehicles on the template of `make_template`.
+        vehicles: procedural vehicles on the template of `make_template`, of whatever shape.
 
     Returns:
-        centimetres, keys such as "roof_u_cm" (across, around the body) and "roof_v_cm" (along, nose to tail).
+        metres across (u, around the body), metres along (v, nose to tail) and square metres, on the CPU.
     """
-    rings = vehicles.vertices[:, : RINGS * COLUMNS].view(-1, RINGS, COLUMNS, 3).double().cpu()
-    closed = torch.cat([rings, rings[:, :, :1]], dim=2)
-    u, v = column_u(), row_v()
-    size_u = closed.diff(dim=2).norm(dim=-1) / (u.diff() * TEXTURE_SIZE) * 100
-    size_v = closed.diff(dim=1).norm(dim=-1) / (v[1:-1].diff() * TEXTURE_SIZE)[:, None] * 100
+    vertices = vehicles.vertices.detach().double().cpu()
+    grid = _grid(vertices)
+    to_texels = _column_shares()
+
+    # Edges of the rings, turning evenly from one ring to the next, at each row's middle.
+    across = grid.diff(dim=2)
+    down = ((torch.arange(_ROWS, dtype=torch.float64) + 0.5) / _ROWS)[:, None, None]
+    edges = torch.lerp(across[:, :-1, None], across[:, 1:, None], down).flatten(1, 2).norm(dim=-1)
+    length_u = edges.float() @ to_texels.float()
+
+    u = column_u()
     centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
     column = (torch.searchsorted(u, centre) - 1).clamp(0, COLUMNS - 1)
-    row = (torch.searchsorted(v, centre) - 2).clamp(0, RINGS - 2)
-    texel_u = size_u[:, row][:, :, column]
-    texel_v = size_v[:, row][:, :, column]
+    right = ((centre - u[column]) / (u[column + 1] - u[column]))[:, None]
+    along = grid.diff(dim=1)
+    spans = torch.lerp(along[:, :, column], along[:, :, column + 1], right).norm(dim=-1) / _ROWS
+    length_v = spans.float().repeat_interleave(_ROWS, dim=1)
 
-    sizes = {}
-    for name, mask in _regions(vehicles, column).items():
-        sizes[f"{name}_u_cm"] = float(texel_u[mask].median())
-        sizes[f"{name}_v_cm"] = float(texel_v[mask].median())
-    return sizes
+    share_of_row = torch.full((RINGS + 1, _ROWS), 1 / _ROWS, dtype=torch.float64)
+    share_of_row[0] = (2 * torch.arange(_ROWS) + 1) / _ROWS**2
+    share_of_row[-1] = share_of_row[0].flip(0)
+    cells = _cell_areas(vertices, vehicles)
+    area = (cells[:, :, None] * share_of_row[None, :, :, None]).flatten(1, 2).float() @ to_texels.float()
+    return length_u, length_v, area
 
 
-def _regions(vehicles: VehicleBatch, column: Tensor) -> dict[str, Tensor]:
+def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]]:
+    """Roof, bonnet, sides (between sill and shoulder), glass and underside as masks, on the CPU.
+
+    Bonnet and roof are the painted texels inside the roof rail before and behind the first glass of the middle column.
+    """
     parts = vehicles.parts.cpu()
     body, glass = parts == Part.BODY, parts == Part.GLASS
+    centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
+    column = (torch.searchsorted(column_u(), centre) - 1).clamp(0, COLUMNS - 1)
     half_column = torch.minimum(column, COLUMNS - 1 - column)
     first_glass = glass[:, :, TEXTURE_SIZE // 2].int().argmax(1)
     behind = torch.arange(TEXTURE_SIZE)[None] >= first_glass[:, None]
@@ -66,6 +84,48 @@ def _regions(vehicles: VehicleBatch, column: Tensor) -> dict[str, Tensor]:
         "glass": glass,
         "underside": parts == Part.UNDERSIDE,
     }
+
+
+def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
+    """Median size of a texel over the vehicles of a batch, in the regions of `texel_regions`.
+
+    Args:
+        vehicles: procedural vehicles on the template of `make_template`.
+
+    Returns:
+        centimetres, keys such as "roof_u_cm" (across, around the body) and "roof_v_cm" (along, nose to tail).
+    """
+    length_u, length_v, _ = texel_metric(vehicles)
+    sizes = {}
+    for name, mask in texel_regions(vehicles).items():
+        sizes[f"{name}_u_cm"] = float(length_u[mask].median()) * 100
+        sizes[f"{name}_v_cm"] = float(length_v[mask].median()) * 100
+    return sizes
+
+
+def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
+    """Nose pole, rings and tail pole, the first column repeated after the last."""
+    rings = vertices[:, : RINGS * COLUMNS].unflatten(1, (RINGS, COLUMNS))
+    nose, tail = (vertices[:, pole, None, None].expand(-1, 1, COLUMNS, 3) for pole in (-2, -1))
+    grid = torch.cat([nose, rings, tail], dim=1)
+    return torch.cat([grid, grid[:, :, :1]], dim=2)
+
+
+def _cell_areas(vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch) -> Float[Tensor, "N 32 32"]:
+    """Area of each cell's triangles: one at the poles, two elsewhere, in the order of `make_template`."""
+    corners = vertices[:, vehicles.template.faces.cpu()]
+    normal = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    triangles = normal.norm(dim=-1) / 2
+    quads = triangles[:, COLUMNS:-COLUMNS].unflatten(1, (RINGS - 1, COLUMNS, 2)).sum(-1)
+    return torch.cat([triangles[:, None, :COLUMNS], quads, triangles[:, None, -COLUMNS:]], dim=1)
+
+
+def _column_shares() -> Float[Tensor, "32 512"]:
+    """The share of each column of cells that each column of texels holds; texels may straddle two."""
+    edges = column_u() * TEXTURE_SIZE
+    left = torch.arange(TEXTURE_SIZE, dtype=torch.float64)
+    overlap = torch.minimum(edges[1:, None], left + 1) - torch.maximum(edges[:-1, None], left)
+    return overlap.clamp(min=0.0) / edges.diff()[:, None]
 
 
 def _centre_height(vehicles: VehicleBatch) -> Float[Tensor, "N 512"]:

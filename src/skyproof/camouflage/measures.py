@@ -1,0 +1,158 @@
+"""What a texture would take on real vehicles: painted area, blocks, colours, boundaries (PAPER 28, 55)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import fmean
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.texels import texel_metric, texel_regions
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
+
+__all__ = ["TextureMeasures", "mean_measures", "measure_texture"]
+
+_BLOCK_REGIONS = ("roof", "bonnet", "sides")
+_PLAIN = ("painted_area_m2", "colours", "boundary_m", "regions")
+
+
+@dataclass(frozen=True)
+class TextureMeasures:
+    """One texture on one vehicle.
+
+    Attributes:
+        painted_area_m2: area of the texels that wear the texture.
+        colours: different 8-bit colours among them.
+        boundary_m: length of all edges between neighbouring painted texels of different colour; the rim towards what is
+            not painted does not count.
+        regions: connected painted areas of one colour; texels are connected across edges, not corners.
+        blocks: blocks of Pix that hold at least one painted texel; None without Pix.
+        block_cm: median size of a block on the vehicle's paint, such as {"roof": (15.8, 18.1)}, around the body (u)
+            and along it (v); regions that the vehicle lacks are left out. Empty without Pix.
+    """
+
+    painted_area_m2: float
+    colours: int
+    boundary_m: float
+    regions: int
+    blocks: int | None
+    block_cm: dict[str, tuple[float, float]]
+
+
+def measure_texture(
+    vehicles: VehicleBatch,
+    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
+    mask: Bool[Tensor, "N 512 512"] | None,
+    block_px: int | None,
+) -> tuple[TextureMeasures, ...]:
+    """Measures a universal texture on each vehicle, in its present shape.
+
+    Args:
+        vehicles: procedural vehicles on the template of `make_template`.
+        texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
+        mask: where each vehicle wears the map; None for everything but the underside, which nobody sees.
+        block_px: side of a block of Pix in texels; None without Pix.
+
+    Raises:
+        ConfigurationError: blocks that do not fit the map a whole number of times.
+    """
+    if block_px is not None and (block_px < 1 or TEXTURE_SIZE % block_px):
+        raise ConfigurationError(f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}.")
+    painted = (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
+    colour, colours = _numbered_colours(texture)
+    same_right, same_below = colour == colour.roll(-1, 1), colour[:-1] == colour[1:]
+    length_u, length_v, area = texel_metric(vehicles)
+    # A texel and its right neighbour, circular in u, meet along v; a texel and the one below meet along u.
+    edge_right, edge_below = (length_v + length_v.roll(-1, 2)) / 2, (length_u[:, :-1] + length_u[:, 1:]) / 2
+    block_sizes = [{}] * len(vehicles) if block_px is None else _block_sizes(vehicles, length_u, length_v, block_px)
+
+    measures = []
+    for i, worn in enumerate(painted):
+        both_right, both_below = worn & worn.roll(-1, 1), worn[:-1] & worn[1:]
+        across = edge_right[i][both_right & ~same_right].double().sum()
+        along = edge_below[i][both_below & ~same_below].double().sum()
+        measures.append(
+            TextureMeasures(
+                painted_area_m2=float(area[i][worn].double().sum()),
+                colours=int((torch.bincount(colour[worn], minlength=colours) > 0).sum()),
+                boundary_m=float(across + along),
+                regions=_count_regions(worn, both_right & same_right, both_below & same_below),
+                blocks=None if block_px is None else _count_blocks(worn, block_px),
+                block_cm=block_sizes[i],
+            )
+        )
+    return tuple(measures)
+
+
+def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:
+    """Means over vehicles, under flat names such as "painted_area_m2" and "block_roof_u_cm".
+
+    A block's size in a region is the mean over the vehicles that have the region; without Pix there are no blocks, and
+    their names are left out.
+    """
+    columns: dict[str, list[float]] = {}
+    for one in measures:
+        row: dict[str, float] = {name: getattr(one, name) for name in _PLAIN}
+        if one.blocks is not None:
+            row["blocks"] = one.blocks
+        for region, (u_cm, v_cm) in one.block_cm.items():
+            row |= {f"block_{region}_u_cm": u_cm, f"block_{region}_v_cm": v_cm}
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+    return {name: fmean(values) for name, values in columns.items()}
+
+
+def _numbered_colours(
+    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
+) -> tuple[Int[Tensor, "512 512"], int]:
+    """The texture with each 8-bit colour replaced by a number from 0 on, and how many colours there are."""
+    texture = texture.detach().cpu()
+    if texture.dtype != torch.uint8:
+        texture = (texture.clamp(0.0, 1.0) * 255).round()
+    red, green, blue = texture.long()
+    found, numbered = torch.unique((red * 256 + green) * 256 + blue, return_inverse=True)
+    return numbered, len(found)
+
+
+def _block_sizes(
+    vehicles: VehicleBatch,
+    length_u: Float[Tensor, "N 512 512"],
+    length_v: Float[Tensor, "N 512 512"],
+    block_px: int,
+) -> list[dict[str, tuple[float, float]]]:
+    """Per vehicle and region: median texel times texels per block, in centimetres."""
+    sizes: list[dict[str, tuple[float, float]]] = [{} for _ in range(len(vehicles))]
+    regions = texel_regions(vehicles)
+    for name in _BLOCK_REGIONS:
+        for i, inside in enumerate(regions[name]):
+            if inside.any():
+                u_m, v_m = (float(lengths[i][inside].median()) for lengths in (length_u, length_v))
+                sizes[i][name] = (100 * block_px * u_m, 100 * block_px * v_m)
+    return sizes
+
+
+def _count_blocks(worn: Bool[Tensor, "512 512"], block_px: int) -> int:
+    blocks = worn.unflatten(1, (-1, block_px)).unflatten(0, (-1, block_px))
+    return int(blocks.any(3).any(1).sum())
+
+
+def _count_regions(
+    worn: Bool[Tensor, "512 512"], joined_right: Bool[Tensor, "512 512"], joined_below: Bool[Tensor, "511 512"]
+) -> int:
+    """Connected components, in a picture twice as large where texels and their joints are alternate pixels."""
+    picture = np.zeros((2 * TEXTURE_SIZE - 1, 2 * TEXTURE_SIZE), dtype=bool)
+    picture[::2, ::2] = worn.numpy()
+    picture[::2, 1::2] = joined_right.numpy()
+    picture[1::2, ::2] = joined_below.numpy()
+    labels, count = ndimage.label(picture)
+    # The last column holds the joints across the seam: they tie labels there to labels in the first column.
+    seam = picture[:, -1]
+    ties = coo_array((np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count))
+    return int(connected_components(ties, directed=False, return_labels=False)) if count else 0

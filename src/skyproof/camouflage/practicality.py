@@ -1,0 +1,87 @@
+"""How practical a camouflage is, in the paper's three signs, derived from its constraints (PAPER 54, 55)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skyproof.camouflage.constraints import TextureConstraints
+
+__all__ = ["PUBLISHED_SCORES", "PracticalityScore", "Signs", "score_practicality"]
+
+
+@dataclass(frozen=True)
+class Signs:
+    """One sign per criterion: +1 for practical, 0 for neither, −1 for impractical.
+
+    Attributes:
+        production_cost: PC, what material and labour cost.
+        installation_difficulty: DI, how hard it is to put onto a vehicle.
+        operation_difficulty: DO, how much it hinders driving.
+    """
+
+    production_cost: int
+    installation_difficulty: int
+    operation_difficulty: int
+
+    @property
+    def total(self) -> int:
+        """Sum of the three, −3 to 3."""
+        return self.production_cost + self.installation_difficulty + self.operation_difficulty
+
+
+@dataclass(frozen=True)
+class PracticalityScore:
+    """The signs of texture and shape, scored apart.
+
+    Attributes:
+        texture: signs of the change of texture, all 0 where textures are the original ones.
+        shape: signs of the change of shape, all 0 where shapes are the original ones.
+    """
+
+    texture: Signs
+    shape: Signs
+
+    @property
+    def total(self) -> int:
+        """Sum of all six signs, −6 to 3."""
+        return self.texture.total + self.shape.total
+
+
+_NO_CHANGE = Signs(0, 0, 0)
+
+
+def score_practicality(texture: TextureConstraints | None, shape_changed: bool) -> PracticalityScore:
+    """The paper's rules (PAPER 54).
+
+    - Installation is + with Pix, as blocks can be stuck on or painted one by one, otherwise −.
+    - Operation is + with Ma, as windows, lights and wheels stay free, otherwise −.
+    - Production is + with Pix and Fc, 0 with Pix and Lc (its colours may be hard to get), otherwise −: few colours
+      alone save nothing, because the whole vehicle still has to be wrapped.
+    - A changed shape is − in all three.
+
+    Args:
+        texture: constraints of the texture; None for original textures.
+        shape_changed: whether any vertex moves; a displacement with PM = 0 changes nothing.
+    """
+    shape = Signs(-1, -1, -1) if shape_changed else _NO_CHANGE
+    if texture is None:
+        return PracticalityScore(_NO_CHANGE, shape)
+    production = {"fixed": 1, "learnt": 0, "free": -1}[texture.colours] if texture.pixelised else -1
+    signs = Signs(production, 1 if texture.pixelised else -1, 1 if texture.masked else -1)
+    return PracticalityScore(signs, shape)
+
+
+_LIKE_T_MA = score_practicality(TextureConstraints(masked=True), False)
+_LIKE_T_PIXFCMA = score_practicality(TextureConstraints(pixelised=True, colours="fixed", masked=True), False)
+
+# Scores of other works (PAPER 55). The paper likens all but one to settings of its own, so the rules give their signs.
+# "Du OFF" lies beside the vehicle, where no rule applies: its signs are the paper's own judgement (cost unclear,
+# mobility lost; its + for installation is not explained).
+PUBLISHED_SCORES = {
+    "Du ON": _LIKE_T_PIXFCMA,
+    "Du OFF": PracticalityScore(Signs(0, 1, -1), _NO_CHANGE),
+    "EVD4UAV": _LIKE_T_PIXFCMA,
+    "FCA": _LIKE_T_MA,
+    "ACTIVE": _LIKE_T_MA,
+    "DTA": _LIKE_T_MA,
+}

@@ -1,0 +1,59 @@
+"""The paper's table of practicality, sign by sign, against what the constraints give."""
+
+import pytest
+
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.practicality import PUBLISHED_SCORES, PracticalityScore, Signs, score_practicality
+
+# Copied from the paper's extended table: texture and shape sign of PC, DI and DO, then the total.
+OTHER_WORKS = [
+    ("Du ON", "+0", "+0", "+0", 3),
+    ("Du OFF", "00", "+0", "-0", 0),
+    ("EVD4UAV", "+0", "+0", "+0", 3),
+    ("FCA", "-0", "-0", "+0", -1),
+    ("ACTIVE", "-0", "-0", "+0", -1),
+    ("DTA", "-0", "-0", "+0", -1),
+]
+OWN = [
+    ("T-U", "-0", "-0", "-0", -3),
+    ("T-Ma", "-0", "-0", "+0", -1),
+    ("T-Pix", "-0", "+0", "-0", -1),
+    ("T-PixMa", "-0", "+0", "+0", 1),
+    ("T-Lc", "-0", "-0", "-0", -3),
+    ("T-Fc", "-0", "-0", "-0", -3),
+    ("T-LcMa", "-0", "-0", "+0", -1),
+    ("T-FcMa", "-0", "-0", "+0", -1),
+    ("T-PixLc", "00", "+0", "-0", 0),
+    ("T-PixFc", "+0", "+0", "-0", 1),
+    ("T-PixLcMa", "00", "+0", "+0", 2),
+    ("T-PixFcMa", "+0", "+0", "+0", 3),
+    ("S-O", "0-", "0-", "0-", -3),
+    ("C-Fc", "--", "--", "--", -6),
+    ("C-PixFc", "+-", "+-", "--", -2),
+]
+VALUE = {"+": 1, "0": 0, "-": -1}
+
+
+def score_of(*symbols: str) -> PracticalityScore:
+    texture, shape = (Signs(*(VALUE[pair[place]] for pair in symbols)) for place in (0, 1))
+    return PracticalityScore(texture, shape)
+
+
+@pytest.mark.parametrize(("name", "cost", "installation", "operation", "total"), OWN)
+def test_own_camouflages(name, cost, installation, operation, total):
+    kind, _, constraints = name.partition("-")
+    texture = None if kind == "S" else TextureConstraints.parse(constraints)
+    score = score_practicality(texture, shape_changed=kind in ("S", "C"))
+    assert score == score_of(cost, installation, operation)
+    assert score.total == total
+
+
+@pytest.mark.parametrize(("name", "cost", "installation", "operation", "total"), OTHER_WORKS)
+def test_other_works(name, cost, installation, operation, total):
+    assert PUBLISHED_SCORES[name] == score_of(cost, installation, operation)
+    assert PUBLISHED_SCORES[name].total == total
+
+
+def test_no_other_works_and_no_camouflage():
+    assert set(PUBLISHED_SCORES) == {row[0] for row in OTHER_WORKS}
+    assert score_practicality(None, shape_changed=False) == score_of("00", "00", "00")
