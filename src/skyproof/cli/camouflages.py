@@ -107,6 +107,7 @@ class Attack:
             size_px=self.image_px or min(read_card(self.detectors[0]).image_size_px),
             gsd_m=BackgroundSet.open(self.backgrounds).gsd_m,
             vehicles_maximum=1,
+            conditions=self.conditions,
         )
         attack_ensemble(
             self.name,
