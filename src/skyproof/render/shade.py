@@ -171,7 +171,8 @@ def light(
         The diffuse factor and the mirrored radiance.
     """
     sky = settings.sky_share if sky_share is None else sky_share
-    sun_strength = (1 - sky) / sun[:, 2:]
+    # Not a quotient, whose last bit differs between numbers and tensors: clear scenes look the same in every batch.
+    sun_strength = (1 - sky) * sun[:, 2:].reciprocal()
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]
     diffuse = sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)
