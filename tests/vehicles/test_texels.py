@@ -2,11 +2,11 @@
 
 import torch
 import trimesh
-from tests.vehicles.flat_body import LENGTH_M, WIDTH_M, flat_bodies
 
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.texels import texel_metric, texel_regions
+from tests.vehicles.flat_body import LENGTH_M, WIDTH_M, flat_bodies
 
 
 def test_a_flat_body_has_texels_of_one_by_two_centimetres():
