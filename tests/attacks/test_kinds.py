@@ -1,4 +1,4 @@
-"""Every kind of attack through the one loop: it learns, it resumes, it says what rounding cost, its gradient is right."""
+"""Every kind of attack through the one loop: it learns, resumes, counts what rounding cost, has the right gradient."""
 
 import dataclasses
 import json
@@ -23,9 +23,8 @@ from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 PALETTE = torch.tensor([[10, 10, 10], [60, 80, 40], [120, 110, 90], [200, 190, 170], [250, 20, 51]]) / 255
 TEXTURES = [
-    f"T-{pix}{colours}{mask}" or "T-U" for pix in ("", "Pix") for colours in ("", "Lc", "Fc") for mask in ("", "Ma")
+    f"T-{(pix + colours + mask) or 'U'}" for pix in ("", "Pix") for colours in ("", "Lc", "Fc") for mask in ("", "Ma")
 ]
-TEXTURES[0] = "T-U"
 KINDS = [*TEXTURES, "S-O@0.4", "S-O@1.0", "C-Fc-seq@0.2", "C-PixFcMa-seq@0.2", "C-PixFc-par@0.2", "C-Lc-par@0.3"]
 FEW = AttackSettings(steps=6, batch_size=2, balance_batches=2, preview_every=9, checkpoint_every=2, learning_rate=0.1)
 

@@ -118,13 +118,11 @@ class _Covered(torch.autograd.Function):
     def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (masks,) = context.saved_tensors
         side = 2**context.finest
-        total = None
+        _, channels, height, width = gradients[0].shape
+        total = gradients[0].new_zeros(channels, height, side, width, side)
         for mask, gradient in zip(masks, gradients[0] / side**2, strict=True):
-            channels, height, width = gradient.shape
-            spread = gradient[:, :, None, :, None].expand(channels, height, side, width, side)
-            reached = spread.reshape(channels, height * side, width * side) * mask
-            total = reached if total is None else total.add_(reached)
-        return total, None, None, None
+            total.addcmul_(gradient[:, :, None, :, None], mask.view(height, side, width, side).to(total.dtype))
+        return total.view(channels, height * side, width * side), None, None, None
 
 
 def _halve(level: Tensor) -> Tensor:
