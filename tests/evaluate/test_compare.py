@@ -1,11 +1,13 @@
 """Outcomes of scenes judged by hand."""
 
+import dataclasses
 import math
 
 import pytest
 import torch
 
 from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
+from skyproof.scenes.weather import draw_weather
 
 COMPARISON = Comparison("T-U", "torch", "retinanet", "centre_1m", 0.5, 0.125)
 
@@ -96,3 +98,11 @@ def test_sequences_that_do_not_belong_together_raise(make_scene, make_detections
         compare([make_scene("a", "t")], [], [make_detections()], [make_detections()], COMPARISON)
     with pytest.raises(ValueError, match="another number of boxes"):
         compare([make_scene("a", "t", 2)], [boxes((5, 5))], [make_detections()], [make_detections()], COMPARISON)
+
+
+def test_the_weather_of_the_scene_is_recorded(make_scene, make_detections):
+    scene = make_scene("a", "t")
+    scenes = [scene, dataclasses.replace(scene, id="b", weather=draw_weather("low_sun", 0.5))]
+    nothing = [make_detections()] * 2
+    outcomes = compare(scenes, [boxes((50, 50))] * 2, nothing, nothing, COMPARISON)
+    assert [outcome.condition for outcome in outcomes] == ["clear", "low_sun"]

@@ -120,9 +120,9 @@ def test_noise_lies_on_the_whole_picture_with_its_strength_and_seed():
 
 
 def test_the_pictures_noise_is_not_that_of_its_vehicles():
-    # Both follow the scene's seed; were they one, vehicles would show it twice as strong.
+    # Both follow the scene's seed; were they one, vehicles would show it twice as strong. 64 px is the tile of theirs.
     still, noisy = RenderSettings(noise=0.0), RenderSettings(noise=0.02)
-    place, weather = scene((0, 0, 0.0), seed=3), Weather("noise", noise=0.02)
+    place, weather = scene((0, 0, 0.0), seed=3, size_px=64), Weather("noise", noise=0.02)
     quiet = TorchRenderer(PlainGround(0.4), still)([place], vehicles(), masks=True)
     inside = quiet.masks[0]
     own = (TorchRenderer(PlainGround(0.4), noisy)([place], vehicles()).image - quiet.image)[0][:, inside]
