@@ -42,7 +42,7 @@ class DisplacementMap(Camouflage):
     """
 
     # Sigmoid has to come up from -4 within the steps of one attack.
-    learning_rates: Mapping[str, float] = {"displacement": 4.0}
+    learning_rates: Mapping[str, float] = {"displacement": 16.0}
 
     def __init__(
         self, name: str, magnitude: float, *, generator: torch.Generator | None = None, frozen_parts: bool = True
