@@ -14,12 +14,14 @@ from skyproof.cli.camouflages import Attack, Control, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
 
 __all__ = ["run"]
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
+    "world": World,
     "render": Render,
     "train": Train,
     "palette": Palette,
