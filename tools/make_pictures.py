@@ -41,7 +41,7 @@ CELL_PX = (22, 50)
 PER_TYPE = 4
 COLUMNS = 12
 PAPER, INK = (255, 255, 255), (30, 30, 30)
-WEATHER_TILE_SEED, WEATHER_SCENE_SEED = 2, 1
+WEATHER_TILE_SEED, WEATHER_SCENE_SEED = 5, 4
 
 
 class PlainGround:
@@ -152,8 +152,8 @@ def draw_scenes() -> Image.Image:
 
 @torch.no_grad()
 def draw_weather_sheet() -> Image.Image:
-    """One scene of 384 px under every condition: 2 x 4 pictures."""
-    size_px, columns = 384, 4
+    """One scene of 320 px under every condition: 2 x 4 pictures, in 256 colours so that the file stays small."""
+    size_px, columns = 320, 4
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     sizes = {name: fleet.size_m(name) for name in fleet.ids}
     with tempfile.TemporaryDirectory() as folder:
@@ -175,7 +175,7 @@ def draw_weather_sheet() -> Image.Image:
         x, y = gap + index % columns * (size_px + gap), gap + index // columns * (size_px + label)
         sheet.paste(picture, (x, y))
         pen.text((x, y + size_px + 3), title, fill=INK, font=font(20))
-    return sheet
+    return sheet.quantize(256)
 
 
 def _strength(scene: Scene) -> str:

@@ -64,12 +64,12 @@ def test_what_is_not_painted_counts_nowhere():
     block = torch.arange(512) // 16
     checkerboard = two_colours((block[:, None] + block) % 2 == 0)
     mask = torch.zeros(2, 512, 512, dtype=torch.bool)
-    mask[0, 96:128, 200:209] = True  # columns 200-207 and 208 lie in two blocks, rows in two
+    mask[0, 96:128, 207:224] = True  # one column of a block and a whole block, two rows of blocks
     mask[1, 100, 100] = True
     first, second = measure_texture(flat_bodies(1, 2), checkerboard, mask, 16)
     assert (first.colours, first.regions, first.blocks) == (2, 4, 4)
-    assert first.painted_area_m2 == pytest.approx(0.09 * 0.64, rel=1e-5)
-    assert first.boundary_m == pytest.approx(0.64 + 0.09, rel=1e-5)
+    assert first.painted_area_m2 == pytest.approx(0.17 * 0.64, rel=1e-5)
+    assert first.boundary_m == pytest.approx(0.64 + 0.17, rel=1e-5)  # not the rim, though colours change there
     assert (second.colours, second.regions, second.blocks, second.boundary_m) == (1, 1, 1, 0.0)
     assert second.painted_area_m2 == pytest.approx(0.02 * 0.04, rel=1e-5)
     assert second.block_cm["sides"] == pytest.approx((32.0, 64.0), rel=1e-5)

@@ -2,11 +2,11 @@
 
 import torch
 import trimesh
-from tests.vehicles.flat_body import LENGTH_M, WIDTH_M, flat_bodies
 
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.texels import texel_metric, texel_regions
+from tests.vehicles.flat_body import LENGTH_M, WIDTH_M, flat_bodies
 
 
 def test_a_flat_body_has_texels_of_one_by_two_centimetres():
@@ -27,6 +27,7 @@ def test_at_the_poles_rows_narrow_evenly_to_half_the_area_of_others():
     assert torch.isclose(area[0, :16].sum(), torch.tensor(cap))
     assert torch.isclose(area[0, 496:].sum(), torch.tensor(cap))
     assert torch.isclose(area[0, 15, 300] / area[0, 0, 300], torch.tensor(31.0))
+    assert torch.allclose(area[0, 496:], area[0, :16].flip(0))
 
 
 def test_twice_as_large_is_four_times_the_area():

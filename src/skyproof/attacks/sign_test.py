@@ -25,7 +25,7 @@ _NEAR_M = 1.0
 
 def sign_test(
     camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
-) -> dict[str, dict[str, float]]:
+) -> dict[str, dict[str, Any]]:
     """One step of the attack's own optimiser on a batch, and what it does to the scores on that batch's vehicles.
 
     Every batch (those that no step of the attack sees) starts from the camouflage as given, which is not changed. The

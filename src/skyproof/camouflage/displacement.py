@@ -32,6 +32,9 @@ class DisplacementMap(Camouflage):
     one corner (PAPER 47). Wheels and underside stay where they are, and no vertex is pushed below the ground: there its
     way ends, in the same direction. So a deformed vehicle can still roll.
 
+    Vertices only slide along their rays from the middle, so a body whose every point can be seen from there never runs
+    through itself. The bed of a pickup cannot be seen, and does (see `measure_shape`).
+
     Attributes:
         magnitude: PM, the largest displacement as a fraction of the width (PAPER 49).
         frozen_parts: whether wheels and underside stay (PAPER 51).

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ import torch
 
 from skyproof import __version__
 from skyproof.attacks.objective import empty_truth_losses, frozen
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.cli.console import say
 from skyproof.cli.stages import choose_device, generator_of
@@ -31,6 +34,13 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 __all__ = ["Bench"]
 
 _TILE_PX = 560
+_ATTACKS = {
+    "texture": "T-U",
+    "fixed_colours": "T-Fc",
+    "masked": "T-PixFcMa",
+    "shape": "S-O@0.4",
+    "texture_and_shape": "C-Fc-par@0.2",
+}
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ class Bench:
         render_dataset(folder / "dataset", many, fleet, renderer, device=device)
         images_per_second = round(len(many) / (time.perf_counter() - started), 1)
 
-        step_s, detectors_s = self._attack_step(fleet, renderer, scenes(self.batch_size), device)
+        ratios = self._attack_steps(fleet, renderer, scenes(self.batch_size), device)
         return {
             "skyproof": __version__,
             "torch": torch.__version__,
@@ -100,37 +110,47 @@ class Bench:
             "batch_size": self.batch_size,
             **per_crop,
             "dataset_images_per_second": images_per_second,
-            "attack_step_ms": round(1000 * step_s, 1),
-            "detectors_only_step_ms": round(1000 * detectors_s, 1),
-            "attack_step_over_detectors": round(step_s / detectors_s, 3),
+            **ratios,
         }
 
-    def _attack_step(
+    def _attack_steps(
         self, fleet: Fleet, renderer: TorchRenderer, batch: list[Scene], device: torch.device
-    ) -> tuple[float, float]:
-        """Median times of an attack step, and of the same step on ready-made images; taken in turn."""
-        models = [build_detector(name, "slim", generator=generator_of(0, name)).to(device) for name in self.detectors]
-        camouflage = UniversalTexture("T-U", generator=generator_of(0, "texture")).to(device)
+    ) -> dict[str, float]:
+        """Attack steps on some camouflages, and the same step on ready-made images; taken in turn."""
+        models = [build_detector(name, "slim", generator=generator_of(0, name)) for name in self.detectors]
+        models = [model.to(device).to(memory_format=torch.channels_last) for model in models]
+        palette = torch.rand(5, 3, generator=generator_of(0, "palette"))
+        camouflages = {
+            name: make_camouflage(read_recipe(recipe), Materials(palette), generator=generator_of(0, "texture")).to(
+                device
+            )
+            for name, recipe in _ATTACKS.items()
+        }
 
         def detectors_only(images: torch.Tensor) -> torch.Tensor:
-            leaf = images.detach().requires_grad_()
+            leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
             for model in models:
                 empty_truth_losses([model], leaf)[model.name].mean().backward()
             assert leaf.grad is not None
             return leaf.grad
 
-        def step() -> None:
+        def step(camouflage: Camouflage) -> None:
             vehicles = camouflage(placed_vehicles(fleet, batch).to(device))
             images = renderer(batch, vehicles).image
             images.backward(detectors_only(images))
 
+        ratios: dict[str, list[float]] = {name: [] for name in camouflages}
+        alone: list[float] = []
         with frozen(models):
             ready = renderer(batch, placed_vehicles(fleet, batch).to(device)).image
-            pairs = []
-            for _ in range(self.repeats + 1):
-                pairs.append((_seconds(step, device), _seconds(lambda: detectors_only(ready), device)))
-        steps, alone = zip(*pairs[1:], strict=True)
-        return statistics.median(steps), statistics.median(alone)
+            for turn in range(self.repeats + 1):
+                for name, camouflage in camouflages.items():
+                    pair = _seconds(partial(step, camouflage), device), _seconds(partial(detectors_only, ready), device)
+                    if turn:
+                        ratios[name].append(pair[0] / pair[1])
+                        alone.append(pair[1])
+        found = {"detectors_only_step_ms": round(1000 * statistics.median(alone), 1)}
+        return found | {f"{name}_step_over_detectors": round(statistics.median(r), 3) for name, r in ratios.items()}
 
     def _median(self, work: Callable[[], None], device: torch.device) -> float:
         work()

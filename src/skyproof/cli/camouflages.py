@@ -1,4 +1,4 @@
-"""Making camouflages and scoring them, as commands: palette, attack, control, score."""
+"""Making camouflages and judging them, as commands: palette, attack, control, score, measure."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from skyproof.cli.stages import (
     choose_device,
     draw_control,
     ground_palette,
+    measure_camouflages,
     score_camouflages,
 )
 from skyproof.detectors.folder import read_card
@@ -23,7 +24,7 @@ from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import SceneSettings
 
-__all__ = ["Attack", "Control", "Palette", "Score"]
+__all__ = ["Attack", "Control", "Measure", "Palette", "Score"]
 
 
 @dataclass(frozen=True)
@@ -200,3 +201,36 @@ class Score:
                 limits = interval(row["easr_low"], row["easr_high"])
                 say(f"  {row['camouflage']:<24} EASR {percent(row['easr'])} ({limits}), {label}")
         say(f"Results: {(self.out / 'results.json').resolve()}")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Says what camouflages would ask of those who make them: the paper's signs, areas, blocks, colours, volume.
+
+    Attributes:
+        camouflages: camouflage folders; a folder's name is the camouflage's in the table.
+        fleet: fleet folder.
+        out: JSON file to write.
+    """
+
+    camouflages: tuple[Path, ...]
+    fleet: Path
+    out: Path
+
+    def run(self) -> None:
+        """Measures, prints, writes."""
+        for row in measure_camouflages(self.camouflages, self.fleet, self.out):
+            texture, shape = row["texture"], row["shape"]
+            parts = [f"practicality {row['score']['total']:+d}"]
+            if texture:
+                parts.append(
+                    f"{texture['painted_area_m2']:.1f} m² painted, {texture['colours']:.0f} colours, "
+                    f"{texture['boundary_m']:.0f} m of boundaries"
+                )
+            if shape:
+                parts.append(
+                    f"{shape['added_volume_m3']:.1f} m³ added, self-intersecting on "
+                    f"{percent(shape['share_self_intersecting'])} of vehicles"
+                )
+            say(f"  {row['name']:<24} {'; '.join(parts)}")
+        say(f"Measures: {self.out.resolve()}")

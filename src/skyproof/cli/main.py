@@ -10,7 +10,7 @@ import torch
 import tyro
 
 from skyproof.cli.bench import Bench
-from skyproof.cli.camouflages import Attack, Control, Palette, Score
+from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
@@ -28,6 +28,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "attack": Attack,
     "control": Control,
     "score": Score,
+    "measure": Measure,
     "evaluate": Evaluate,
     "report": Report,
     "bench": Bench,

@@ -14,6 +14,7 @@ from PIL import Image
 from skyproof.attacks.attack import AttackSettings, attack
 from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.account import practicality_account
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.palette import fit_palette, save_palette
@@ -24,7 +25,7 @@ from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
-from skyproof.files import write_beside
+from skyproof.files import write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
@@ -42,6 +43,7 @@ __all__ = [
     "generator_of",
     "ground_palette",
     "load_ensemble",
+    "measure_camouflages",
     "paint_portrait",
     "render_folder",
     "score_camouflages",
@@ -255,6 +257,18 @@ def score_camouflages(
             place = rendered[folder.name]
             render_folder(scenes, backgrounds, fleet, place, camouflage=folder, device=device)
         return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
+
+
+def measure_camouflages(camouflages: Sequence[Path], fleet: Path, out: Path) -> list[dict[str, Any]]:
+    """Practicality of each camouflage folder on a fleet, as JSON (PAPER 54, 55)."""
+    vehicles = Fleet.load(fleet)
+    batch, rows = vehicles.batch(vehicles.ids), []
+    with progress_bar("measure") as update:
+        for folder in camouflages:
+            rows.append({**practicality_account(load_camouflage(folder), batch), "name": folder.name})
+            update(len(rows), len(camouflages))
+    write_json(out, {"fleet": str(fleet), "vehicles": len(batch), "rows": rows})
+    return rows
 
 
 def paint_portrait(camouflage: Path, fleet: Path, out: Path) -> None:

@@ -1,4 +1,4 @@
-"""Normals and edges of triangle meshes."""
+"""Normals, edges and volume of triangle meshes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["mesh_edges", "vertex_normals"]
+__all__ = ["enclosed_volume_m3", "mesh_edges", "vertex_normals"]
 
 
 def vertex_normals(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N V 3"]:
@@ -20,6 +20,19 @@ def vertex_normals(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) 
         normals = normals.index_add(1, faces[:, corner], face_normals)
     # The tiny constant keeps a vertex whose faces all have zero area finite.
     return normals / (normals.square().sum(-1, keepdim=True) + 1e-20).sqrt()
+
+
+def enclosed_volume_m3(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, " N"]:
+    """Volume inside closed meshes, by the divergence theorem; space enclosed twice counts twice.
+
+    Args:
+        vertices: metres.
+        faces: counter-clockwise seen from outside, else the volume is negative.
+    """
+    # Around their own middle, so that the sum has no large terms that cancel.
+    corners = (vertices - vertices.mean(dim=1, keepdim=True)).double()[:, faces]
+    a, b, c = corners.unbind(2)
+    return ((torch.linalg.cross(a, b) * c).sum(-1).sum(-1) / 6).to(vertices.dtype)
 
 
 @lru_cache(maxsize=8)

@@ -118,13 +118,11 @@ class _Covered(torch.autograd.Function):
     def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (masks,) = context.saved_tensors
         side = 2**context.finest
-        total = None
+        _, channels, height, width = gradients[0].shape
+        total = gradients[0].new_zeros(channels, height, side, width, side)
         for mask, gradient in zip(masks, gradients[0] / side**2, strict=True):
-            channels, height, width = gradient.shape
-            spread = gradient[:, :, None, :, None].expand(channels, height, side, width, side)
-            reached = spread.reshape(channels, height * side, width * side) * mask
-            total = reached if total is None else total.add_(reached)
-        return total, None, None, None
+            total.addcmul_(gradient[:, :, None, :, None], mask.view(height, side, width, side).to(total.dtype))
+        return total.view(channels, height * side, width * side), None, None, None
 
 
 def _halve(level: Tensor) -> Tensor:
@@ -171,7 +169,8 @@ def light(
         The diffuse factor and the mirrored radiance.
     """
     sky = settings.sky_share if sky_share is None else sky_share
-    sun_strength = (1 - sky) / sun[:, 2:]
+    # Not a quotient, whose last bit differs between numbers and tensors: clear scenes look the same in every batch.
+    sun_strength = (1 - sky) * sun[:, 2:].reciprocal()
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]
     diffuse = sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)

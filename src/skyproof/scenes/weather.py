@@ -55,20 +55,20 @@ CLEAR = Weather()
 def _exposure(strength: float) -> Weather:
     """Half of the scenes are too dark, half too bright; none is nearly right."""
     side = 1 if strength >= 0.5 else -1
-    return Weather("exposure", exposure_stops=side * _between(0.5, 1.25, abs(2 * strength - 1)))
+    return Weather("exposure", exposure_stops=side * _between(0.4, 1.0, abs(2 * strength - 1)))
 
 
 # Every range, mild to strong, is listed with its reason in docs/vehicles.md.
 CONDITIONS: dict[str, Callable[[float], Weather]] = {
     "clear": lambda strength: CLEAR,
-    "haze": lambda strength: Weather("haze", haze=_between(0.2, 0.6, strength)),
-    "rain": lambda strength: Weather("rain", wetness=_between(0.5, 1.0, strength)),
+    "haze": lambda strength: Weather("haze", haze=_between(0.15, 0.45, strength)),
+    "rain": lambda strength: Weather("rain", wetness=_between(0.7, 1.0, strength)),
     # The lower the sun, the less of its direct light comes through the air.
     "low_sun": lambda strength: Weather("low_sun", overcast=_between(0.3, 0.05, strength)),
     "overcast": lambda strength: Weather("overcast", overcast=_between(0.6, 1.0, strength)),
     "exposure": _exposure,
-    "noise": lambda strength: Weather("noise", noise=_between(0.02, 0.06, strength)),
-    "jpeg": lambda strength: Weather("jpeg", jpeg_quality=round(_between(60, 15, strength))),
+    "noise": lambda strength: Weather("noise", noise=_between(0.015, 0.05, strength)),
+    "jpeg": lambda strength: Weather("jpeg", jpeg_quality=round(_between(60.0, 20.0, strength))),
 }
 """Each known condition: a number from 0 to 1 to its weather."""
 

@@ -1,0 +1,63 @@
+"""What a camouflage asks of those who would make it: the paper's signs, and what can be measured beside them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from statistics import fmean
+from typing import Any
+
+import torch
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.measures import mean_measures, measure_texture
+from skyproof.camouflage.practicality import score_practicality
+from skyproof.camouflage.shape_measures import measure_shape
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
+
+__all__ = ["practicality_account"]
+
+
+@torch.no_grad()
+def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
+    """Signs (PAPER 54) and measured quantities (PAPER 55), means over the vehicles.
+
+    Args:
+        camouflage: finished.
+        vehicles: as built.
+
+    Returns:
+        "name"; "score" with the three signs of texture and shape and their "total"; "texture" and "shape" with means
+        as `mean_measures` and `ShapeMeasures` name them, None for a side that is left
+        alone. Of the shape, "share_self_intersecting" is the share of vehicles with more self-intersections than as built.
+    """
+    texture, shape = _parts(camouflage)
+    changed = shape is not None and shape.magnitude > 0
+    score = score_practicality(texture.constraints if texture else None, shape_changed=changed)
+    worn = None
+    if texture is not None:
+        block_px = TEXTURE_SIZE // texture.blocks if texture.constraints.pixelised else None
+        worn = mean_measures(measure_texture(vehicles, texture.bytes(), texture.mask(vehicles), block_px))
+    deformed = None
+    if changed and shape is not None:
+        rows = measure_shape(vehicles, shape(vehicles))
+        names = [name for name, value in asdict(rows[0]).items() if not isinstance(value, str)]
+        deformed = {name: fmean(float(getattr(row, name)) for row in rows) for name in names}
+        deformed["share_self_intersecting"] = fmean(row.intersections_after > row.intersections_before for row in rows)
+    return {
+        "name": camouflage.name,
+        "score": {"texture": asdict(score.texture), "shape": asdict(score.shape), "total": score.total},
+        "texture": worn,
+        "shape": deformed,
+    }
+
+
+def _parts(camouflage: Camouflage) -> tuple[UniversalTexture | None, DisplacementMap | None]:
+    if isinstance(camouflage, Combination):
+        return camouflage.texture, camouflage.shape
+    return (
+        camouflage if isinstance(camouflage, UniversalTexture) else None,
+        camouflage if isinstance(camouflage, DisplacementMap) else None,
+    )

@@ -1,0 +1,162 @@
+"""Names of camouflages, what they make, and combinations of texture and shape."""
+
+import pytest
+import torch
+
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.vehicle import Part
+
+PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+FIXED = TextureConstraints(colours="fixed")
+
+
+def drawn(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def make(name, seed=0, **more):
+    return make_camouflage(read_recipe(name), Materials(palette=PALETTE, **more), generator=drawn(seed))
+
+
+@pytest.fixture(scope="module")
+def vehicles():
+    fleet = sample_fleet(FleetSettings(count=2), generator=drawn())
+    return fleet.batch(fleet.ids)
+
+
+@pytest.mark.parametrize(
+    ("name", "texture", "magnitude", "order", "random"),
+    [
+        ("T-U", TextureConstraints(), None, None, False),
+        ("T-PixFcMa-2", TextureConstraints(True, "fixed", True), None, None, False),
+        ("T-U_on_faster_rcnn-0", TextureConstraints(), None, None, False),
+        ("T-Fc_step10", FIXED, None, None, False),
+        ("R-Pix-1", TextureConstraints(True), None, None, True),
+        ("S-O@0.4", None, 0.4, None, False),
+        ("S-O@1.0-1", None, 1.0, None, False),
+        ("R-S-O@0.2-0", None, 0.2, None, True),
+        ("C-Fc-seq@0.2-1", FIXED, 0.2, "seq", False),
+        ("C-PixLcMa-par@1", TextureConstraints(True, "learnt", True), 1.0, "par", False),
+        ("R-C-Fc@0.2", FIXED, 0.2, None, True),
+    ],
+)
+def test_names_are_read(name, texture, magnitude, order, random):
+    recipe = read_recipe(name)
+    assert (recipe.name, recipe.texture, recipe.magnitude) == (name, texture, magnitude)
+    assert (recipe.order, recipe.random) == (order, random)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("T-LcFc", "exclude each other"),
+        ("T-MaPix", "'PixMa'"),
+        ("T-Blue", "Unknown texture constraints"),
+        ("S-O@1.5", "from 0 to 1"),
+        ("S-O@-0.1", "from 0 to 1"),
+        ("C-Fc-seq@nan", "from 0 to 1"),
+        ("S-O@much", "from 0 to 1"),
+        ("S-O", "names no camouflage"),
+        ("C-Fc@0.2", "names no camouflage"),
+        ("C-Fc-both@0.2", "names no camouflage"),
+        ("U", "names no camouflage"),
+        ("", "names no camouflage"),
+    ],
+)
+def test_names_that_contradict_themselves_are_refused(name, said):
+    with pytest.raises(ConfigurationError, match=said):
+        read_recipe(name)
+
+
+def test_fixed_colours_need_a_palette_and_a_sequence_its_texture():
+    with pytest.raises(ConfigurationError, match="--palette"):
+        make_camouflage(read_recipe("T-Fc"), Materials(), generator=drawn())
+    for given in (None, make("T-Pix"), make("S-O@0.2")):
+        with pytest.raises(ConfigurationError, match="--texture"):
+            make("C-Fc-seq@0.2", texture=given)
+    with pytest.raises(ConfigurationError, match="at least 1 step"):
+        make("C-Fc-par@0.2", turn_steps=0)
+
+
+def test_random_controls_are_finished_and_follow_their_seed():
+    both = make("R-C-PixFc@0.2-0", seed=1)
+    assert isinstance(both, Combination)
+    assert both.texture.finished
+    assert torch.equal(both.shape.map(), both.shape.map().flip(1))
+    assert float(both.shape.map().detach().std()) == pytest.approx(12**-0.5, abs=0.02)
+    again, other = make("R-C-PixFc@0.2-0", seed=1), make("R-C-PixFc@0.2-0", seed=2)
+    assert all(torch.equal(a, b) for a, b in zip(both.state_dict().values(), again.state_dict().values(), strict=True))
+    assert not torch.equal(both.texture.cells, other.texture.cells)
+    assert not torch.equal(both.shape.displacement, other.shape.displacement)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_combination_wears_both(vehicles, masked):
+    name = f"C-PixFc{'Ma' if masked else ''}-par@0.3"
+    both = make(name)
+    with torch.no_grad():
+        both.shape.displacement.fill_(2.0)
+    worn = both(vehicles)
+    assert torch.equal(worn.vertices, both.shape(vehicles).vertices)
+    assert torch.equal(worn.worn_texture(), both.texture(vehicles).worn_texture())
+    assert not torch.equal(worn.vertices, vehicles.vertices)
+    if masked:
+        # The part map lies on the UV map, which a displacement does not touch (PAPER 53).
+        glass = vehicles.parts == Part.GLASS
+        shown = (worn.worn_texture() * 255).round().byte().permute(0, 2, 3, 1)
+        assert torch.equal(shown[glass], vehicles.texture.permute(0, 2, 3, 1)[glass])
+
+
+def test_a_sequence_learns_the_shape_alone(vehicles):
+    texture = make("T-Fc")
+    texture.finalise()
+    both = make("C-Fc-seq@0.3", texture=texture)
+    assert [name for name, value in both.named_parameters() if value.requires_grad] == ["shape.displacement"]
+    worn = both(vehicles)
+    (worn.vertices.sum() + worn.worn_texture().sum()).backward()
+    assert both.texture.cells.grad is None
+    assert both.shape.displacement.grad.abs().sum() > 0
+    before = both.texture.bytes()
+    both.before_step_(1, 5)
+    both.project_()
+    both.finalise()
+    assert torch.equal(both.texture.bytes(), before)
+
+
+def test_a_parallel_attack_takes_turns():
+    both = make("C-Fc-par@0.3", turn_steps=3)
+    turns = []
+    for step in range(1, 11):
+        both.before_step_(step, 10)
+        learnt = {name.partition(".")[0] for name, value in both.named_parameters() if value.requires_grad}
+        assert len(learnt) == 1
+        turns.append(learnt.pop())
+    assert turns == ["texture"] * 3 + ["shape"] * 3 + ["texture"] * 3 + ["shape"]
+    assert both.learning_rates["texture.cells"] == both.texture.learning_rates["cells"]
+    assert both.learning_rates["shape.displacement"] == both.shape.learning_rates["displacement"]
+
+
+@pytest.mark.parametrize("name", ["C-PixFcMa-par@0.3", "C-Lc-par@0.1", "S-O@0.4", "R-S-O@0.4", "R-C-U@1"])
+def test_shapes_and_combinations_are_stored_with_pictures(tmp_path, vehicles, name):
+    made = make(name)
+    if isinstance(made, Combination):
+        with torch.no_grad():
+            made.shape.displacement.add_(torch.randn(64, 64, generator=drawn(3)))
+    made.finalise()
+    save_camouflage(tmp_path, made, {"seed": 1})
+    loaded = load_camouflage(tmp_path)
+    assert type(loaded) is type(made)
+    assert loaded.name == name
+    assert torch.equal(loaded(vehicles).vertices, made(vehicles).vertices)
+    assert torch.equal(loaded(vehicles).worn_texture(), made(vehicles).worn_texture())
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    wanted = {"displacement.png"} | ({"texture.png"} if isinstance(made, Combination) else set())
+    assert pictures == wanted
+    assert isinstance(loaded, DisplacementMap | Combination | UniversalTexture)
