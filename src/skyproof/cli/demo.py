@@ -31,7 +31,7 @@ from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import SPLITS
 
-__all__ = ["Demo", "run_demo"]
+__all__ = ["Demo", "check_detectors", "run_demo"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def run_demo(demo: Demo) -> None:
     if report.exists():
         say(f"This run is finished. Report: {report.resolve()}")
         return
-    _check_detectors(demo.detectors)
+    check_detectors(demo.detectors)
     # Read first: a mistake in these folders should show before an hour's work, not after it.
     clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
     run.start(str(device))
@@ -150,12 +150,12 @@ def run_demo(demo: Demo) -> None:
     say(f"Report: {written.resolve()}")
 
 
-def _check_detectors(names: Sequence[str]) -> None:
+def check_detectors(names: Sequence[str], size: str = "slim") -> None:
     """Shows a mistake before the ground is drawn, not when training begins."""
     if len(set(names)) != len(names) or not names:
         raise ConfigurationError("--detectors expects each detector once, and at least one.")
     for name in names:
-        build_detector(name, "slim", generator=torch.Generator())
+        build_detector(name, size, generator=torch.Generator())
 
 
 def _render(out: Path, split: str, place: Path, device: torch.device, camouflage: Path | None = None) -> None:

@@ -17,11 +17,7 @@ __all__ = ["PRESETS", "SNAKEFILE", "AttackJob", "Plan", "Preset", "read_preset"]
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 PRESETS = {name: Path(__file__).with_name(f"{name}.json") for name in ("quick", "paper")}
 
-TEXTURES = tuple(
-    TextureConstraints(pixelised, colours, masked)
-    for masked, colours, pixelised in itertools.product((False, True), ("free", "learnt", "fixed"), (False, True))
-)
-PARALLEL = (TextureConstraints(colours="fixed"), TextureConstraints(pixelised=True, colours="fixed"))
+_PARALLEL = ("Fc", "PixFc")
 
 
 @dataclass(frozen=True)
@@ -37,6 +33,8 @@ class Preset:
         attack: options of `skyproof attack --settings.*`, the same for all.
         attack_image_px: image side in attacks.
         attack_steps: by kind: texture, shape, combined.
+        textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also make parallel
+            combinations.
         repeats: attacks of each kind, from different seeds.
         draws: of each random control (PAPER 34).
         magnitudes: PM of shapes alone and of combinations with the six textures that are not masked (PAPER 52, 53).
@@ -57,6 +55,7 @@ class Preset:
     attack: Mapping[str, Any]
     attack_image_px: int
     attack_steps: Mapping[str, int]
+    textures: tuple[str, ...]
     repeats: int
     draws: int
     magnitudes: tuple[float, ...]
@@ -79,11 +78,14 @@ class Preset:
         missing = [name for name in names if name not in values]
         if missing:
             raise ConfigurationError(f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json.")
-        lists = {"detectors", "magnitudes", "masked_magnitudes", "transfer", "ladder_steps"}
-        preset = cls(**{name: tuple(values[name]) if name in lists else values[name] for name in names})
+        lists = {"detectors", "textures", "magnitudes", "masked_magnitudes", "transfer", "ladder_steps"}
+        given: dict[str, Any] = {name: tuple(values[name]) if name in lists else values[name] for name in names}
+        preset = cls(**given)
         counts = {name: getattr(preset, name) for name in ("repeats", "draws", "score_batch", "threads")}
         if min(counts.values()) < 1 or not preset.detectors:
             raise ConfigurationError(f"A preset expects at least one detector and counts of at least 1, got {counts}.")
+        for texture in preset.textures:
+            TextureConstraints.parse(texture)
         unfit = [pm for pm in (*preset.magnitudes, *preset.masked_magnitudes) if not 0 < pm <= 1]
         if unfit:
             raise ConfigurationError(f"A preset expects magnitudes above 0 and up to 1, got {unfit}.")
@@ -154,6 +156,7 @@ class Plan:
 
     def __init__(self, preset: Preset) -> None:
         self.preset = preset
+        self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         self.attacks = {job.name: job for job in self._attacks()}
         self.controls = tuple(f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws))
         folders = [folder for job in self.attacks.values() for folder in job.folders] + list(self.controls)
@@ -183,9 +186,9 @@ class Plan:
         }
 
     def _control_bases(self) -> list[str]:
-        textures = [f"R-{texture.name}" for texture in TEXTURES]
+        textures = [f"R-{texture.name}" for texture in self._textures]
         shapes = [f"R-S-O@{pm:g}" for pm in self.preset.magnitudes]
-        combined = [f"R-C-{texture.name}@{pm:g}" for texture in TEXTURES for pm in self._grid(texture)]
+        combined = [f"R-C-{texture.name}@{pm:g}" for texture in self._textures for pm in self._grid(texture)]
         return textures + shapes + combined
 
     def _grid(self, texture: TextureConstraints) -> tuple[float, ...]:
@@ -193,18 +196,19 @@ class Plan:
 
     def _attacks(self) -> list[AttackJob]:
         jobs = []
+        parallel = [texture for texture in self._textures if texture.name in _PARALLEL]
         for repeat in range(self.preset.repeats):
-            for texture in TEXTURES:
+            for texture in self._textures:
                 jobs.append(self._job(f"T-{texture.name}", repeat, "texture", texture))
             for base, detectors in self._transfers():
                 texture = TextureConstraints.parse(base.partition("_")[0].removeprefix("T-"))
                 jobs.append(self._job(base, repeat, "texture", texture, detectors=detectors))
             for pm in self.preset.magnitudes:
                 jobs.append(self._job(f"S-O@{pm:g}", repeat, "shape", None, pm=pm))
-            for texture, pm in [(each, pm) for each in TEXTURES for pm in self._grid(each)]:
+            for texture, pm in [(each, pm) for each in self._textures for pm in self._grid(each)]:
                 under = f"T-{texture.name}-{repeat}"
                 jobs.append(self._job(f"C-{texture.name}-seq@{pm:g}", repeat, "combined", texture, pm=pm, under=under))
-            for texture, pm in itertools.product(PARALLEL, self.preset.magnitudes):
+            for texture, pm in itertools.product(parallel, self.preset.magnitudes):
                 jobs.append(self._job(f"C-{texture.name}-par@{pm:g}", repeat, "combined", texture, pm=pm))
         return jobs
 
