@@ -8,7 +8,9 @@ import pytest
 
 from skyproof.evaluate.intervals import mcnemar_p
 from skyproof.evaluate.outcomes import Outcome
-from skyproof.evaluate.summary import SetScore, matched_control, pooled_name, summarise
+from skyproof.evaluate.sets import SetScore
+from skyproof.evaluate.summary import summarise
+from skyproof.evaluate.tiles import count_tiles
 
 REQUIRED = [
     "camouflage",
@@ -74,7 +76,7 @@ def rows(rng):
         SetScore("R-U-0", "torch", "retinanet", "centre_1m", 0.8, 12.0),
         SetScore("R-U-1", "torch", "retinanet", "centre_1m", 0.7, 14.0),
     ]
-    made = summarise(found, sets, generator=rng)
+    made = summarise(count_tiles(found), sets, generator=rng)
     return {(row["camouflage"], row["detector"], row["match"]): row for row in made}
 
 
@@ -102,7 +104,7 @@ def test_mean_is_unweighted_over_detectors(rows):
 
 def test_random_draws_share_a_row(rows):
     row = rows["R-U", "retinanet", "centre_1m"]
-    assert row["draws"] == 2
+    assert row["repeats"] == 2
     assert row["easr"] == pytest.approx((2 / 18 + 0) / 2)
     assert row["ap_adversarial"] == pytest.approx(0.75)
     assert row["net_easr"] is None
@@ -134,7 +136,7 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
     # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 - 0.025 ** (1 / 20).
     found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
     found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
-    row = next(row for row in summarise(found, [], generator=rng) if row["camouflage"] == "T-U")
+    row = next(row for row in summarise(count_tiles(found), [], generator=rng) if row["camouflage"] == "T-U")
     margin = 1 - 0.025 ** (1 / 20)
     assert row["easr_low"] == pytest.approx(1 - margin)
     assert row["net_easr"] == pytest.approx(0.75)
@@ -144,14 +146,14 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
 def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
     # One detector loses everything on all 20 tiles, the other all but one vehicle.
     found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes("T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)])
-    rows = {row["detector"]: row for row in summarise(found, [], generator=rng)}
+    rows = {row["detector"]: row for row in summarise(count_tiles(found), [], generator=rng)}
     margins = [rows[name]["easr"] - rows[name]["easr_low"] for name in ("retinanet", "yolov5")]
     assert margins[0] == pytest.approx(1 - 0.025 ** (1 / 20))
     assert rows["mean"]["easr_low"] == pytest.approx(rows["mean"]["easr"] - sum(margins) / 2)
 
 
 def test_undefined_becomes_null(rng):
-    row = summarise(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3), [], generator=rng)[0]
+    row = summarise(count_tiles(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)), [], generator=rng)[0]
     assert row["easr"] is None
     assert row["easr_low"] is None
     json.dumps(row, allow_nan=False)
@@ -159,12 +161,42 @@ def test_undefined_becomes_null(rng):
 
 def test_same_seed_same_rows():
     found = outcomes("T-U", "retinanet", [(1, 0), (1, 1), (1, 1), (0, 1)] * 5)
-    assert summarise(found, [], generator=np.random.default_rng(2)) == summarise(
-        found, [], generator=np.random.default_rng(2)
+    assert summarise(count_tiles(found), [], generator=np.random.default_rng(2)) == summarise(
+        count_tiles(found), [], generator=np.random.default_rng(2)
     )
 
 
-def test_names():
-    assert pooled_name("R-PixMa-12") == "R-PixMa"
-    assert pooled_name("T-U") == "T-U"
-    assert matched_control("T-PixMa") == "R-PixMa"
+@pytest.fixture
+def repeated(rng):
+    """Two seeds of one attack before two detectors; the second seed gains vehicles before yolov5."""
+    seeds = {
+        ("T-Pix-0", "retinanet"): [(1, 0)] * 12 + [(1, 1)] * 8,
+        ("T-Pix-1", "retinanet"): [(1, 0)] * 8 + [(1, 1)] * 12,
+        ("T-Pix-0", "yolov5"): [(1, 0)] * 5 + [(1, 1)] * 5 + [(0, 0)] * 10,
+        ("T-Pix-1", "yolov5"): [(1, 1)] * 10 + [(0, 1)] * 5 + [(0, 0)] * 5,
+        ("R-Pix-0", "retinanet"): [(1, 0)] * 2 + [(1, 1)] * 18,
+        ("R-Pix-0", "yolov5"): [(1, 1)] * 10 + [(0, 0)] * 10,
+    }
+    found = [o for (name, detector), detected in seeds.items() for o in outcomes(name, detector, detected)]
+    return {(row["camouflage"], row["detector"]): row for row in summarise(count_tiles(found), [], generator=rng)}
+
+
+def test_repeats_share_a_row_and_their_spread_is_said(repeated):
+    row = repeated["T-Pix", "retinanet"]
+    assert row["repeats"] == 2
+    assert row["easr"] == pytest.approx((12 / 20 + 8 / 20) / 2)
+    assert (row["easr_repeat_min"], row["easr_repeat_max"]) == (pytest.approx(0.4), pytest.approx(0.6))
+    assert row["easr_repeat_sd"] == pytest.approx(0.2 / 2**0.5)
+    assert row["net_easr"] == pytest.approx(0.5 - 0.1)
+    mean = repeated["T-Pix", "mean"]
+    # Per seed the mean over detectors: (0.6 + 0.5) / 2 and (0.4 - 0.5) / 2.
+    assert mean["easr"] == pytest.approx((0.55 - 0.05) / 2)
+    assert (mean["easr_repeat_min"], mean["easr_repeat_max"]) == (pytest.approx(-0.05), pytest.approx(0.55))
+    assert repeated["R-Pix", "retinanet"]["easr_repeat_sd"] is None
+
+
+def test_mcnemar_holds_for_every_repeat(repeated):
+    assert repeated["T-Pix", "retinanet"]["mcnemar_p"] == pytest.approx(mcnemar_p(8, 0))
+    # One seed loses five, the other gains five: nothing can be claimed of both.
+    assert repeated["T-Pix", "yolov5"]["mcnemar_p"] == 1
+    assert repeated["R-Pix", "retinanet"]["mcnemar_p"] is None

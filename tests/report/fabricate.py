@@ -8,7 +8,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from skyproof.evaluate.outcomes import Outcome, write_outcomes
-from skyproof.evaluate.summary import SetScore, summarise
+from skyproof.evaluate.sets import SetScore
+from skyproof.evaluate.summary import summarise
+from skyproof.evaluate.tiles import count_tiles
 from skyproof.files import write_json, write_jsonl
 
 DETECTORS = ("retinanet", "faster_rcnn")
@@ -83,7 +85,7 @@ def fabricate(folder, scenes=40):
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
     ]
-    write_json(folder / "results.json", {"rows": summarise(outcomes, sets, generator=rng)})
+    write_json(folder / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)})
     _write_rest(folder, rng)
     return folder
 

@@ -17,15 +17,15 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
 from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.evaluate.rates import false_alarms_per_km2
-from skyproof.evaluate.summary import SetScore, summarise
+from skyproof.evaluate.sets import ORIGINAL, SetScore, write_sets
+from skyproof.evaluate.summary import summarise
+from skyproof.evaluate.tiles import count_tiles, write_tiles
 from skyproof.files import finished_folder, write_json, write_jsonl
 from skyproof.scenes.coco import read_coco, read_visible_fractions
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import Scene, read_scenes
 
 __all__ = ["CleanSet", "Judge", "evaluate_pairs"]
-
-ORIGINAL = "original"
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ def evaluate_pairs(
         judges: detectors with thresholds.
         original: dataset without camouflage; its `scenes.jsonl` says the conditions.
         camouflaged: datasets of the same scenes by camouflage name.
-        folder: gets `outcomes.parquet`, `results.json`, `clean.json`, `detections/<dataset>/<detector>.jsonl`;
-            whole or not at all; must not exist yet.
+        folder: gets `outcomes.parquet`, `tiles.parquet`, `sets.json`, `results.json`, `clean.json`,
+            `detections/<dataset>/<detector>.jsonl`; whole or not at all; must not exist yet.
         renderer: named in the table.
         clean: further images to check the detectors on.
         seed: of the bootstrap.
@@ -79,7 +79,7 @@ def evaluate_pairs(
         The rows of `results.json`.
 
     Raises:
-        ConfigurationError: the datasets do not show the same scenes.
+        ConfigurationError: the datasets do not show the same scenes, or a detector finds no vehicle in `original`.
         StoredFileError: a dataset is missing or damaged.
         RunFolderError: the folder exists, or the disk cannot take it.
     """
@@ -107,13 +107,21 @@ def evaluate_pairs(
     scores: list[SetScore] = []
     checks: list[dict[str, Any]] = []
     with finished_folder(Path(folder)) as partial:
+        # All detectors see the clean set first: one that finds nothing there ends the evaluation before the long part.
+        unharmed: list[list[Detections]] = []
         for judge in judges:
             name = judge.detector.name
             found = detect_all(judge.detector, before.images)
             _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
+            check = _check(judge, CleanSet("rendered test", before), found)
+            if not check["recall"]:
+                raise _undefined(judge, original, check["vehicles"])
             scores.extend(_scores(ORIGINAL, renderer, judge, scenes, before, found))
-            checks.append(_check(judge, CleanSet("rendered test", before), found))
+            checks.append(check)
+            unharmed.append(found)
             step()
+        for judge, found in zip(judges, unharmed, strict=True):
+            name = judge.detector.name
             for camouflage, images in after.items():
                 hidden = detect_all(judge.detector, images.images)
                 place = partial / "detections" / Path(camouflaged[camouflage]).name / f"{name}.jsonl"
@@ -135,11 +143,26 @@ def evaluate_pairs(
             for each in clean:
                 checks.append(_check(judge, each, detect_all(judge.detector, each.images.images)))
                 step()
-        rows = summarise(outcomes, scores, generator=np.random.default_rng(seed))
+        tiles = count_tiles(outcomes)
+        rows = summarise(tiles, scores, generator=np.random.default_rng(seed))
         write_outcomes(partial / "outcomes.parquet", outcomes)
-        write_json(partial / "clean.json", checks)
+        write_tiles(partial / "tiles.parquet", tiles)
+        write_sets(partial / "sets.json", scores)
+        order = [judge.detector.name for judge in judges]
+        write_json(partial / "clean.json", sorted(checks, key=lambda check: order.index(check["detector"])))
         write_json(partial / "results.json", {"rows": rows})
     return rows
+
+
+def _undefined(judge: Judge, original: Path, vehicles: int) -> ConfigurationError:
+    """Without a vehicle found before, there is no share of them that a camouflage hides (PAPER 38)."""
+    name = judge.detector.name
+    if not vehicles:
+        return ConfigurationError(f"{original} shows no vehicles to hide; render scenes with vehicles.")
+    return ConfigurationError(
+        f"{name} finds none of the {vehicles} vehicles of {original} at its threshold of {judge.threshold:.4g}, so no "
+        "success rate (EASR) is defined for it; train it longer or on more images, or leave it out."
+    )
 
 
 def _check_names(judges: Sequence[Judge], datasets: Sequence[Path]) -> None:

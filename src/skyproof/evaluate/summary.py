@@ -1,88 +1,50 @@
-"""From outcomes to the table of results: one row per camouflage, renderer, detector and match criterion, and means."""
+"""From counts to the table of results: one row per camouflage, renderer, detector and match criterion, and means."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, mean_interval, resample
-from skyproof.evaluate.outcomes import MATCHES, Outcome
+from skyproof.evaluate.names import is_control, matched_control, pooled_name
+from skyproof.evaluate.outcomes import MATCHES
 from skyproof.evaluate.rates import attack_success_rate, enhancement_rate, overall_attack_success_rate
+from skyproof.evaluate.sets import ORIGINAL, SetScore
+from skyproof.evaluate.tiles import Series, TileCounts
 
-__all__ = ["MEAN", "ORIGINAL", "SetScore", "cluster_counts", "matched_control", "pooled_name", "summarise"]
+__all__ = ["MEAN", "summarise"]
 
 MEAN = "mean"
-ORIGINAL = "original"
-_DRAW = re.compile(r"(R-.+)-\d+")
 
 
-@dataclass(frozen=True)
-class SetScore:
-    """One detector on one whole set of images.
-
-    Attributes:
-        camouflage: as in the outcomes; "original" for the images without camouflage.
-        renderer, detector, match: as in the outcomes.
-        average_precision: in [0, 1].
-        false_alarms_per_km2: at the frozen threshold.
-    """
-
-    camouflage: str
-    renderer: str
-    detector: str
-    match: str
-    average_precision: float
-    false_alarms_per_km2: float
-
-
-def pooled_name(camouflage: str) -> str:
-    """The row a camouflage belongs to: draws "R-U-0", "R-U-1" of a random control share the row "R-U" (PAPER 34)."""
-    draw = _DRAW.fullmatch(camouflage)
-    return draw.group(1) if draw else camouflage
-
-
-def matched_control(camouflage: str) -> str:
-    """The random control of a camouflage: the same constraints without learning, "T-PixMa" to "R-PixMa" (PAPER 34)."""
-    return "R-" + camouflage.partition("-")[2]
-
-
-def cluster_counts(outcomes: Sequence[Outcome], clusters: Mapping[str, int]) -> Int[np.ndarray, "C 3"]:
-    """Pair counts (both, lost, gained) per background tile; `clusters` maps each tile to its row."""
-    counts = np.zeros((len(clusters), 3), dtype=np.int64)
-    for outcome in outcomes:
-        if outcome.detected_original:
-            counts[clusters[outcome.background], 0 if outcome.detected_adversarial else 1] += 1
-        elif outcome.detected_adversarial:
-            counts[clusters[outcome.background], 2] += 1
-    return counts
-
-
-def summarise(
-    outcomes: Sequence[Outcome], sets: Sequence[SetScore], *, generator: np.random.Generator
-) -> list[dict[str, Any]]:
+def summarise(tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator) -> list[dict[str, Any]]:
     """The rows of `results.json`: fractions, with None where undefined (PAPER 34, 37-41).
 
-    The draws of a random control are averaged, and net EASR is a camouflage's EASR minus that average, on the same
-    resampled tiles. Row "mean" is the unweighted mean over detectors (PAPER 39); it is undefined where one detector
-    found no vehicle before. Holm's correction runs over the detectors' rows of one match criterion, controls excluded.
+    Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one row: the mean over
+    repeats, and over detectors in row "mean" (unweighted, PAPER 39; undefined where one detector found no vehicle
+    before). Net EASR is a row's EASR minus its random control's. All of it on the same resampled tiles, so the
+    intervals cover which scenes were drawn, for these very repeats; how the repeats spread is said beside them by
+    `easr_repeat_sd` (sample standard deviation), `easr_repeat_min` and `easr_repeat_max`, None with one repeat.
+
+    `mcnemar_p` is the largest over the repeats, and 1 where some lose vehicles on balance and others gain them, so that
+    what it claims holds for every repeat. Holm's correction runs over the detectors' rows of one match criterion,
+    controls excluded.
 
     Args:
-        outcomes: of every camouflage, renderer, detector and match.
+        tiles: counts of every camouflage, renderer, detector and match.
         sets: average precision and false alarms of every set, "original" included; missing ones give None.
         generator: of the bootstrap.
     """
     rows: list[dict[str, Any]] = []
-    scores = {(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
+    scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
     for match in MATCHES:
-        for renderer in _unique(o.renderer for o in outcomes if o.match == match):
-            here = [o for o in outcomes if o.match == match and o.renderer == renderer]
+        for renderer in _unique(key.renderer for key in tiles.series if key.match == match):
+            here = {key: counts for key, counts in tiles.series.items() if key[1] == renderer and key[3] == match}
             rows.extend(_Table(here, scores, generator).rows(renderer, match))
     for match in MATCHES:
         tested = [row for row in rows if row["match"] == match and row["mcnemar_p"] is not None]
@@ -96,27 +58,24 @@ class _Table:
 
     def __init__(
         self,
-        outcomes: Sequence[Outcome],
-        scores: Mapping[tuple[str, str, str, str], SetScore],
+        series: Mapping[Series, Int[np.ndarray, "C 4"]],
+        scores: Mapping[Series, SetScore],
         generator: np.random.Generator,
     ) -> None:
-        clusters = {tile: index for index, tile in enumerate(sorted({o.background for o in outcomes}))}
-        groups: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
-        for outcome in outcomes:
-            groups[outcome.camouflage, outcome.detector].append(outcome)
-        self.counts = {key: cluster_counts(group, clusters) for key, group in groups.items()}
-        self.vehicles = {key: len(group) for key, group in groups.items()}
-        self.tiles = {key: len({o.background for o in group}) for key, group in groups.items()}
-        self.detectors = _unique(o.detector for o in outcomes)
-        self.draws: dict[str, list[str]] = defaultdict(list)
-        for camouflage in _unique(o.camouflage for o in outcomes):
-            self.draws[pooled_name(camouflage)].append(camouflage)
+        shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
+        self.counts = {(key.camouflage, key.detector): counts[shown, 1:] for key, counts in series.items()}
+        self.vehicles = {(key.camouflage, key.detector): int(counts[:, 0].sum()) for key, counts in series.items()}
+        self.tiles = {(key.camouflage, key.detector): int((counts[:, 0] > 0).sum()) for key, counts in series.items()}
+        self.detectors = _unique(key.detector for key in series)
+        self.repeats: dict[str, list[str]] = defaultdict(list)
+        for camouflage in _unique(key.camouflage for key in series):
+            self.repeats[pooled_name(camouflage)].append(camouflage)
         self.scores = scores
-        self.weights = resample(len(clusters), generator=generator)
+        self.weights = resample(int(shown.sum()), generator=generator)
 
     def rows(self, renderer: str, match: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []
-        for name, members in self.draws.items():
+        for name, members in self.repeats.items():
             present = [d for d in self.detectors if all((member, d) in self.counts for member in members)]
             selections = [(detector, [detector]) for detector in present]
             if len(present) > 1:
@@ -125,8 +84,8 @@ class _Table:
         return rows
 
     def _row(self, name: str, label: str, detectors: list[str], renderer: str, match: str) -> dict[str, Any]:
-        members = self.draws[name]
-        control = [] if name.startswith("R-") else self.draws.get(matched_control(name), [])
+        members = self.repeats[name]
+        control = [] if is_control(name) else self.repeats.get(matched_control(name), [])
         control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
         own = self._stack(members, detectors)
         easr = mean_interval(own, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
@@ -153,13 +112,13 @@ class _Table:
             net = _no_surer_than_its_parts(net, easr, chance)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
         row |= self._set_scores(members, detectors, renderer, match)
-        row |= {"clusters": self.tiles[members[0], detectors[0]], "draws": len(members)}
+        row |= {"clusters": self.tiles[members[0], detectors[0]], "repeats": len(members)}
+        row |= _spread(overall_attack_success_rate(own.sum(axis=1)).reshape(len(members), -1).mean(axis=1))
         row |= {"asr_low": asr.low, "asr_high": asr.high, "er_low": er.low, "er_high": er.high}
         row["random_easr"] = chance.estimate if control else None
         row |= {"random_draws": len(control), "mcnemar_p": None, "mcnemar_p_holm": None}
-        total = own.sum(axis=(0, 1))
-        if label != MEAN and len(members) == 1 and not name.startswith("R-"):
-            row["mcnemar_p"] = mcnemar_p(int(total[1]), int(total[2]))
+        if label != MEAN and not is_control(name):
+            row["mcnemar_p"] = _largest_p(own.sum(axis=1))
         return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
 
     def _stack(self, camouflages: list[str], detectors: list[str]) -> Int[np.ndarray, "S C 3"]:
@@ -169,7 +128,7 @@ class _Table:
         """AP before and after, APD (PAPER 41) and false alarms; nan where any of the sets was not scored."""
 
         def mean_of(camouflages: list[str], field: str) -> float:
-            found = [self.scores.get((c, renderer, d, match)) for c in camouflages for d in detectors]
+            found = [self.scores.get(Series(c, renderer, d, match)) for c in camouflages for d in detectors]
             return float(np.mean([math.nan if score is None else getattr(score, field) for score in found]))
 
         before, after = mean_of([ORIGINAL], "average_precision"), mean_of(members, "average_precision")
@@ -183,9 +142,22 @@ class _Table:
         }
 
 
-def _mean(rate: Any) -> Any:
-    """The unweighted mean of a rate over detectors (and draws), of summed counts `[..., S, 3]`."""
-    return lambda counts: rate(counts).mean(axis=-1)
+def _spread(easr: Float[np.ndarray, " repeats"]) -> dict[str, float]:
+    """How far the repeats of one row lie apart; nan with one repeat."""
+    several = len(easr) > 1
+    return {
+        "easr_repeat_sd": float(easr.std(ddof=1)) if several else math.nan,
+        "easr_repeat_min": float(easr.min()) if several else math.nan,
+        "easr_repeat_max": float(easr.max()) if several else math.nan,
+    }
+
+
+def _largest_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
+    """The largest of the repeats' McNemar p-values; 1 where they point both ways."""
+    balance = totals[:, 1] - totals[:, 2]
+    if balance.min() < 0 < balance.max():
+        return 1.0
+    return max(mcnemar_p(int(lost), int(gained)) for _, lost, gained in totals)
 
 
 def _no_surer_than_its_parts(net: Interval, easr: Interval, chance: Interval) -> Interval:

@@ -11,7 +11,7 @@ import numpy as np
 from skyproof.evaluate.intervals import Interval, mean_interval, resample
 from skyproof.evaluate.outcomes import Outcome
 from skyproof.evaluate.rates import overall_attack_success_rate
-from skyproof.evaluate.summary import cluster_counts
+from skyproof.evaluate.tiles import cluster_counts
 from skyproof.report.words import body_name
 
 __all__ = ["Bin", "Panel", "condition_panels"]

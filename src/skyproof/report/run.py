@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.errors import StoredFileError
+from skyproof.evaluate.names import is_control, matched_control
 from skyproof.evaluate.outcomes import Outcome, read_outcomes
 from skyproof.files import read_json, read_jsonl
 
@@ -89,9 +90,9 @@ class Run:
         found = []
         for name, renderer in dict.fromkeys((row["camouflage"], row["renderer"]) for row in rows):
             own = [row for row in rows if (row["camouflage"], row["renderer"]) == (name, renderer)]
-            control_name = "R-" + name.partition("-")[2]
-            if name.startswith("R-"):
+            if is_control(name):
                 continue
+            control_name = matched_control(name)
             control = {
                 row["detector"]: row for row in rows if (row["camouflage"], row["renderer"]) == (control_name, renderer)
             }

@@ -1,0 +1,76 @@
+"""Matched datasets to an evaluation folder, with a detector whose answers are known."""
+
+import json
+
+import pytest
+import torch
+
+from skyproof.detectors.detector import Detections
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.evaluation import Judge, evaluate_pairs
+from skyproof.evaluate.merge import merge_evaluations
+from skyproof.evaluate.outcomes import read_outcomes
+from skyproof.evaluate.tiles import Series, count_tiles
+from skyproof.scenes.coco import Annotation, CocoWriter
+from skyproof.scenes.scene import write_scenes
+
+
+class Brightest:
+    """Finds the vehicle in the middle with the brightness of the image as its score."""
+
+    def __init__(self, name="brightest"):
+        self.name = name
+        self.images = 0
+
+    def detect(self, images):
+        self.images += len(images)
+        box = torch.tensor([[22.0, 22.0, 42.0, 42.0]])
+        return [Detections(box, image.mean().reshape(1)) for image in images]
+
+
+@pytest.fixture
+def make_dataset(tmp_path, make_scene):
+    def make(name, brightness, vehicles=1):
+        """One 64 px image per value of `brightness`, each on a tile of its own."""
+        scenes = [make_scene(f"s{i}", f"tile-{i}", vehicles) for i in range(len(brightness))]
+        mask = torch.zeros(64, 64, dtype=torch.bool)
+        mask[22:42, 22:42] = True
+        with CocoWriter(tmp_path / name, gsd_m=0.125) as writer:
+            for scene, value in zip(scenes, brightness, strict=True):
+                vehicle = Annotation((22.0, 22.0, 42.0, 42.0), (32.0, 32.0), 1.0, mask, "pick-up-0000", 0)
+                image = torch.full((3, 64, 64), value, dtype=torch.uint8)
+                writer.add(image, scene.id, [vehicle] * vehicles)
+        write_scenes(tmp_path / name / "scenes.jsonl", scenes)
+        return tmp_path / name
+
+    return make
+
+
+def test_all_that_was_found_is_written(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200, 200, 50]), make_dataset("test-T-U-0", [50, 50, 200, 200])
+    judge = Judge(Brightest(), 0.5)
+    rows = evaluate_pairs([judge], original, {"T-U-0": hidden}, tmp_path / "evaluation")
+    row = next(row for row in rows if row["match"] == "centre_1m")
+    assert (row["camouflage"], row["asr"], row["er"]) == ("T-U", pytest.approx(2 / 3), pytest.approx(1 / 3))
+    tiles, sets = merge_evaluations([tmp_path / "evaluation"])
+    counted = count_tiles(read_outcomes(tmp_path / "evaluation" / "outcomes.parquet"))
+    key = Series("T-U-0", "torch", "brightest", "centre_1m")
+    expected = [[1, 0, 1, 0], [1, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 1]]
+    assert tiles.series[key].tolist() == counted.series[key].tolist() == expected
+    assert [score.camouflage for score in sets if score.match == "centre_1m"] == ["original", "T-U-0"]
+    assert json.loads((tmp_path / "evaluation" / "results.json").read_text())["rows"] == rows
+
+
+def test_a_detector_that_finds_nothing_is_refused_before_the_long_part(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
+    good, silent = Brightest("good"), Brightest("silent")
+    with pytest.raises(ConfigurationError, match=r"silent finds none of the 2 vehicles .* threshold of 0\.9.*EASR"):
+        evaluate_pairs([Judge(good, 0.5), Judge(silent, 0.9)], original, {"T-U": hidden}, tmp_path / "evaluation")
+    assert (good.images, silent.images) == (2, 2)
+    assert not (tmp_path / "evaluation").exists()
+
+
+def test_a_set_without_vehicles_is_refused(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200], 0), make_dataset("test-T-U", [50, 50], 0)
+    with pytest.raises(ConfigurationError, match="shows no vehicles to hide"):
+        evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
