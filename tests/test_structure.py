@@ -14,7 +14,7 @@ FLOORS = [
     {"camouflage", "render", "detectors"},
     {"attacks", "evaluate"},
     {"report", "workflow"},
-    {"cli", "__init__"},
+    {"api", "cli", "__init__"},
     {"__main__"},
 ]
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}

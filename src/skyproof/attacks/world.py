@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
@@ -10,6 +11,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
+from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import Scene
@@ -39,6 +41,13 @@ class AttackWorld:
             raise ConfigurationError("An attack needs a differentiable renderer.")
         if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
             raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
+
+    @classmethod
+    def open(cls, backgrounds: Path, fleet: Path, scenes: SceneSettings | None = None) -> AttackWorld:
+        """The differentiable renderer on a background set folder and a fleet folder; by default 384 px, one vehicle."""
+        photographs = BackgroundSet.open(Path(backgrounds))
+        drawn = scenes or SceneSettings(gsd_m=photographs.gsd_m, vehicles_maximum=1)
+        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), drawn)
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Random scenes on the attack backgrounds."""

@@ -30,8 +30,8 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
 
     Returns:
         "name"; "score" with the three signs of texture and shape and their "total"; "texture" and "shape" with means
-        as `mean_measures` and `ShapeMeasures` name them, None for a side that is left
-        alone. Of the shape, "share_self_intersecting" is the share of vehicles with more self-intersections than as built.
+        as `mean_measures` and `ShapeMeasures` name them, None for a side left alone. Of the shape,
+        "share_self_intersecting" is the share of vehicles with more self-intersections than as built.
     """
     texture, shape = _parts(camouflage)
     changed = shape is not None and shape.magnitude > 0

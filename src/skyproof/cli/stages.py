@@ -179,8 +179,7 @@ def attack_ensemble(
             f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
         )
     models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
-    photographs = BackgroundSet.open(backgrounds)
-    world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
+    world = AttackWorld.open(backgrounds, fleet, scenes)
     generator = generator_of(settings.seed, "texture", name)
     camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
     signs = {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)
@@ -207,12 +206,9 @@ def draw_control(name: str, folder: Path, seed: int, *, materials: Materials | N
 
 def ground_palette(backgrounds: Path, out: Path, *, colours: int, seed: int) -> None:
     """The palette of the ground that attacks see, evenly from all of their tiles (PAPER 33)."""
-    photographs, generator = BackgroundSet.open(backgrounds), generator_of(seed, "palette")
-    pixels = []
-    for tile in photographs.tiles("attack"):
-        flat = photographs.pixels(tile.id).flatten(1)
-        pixels.append(flat[:, torch.randint(flat.shape[1], (_PALETTE_PIXELS,), generator=generator)].T)
-    palette = fit_palette(torch.cat(pixels).float() / 255, colours, seed=seed)
+    generator = generator_of(seed, "palette")
+    pixels = BackgroundSet.open(backgrounds).sample_pixels("attack", _PALETTE_PIXELS, generator=generator)
+    palette = fit_palette(pixels, colours, seed=seed)
     save_palette(out, palette, {"backgrounds": str(backgrounds), "split": "attack", "seed": seed})
 
 

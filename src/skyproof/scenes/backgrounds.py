@@ -164,6 +164,14 @@ class BackgroundSet:
         sampled = F.grid_sample(crop[None], grid, mode="bilinear", padding_mode="border", align_corners=False)
         return sampled[0].div_(255)
 
+    def sample_pixels(self, split: str, per_tile: int, *, generator: torch.Generator) -> Float[Tensor, "P 3"]:
+        """Random pixels of a split, as many from each of its tiles, sRGB in [0, 1]."""
+        drawn = []
+        for tile in self.tiles(split):
+            flat = self.pixels(tile.id).flatten(1)
+            drawn.append(flat[:, torch.randint(flat.shape[1], (per_tile,), generator=generator)].T)
+        return torch.cat(drawn).float() / 255 if drawn else torch.zeros(0, 3)
+
     def sample_window(self, split: str, size_px: int, *, generator: torch.Generator) -> BackgroundWindow:
         """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
 

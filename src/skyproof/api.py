@@ -1,0 +1,57 @@
+"""The names that programs need, in one place: `import skyproof.api as sp`."""
+
+from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.sign_test import sign_test
+from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.account import practicality_account
+from skyproof.camouflage.camouflage import Camouflage, NoCamouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.palette import fit_palette
+from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
+from skyproof.detectors.folder import load_detector
+from skyproof.evaluate.evaluation import Judge, evaluate_pairs
+from skyproof.render.dataset import render_dataset
+from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import read_scenes
+from skyproof.vehicles.fleet import Fleet
+
+__all__ = [
+    "AttackSettings",
+    "AttackWorld",
+    "BackgroundSet",
+    "Camouflage",
+    "Candidates",
+    "Combination",
+    "Detections",
+    "Detector",
+    "DisplacementMap",
+    "Fleet",
+    "Judge",
+    "Materials",
+    "NoCamouflage",
+    "SceneSettings",
+    "TextureConstraints",
+    "TorchRenderer",
+    "TrainableDetector",
+    "UniversalTexture",
+    "attack",
+    "evaluate_pairs",
+    "fit_palette",
+    "load_camouflage",
+    "load_detector",
+    "make_camouflage",
+    "practicality_account",
+    "read_recipe",
+    "read_scenes",
+    "render_dataset",
+    "sample_scenes",
+    "save_camouflage",
+    "sign_test",
+]
