@@ -13,7 +13,7 @@ FLOORS = [
     {"scenes", "vehicles"},
     {"camouflage", "render", "detectors"},
     {"attacks", "evaluate"},
-    {"report"},
+    {"report", "workflow"},
     {"api", "cli", "__init__"},
     {"__main__"},
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -11,7 +10,7 @@ from pathlib import Path
 import torch
 
 from skyproof.attacks.attack import AttackSettings
-from skyproof.cli.console import progress_bar, say
+from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.run_folder import RunFolder
 from skyproof.cli.stages import (
@@ -19,56 +18,36 @@ from skyproof.cli.stages import (
     choose_device,
     draw_control,
     evaluate_folders,
-    generator_of,
     paint_portrait,
     render_folder,
     train_detector,
 )
+from skyproof.cli.world import GSD_M, WorldSizes, scene_settings, write_fleet, write_ground, write_scene_files
 from skyproof.detectors.folder import build_detector
 from skyproof.detectors.training import TrainingSettings
 from skyproof.errors import ConfigurationError
-from skyproof.files import finished_folder, read_json, write_bytes
+from skyproof.files import read_json, write_bytes
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
-from skyproof.scenes.orthophotos import tile_orthophotos
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
-from skyproof.scenes.scene import write_scenes
-from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from skyproof.scenes.backgrounds import SPLITS
 
-__all__ = ["Demo", "run_demo"]
-
-GSD_M = 0.125
+__all__ = ["Demo", "check_detectors", "run_demo"]
 
 
 @dataclass(frozen=True)
-class DemoSizes:
+class DemoSizes(WorldSizes):
     """How much of everything; the defaults fit 15 minutes on 2 CPU cores.
 
     Attributes:
-        image_px: image side; vehicles are of true size at 12.5 cm per pixel.
-        tiles: procedural ground tiles per split (train, validation, attack, test), when no imagery is given.
-        vehicles: vehicles in the fleet per split.
-        training_images: rendered images to train on.
-        validation_images: to choose weights and threshold by.
-        test_images: to attack and report on.
-        training_vehicles: at most so many in one training image; validation and test have 1 to 5 (PAPER 5).
         random_draws: random controls to compare with (PAPER 37).
     """
 
-    image_px: int = 192
-    tiles: tuple[int, int, int, int] = (64, 12, 24, 40)
-    vehicles: tuple[int, int, int, int] = (64, 16, 32, 32)
-    training_images: int = 2000
-    validation_images: int = 120
-    test_images: int = 120
-    training_vehicles: int = 7
     random_draws: int = 3
 
     def __post_init__(self) -> None:
-        counts = (self.training_images, self.validation_images, self.test_images, self.training_vehicles)
-        if min(self.image_px, *self.tiles, *self.vehicles, *counts) < 1 or self.random_draws < 0:
-            raise ConfigurationError(f"--sizes expects counts of at least 1 (random draws: 0), but got {self}.")
+        super().__post_init__()
+        if self.random_draws < 0:
+            raise ConfigurationError(f"--sizes expects at least 0 random draws, but got {self}.")
 
 
 @dataclass(frozen=True)
@@ -127,16 +106,17 @@ def run_demo(demo: Demo) -> None:
     if report.exists():
         say(f"This run is finished. Report: {report.resolve()}")
         return
-    _check_detectors(demo.detectors)
+    check_detectors(demo.detectors)
     # Read first: a mistake in these folders should show before an hour's work, not after it.
     clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
     run.start(str(device))
     say(f"skyproof demo on {device}, detectors {', '.join(demo.detectors)}, run folder {out}")
 
-    run.stage("backgrounds", out / "backgrounds", partial(_backgrounds, demo, out / "backgrounds"))
-    for index, split in enumerate(SPLITS):
-        run.stage("vehicles", out / "fleets" / split, partial(_fleet, demo, split, index))
-    run.stage("scenes", out / "scenes", partial(_scenes, demo))
+    ground = partial(write_ground, out, sizes, seed, imagery=demo.imagery, assumed_gsd_m=demo.gsd)
+    run.stage("backgrounds", out / "backgrounds", ground)
+    for split in SPLITS:
+        run.stage("vehicles", out / "fleets" / split, partial(write_fleet, out, sizes, seed, split))
+    run.stage("scenes", out / "scenes", partial(write_scene_files, out, sizes, seed))
     for split in ("train", "validation", "test"):
         place = out / "datasets" / split
         run.stage("render", place, partial(_render, out, split, place, device))
@@ -170,65 +150,12 @@ def run_demo(demo: Demo) -> None:
     say(f"Report: {written.resolve()}")
 
 
-def _check_detectors(names: Sequence[str]) -> None:
+def check_detectors(names: Sequence[str], size: str = "slim") -> None:
     """Shows a mistake before the ground is drawn, not when training begins."""
     if len(set(names)) != len(names) or not names:
         raise ConfigurationError("--detectors expects each detector once, and at least one.")
     for name in names:
-        build_detector(name, "slim", generator=torch.Generator())
-
-
-def _backgrounds(demo: Demo, place: Path) -> None:
-    window_px = math.ceil(demo.sizes.image_px * math.sqrt(2)) + 2
-    with finished_folder(place) as folder, progress_bar("ground tiles") as update:
-        if demo.imagery:
-            tile_orthophotos(
-                demo.imagery,
-                folder,
-                tile_px=window_px * 3 // 2,
-                minimum_tile_px=window_px,
-                generator=generator_of(demo.seed, "imagery"),
-                assumed_gsd_m=demo.gsd,
-                progress=update,
-            )
-        else:
-            counts = dict(zip(SPLITS, demo.sizes.tiles, strict=True))
-            write_procedural_backgrounds(folder, counts, window_px + 112, seed=demo.seed, progress=update)
-
-
-def _fleet(demo: Demo, split: str, index: int) -> None:
-    # Numbers go on from split to split: no vehicle is in two of them.
-    settings = FleetSettings(count=demo.sizes.vehicles[index], first_number=sum(demo.sizes.vehicles[:index]))
-    with progress_bar(f"vehicles {split}") as update:
-        fleet = sample_fleet(settings, generator=generator_of(demo.seed, "fleet", split), progress=update)
-    fleet.save(demo.out / "fleets" / split)
-
-
-def _scene_settings(demo: Demo) -> SceneSettings:
-    return SceneSettings(size_px=demo.sizes.image_px, gsd_m=GSD_M)
-
-
-def _scenes(demo: Demo) -> None:
-    backgrounds = BackgroundSet.open(demo.out / "backgrounds")
-    usual = _scene_settings(demo)
-    wanted = {
-        # Some training images are empty, so that ground alone is learnt too.
-        "train": (
-            demo.sizes.training_images,
-            replace(usual, vehicles_minimum=0, vehicles_maximum=demo.sizes.training_vehicles),
-        ),
-        "validation": (demo.sizes.validation_images, usual),
-        "test": (demo.sizes.test_images, usual),
-    }
-    with finished_folder(demo.out / "scenes") as folder:
-        for split, (count, settings) in wanted.items():
-            fleet = Fleet.load(demo.out / "fleets" / split)
-            vehicle_sizes_m = {name: fleet.size_m(name) for name in fleet.ids}
-            generator = generator_of(demo.seed, "scenes", split)
-            scenes = sample_scenes(
-                settings, backgrounds, split, vehicle_sizes_m, count, generator=generator, prefix=split
-            )
-            write_scenes(folder / f"{split}.jsonl", scenes)
+        build_detector(name, size, generator=torch.Generator())
 
 
 def _render(out: Path, split: str, place: Path, device: torch.device, camouflage: Path | None = None) -> None:
@@ -256,7 +183,7 @@ def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.d
         detectors,
         demo.out / "backgrounds",
         demo.out / "fleets" / "attack",
-        replace(_scene_settings(demo), vehicles_maximum=1),
+        replace(scene_settings(demo.sizes), vehicles_maximum=1),
         replace(demo.attack, seed=demo.seed + demo.attack.seed),
         folder,
         device=device,

@@ -14,12 +14,15 @@ from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.reproduce import Reproduce
+from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
 
 __all__ = ["run"]
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
+    "world": World,
     "render": Render,
     "train": Train,
     "palette": Palette,
@@ -29,6 +32,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "measure": Measure,
     "evaluate": Evaluate,
     "report": Report,
+    "reproduce": Reproduce,
     "bench": Bench,
 }
 
