@@ -32,7 +32,7 @@ class Preset:
         training: per detector, options of `skyproof train`.
         attack: options of `skyproof attack --settings.*`, the same for all.
         attack_image_px: image side in attacks.
-        attack_steps: by kind: texture, shape, combined.
+        attack_steps: by kind: texture, shape, sequential, parallel.
         textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also make parallel
             combinations.
         repeats: attacks of each kind, from different seeds.
@@ -89,8 +89,8 @@ class Preset:
         unfit = [pm for pm in (*preset.magnitudes, *preset.masked_magnitudes) if not 0 < pm <= 1]
         if unfit:
             raise ConfigurationError(f"A preset expects magnitudes above 0 and up to 1, got {unfit}.")
-        if set(preset.attack_steps) != {"texture", "shape", "combined"}:
-            raise ConfigurationError("A preset expects attack_steps for texture, shape and combined.")
+        if set(preset.attack_steps) != {"texture", "shape", "sequential", "parallel"}:
+            raise ConfigurationError("A preset expects attack_steps for texture, shape, sequential and parallel.")
         return preset
 
 
@@ -119,7 +119,7 @@ class AttackJob:
 
     Attributes:
         name: of the camouflage, with its repeat.
-        kind: texture, shape or combined.
+        kind: texture, shape, sequential or parallel.
         seed: of the attack.
         detectors: attacked together.
         fixed_colours: whether it needs the palette.
@@ -129,7 +129,7 @@ class AttackJob:
     """
 
     name: str
-    kind: Literal["texture", "shape", "combined"]
+    kind: Literal["texture", "shape", "sequential", "parallel"]
     seed: int
     detectors: tuple[str, ...]
     fixed_colours: bool = False
@@ -207,9 +207,11 @@ class Plan:
                 jobs.append(self._job(f"S-O@{pm:g}", repeat, "shape", None, pm=pm))
             for texture, pm in [(each, pm) for each in self._textures for pm in self._grid(each)]:
                 under = f"T-{texture.name}-{repeat}"
-                jobs.append(self._job(f"C-{texture.name}-seq@{pm:g}", repeat, "combined", texture, pm=pm, under=under))
+                jobs.append(
+                    self._job(f"C-{texture.name}-seq@{pm:g}", repeat, "sequential", texture, pm=pm, under=under)
+                )
             for texture, pm in itertools.product(parallel, self.preset.magnitudes):
-                jobs.append(self._job(f"C-{texture.name}-par@{pm:g}", repeat, "combined", texture, pm=pm))
+                jobs.append(self._job(f"C-{texture.name}-par@{pm:g}", repeat, "parallel", texture, pm=pm))
         return jobs
 
     def _transfers(self) -> list[tuple[str, tuple[str, ...]]]:
@@ -229,7 +231,7 @@ class Plan:
         self,
         base: str,
         repeat: int,
-        kind: Literal["texture", "shape", "combined"],
+        kind: Literal["texture", "shape", "sequential", "parallel"],
         texture: TextureConstraints | None,
         *,
         pm: float | None = None,
