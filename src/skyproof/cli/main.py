@@ -15,6 +15,7 @@ from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
 from skyproof.cli.reproduce import Reproduce
+from skyproof.cli.tables import Tables
 from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
 
@@ -33,6 +34,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": Evaluate,
     "report": Report,
     "reproduce": Reproduce,
+    "tables": Tables,
     "bench": Bench,
 }
 

@@ -23,7 +23,7 @@ __all__ = ["condition_figure", "forest_figure", "loss_figure"]
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#767676", "#1b2733"
 _CYCLE = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 11,
     "axes.spines.top": False,
@@ -41,7 +41,7 @@ _STYLE: Any = {
 def forest_figure(headline: Headline) -> str:
     """Per detector: share hidden (EASR), net of the random control, and the control itself, with 95 % intervals."""
     rows = headline.by_detector
-    with plt.rc_context(_STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}):
+    with plt.rc_context(STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}):
         figure, axes = plt.subplots(figsize=(8.5, 1.3 + 0.72 * len(rows)), layout="constrained")
         series = [
             ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [(row, "easr") for row in rows]),
@@ -83,7 +83,7 @@ def _point(axes: Any, row: Mapping[str, Any], key: str, y: float, marker: str, c
 
 def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]]) -> str:
     """Loss against step; each curve is (step, loss) pairs, smoothed over a fiftieth of its length on top of raw."""
-    with plt.rc_context(_STYLE | {"svg.hashsalt": title}):
+    with plt.rc_context(STYLE | {"svg.hashsalt": title}):
         figure, axes = plt.subplots(figsize=(5.6, 3.2), layout="constrained")
         positive = True
         for index, (name, points) in enumerate(curves.items()):
@@ -117,7 +117,7 @@ def condition_figure(panels: Sequence[Panel]) -> str:
     """Small multiples: share hidden by condition, with intervals and the number of vehicles under each bar."""
     columns = 2
     lines = math.ceil(len(panels) / columns)
-    with plt.rc_context(_STYLE | {"svg.hashsalt": "conditions"}):
+    with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):
         figure, grid = plt.subplots(
             lines, columns, figsize=(9.2, 2.9 * lines), layout="constrained", squeeze=False, sharey=True
         )

@@ -1,0 +1,241 @@
+"""The page of a reproduction, in Markdown: both tables, the figure, and what backs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from skyproof.evaluate.paper_results import PAPER_RESULTS
+from skyproof.report.reproduction_run import Reproduction
+from skyproof.report.reproduction_tables import Table, comparison
+from skyproof.report.words import detector_name, probability
+
+__all__ = ["reproduction_page", "shape_table", "texture_table"]
+
+_SURE = 0.05
+
+
+def reproduction_page(run: Reproduction, tables: Mapping[str, Table], agreement: Sequence[str]) -> str:
+    """The whole page.
+
+    Args:
+        run: the reproduction.
+        tables: by name.
+        agreement: sentences on how our order agrees with the paper's.
+    """
+    detectors = ", ".join(map(detector_name, run.detectors))
+    parts = [
+        f"# {run.config.get('title', 'The paper’s tables')}",
+        f"All rates in percent, of the test vehicles that a detector found before; mean over {detectors}. Brackets "
+        "hold 95 % bootstrap intervals over background tiles, “repeats” the range over attacks from different seeds. "
+        "“random” is the EASR of random draws under the same constraints, “net” the EASR minus that. “paper” is what "
+        "the paper reports for its own renderer († only in its source’s comments).",
+        _about(run),
+        "## Textures",
+        texture_table(tables["textures"]),
+        "## Shape and combinations",
+        "At PM\\*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is chosen on the same "
+        "vehicles, so P1 is a little too high; “chosen” says in how many percent of bootstrap replicates it would be. "
+        "PM 0 is the texture alone.",
+        shape_table(tables["shape_combined"]),
+        "![EASR against practicality](easr_vs_pr.png)",
+        "## Does our order agree with the paper’s?",
+        *agreement,
+        _order(run),
+        "## Can the attacks be trusted?",
+        _signs(tables["signs"]),
+        "### Strength ladder",
+        _ladder(tables["ladder"]),
+        "### Rounding to few colours",
+        _gap(tables["gap"]),
+        "## Transfer",
+        _transfer(tables["transfer"], run),
+        "## Practicality",
+        _practicality(tables["practicality"]),
+        "## Files",
+        "\n".join(f"- [{name}.csv]({name}.csv)" for name in tables),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def texture_table(table: Table) -> str:
+    """The paper's first table as Markdown."""
+    header = ["attack", "practicality", "EASR", "repeats", "random", "net", "APD", "paper EASR", "paper APD"]
+    return _markdown(header, [[row["attack"], _sign(row["practicality"]), *_cells(row)] for row in table.rows])
+
+
+def shape_table(table: Table) -> str:
+    """The paper's second table as Markdown."""
+    header = ["attack", "PM*", "chosen", "Pr*", "P1", "EASR", "repeats", "random", "net", "APD", "paper EASR"]
+    header += ["paper APD", "paper PM*", "our EASR there"]
+    rows = []
+    for row in table.rows:
+        first = [row["attack"], f"{row['pm_star']:g}", _number(row["pm_star_share"], 0), f"{row['pr_star']:.1f}"]
+        there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
+        last = [there, _number(row["easr_at_paper_pm_star"])]
+        rows.append([*first, _number(row["p1_star"], 2), *_cells(row), *last])
+    return _markdown(header, rows)
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    paper = PAPER_RESULTS.get(row["attack"])
+    return [
+        _bracket(row, "easr"),
+        _range(row["easr_repeat_min"], row["easr_repeat_max"]),
+        _number(row["random_easr"]),
+        _bracket(row, "net_easr"),
+        _number(row["apd"]),
+        _number(row["paper_easr"], 2) + ("†" if paper and paper.commented else ""),
+        _number(row["paper_apd"], 2),
+    ]
+
+
+def _about(run: Reproduction) -> str:
+    about = run.environment
+    if not about:
+        return ""
+
+    def said(key: str) -> Any:
+        return about.get(key) or "–"
+
+    commands = "; ".join(f"`{command}`" for command in about.get("commands", []))
+    lines = [f"- {commands}", f"- skyproof {said('skyproof')}, commit {said('commit')}, torch {said('torch')}"]
+    lines.append(f"- {said('cores')} cores of {said('cpu')}, device {said('device')}; started {said('started')}")
+    if run.hours:
+        lines.append(f"- all jobs together {run.hours:.1f} h")
+    return "\n".join(lines)
+
+
+def _order(run: Reproduction) -> str:
+    """Ranks of ours and the paper's, where they differ most on top."""
+    ours = comparison(run)
+    names = [name for name in ours if not name.startswith("R-")]
+    ranks = {}
+    for name in names:
+        own = 1 + sum(ours[other] > ours[name] for other in names)
+        theirs = 1 + sum(PAPER_RESULTS[other].easr > PAPER_RESULTS[name].easr for other in names)
+        ranks[name] = (own, theirs)
+    rows = [
+        [name, str(own), str(theirs), _number(ours[name]), _number(PAPER_RESULTS[name].easr, 2)]
+        for name, (own, theirs) in sorted(ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1]))
+        if own != theirs
+    ]
+    if not rows:
+        return "Every attack has the rank that it has in the paper." if ranks else ""
+    header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
+    return f"Of {len(names)} attacks, these rank differently (1 is the strongest):\n\n" + _markdown(header, rows)
+
+
+def _signs(table: Table) -> str:
+    if not table.rows:
+        return ""
+    lower = [row for row in table.rows if row["mean_change"] < 0]
+    sure = [row for row in table.rows if row["p"] < _SURE]
+    others = [row for row in table.rows if row["mean_change"] >= 0]
+    text = (
+        f"Sign test: one step along an attack’s gradient lowered the mean score on the target in {len(lower)} of "
+        f"{len(table.rows)} pairs of attack and detector; in {len(sure)} it fell in more scenes than chance explains "
+        f"(exact, p < {_SURE})."
+    )
+    if others:
+        header = ["did not fall", "detector", "scenes", "fell", "p", "mean change"]
+        cells = [
+            [row["attack"], row["detector"], str(row["scenes"]), str(row["fell"]), probability(row["p"]),
+             f"{row['mean_change']:+.4f}".replace("-", "−")]
+            for row in others
+        ]  # fmt: skip
+        text += "\n\n" + _markdown(header, cells)
+    return text
+
+
+def _ladder(table: Table) -> str:
+    if not table.rows:
+        return ""
+    columns = sorted(
+        (c for c in table.columns if c.startswith("after_") and c != "after_all"), key=lambda c: int(c[6:])
+    )
+    columns.append("after_all")
+    holds = sum(row["never_surely_falls"] is True for row in table.rows)
+    strict = sum(row["never_falls"] is True for row in table.rows)
+    text = (
+        f"EASR of the first repeat after so many steps. From rung to rung it never falls in {strict} of "
+        f"{len(table.rows)} attacks; in {holds} no fall is certain (its 95 % interval reaches zero)."
+    )
+    rows = [
+        [row["attack"], *(_number(row.get(column)) for column in columns), _word(row["never_falls"]),
+         _word(row["never_surely_falls"])]
+        for row in table.rows
+    ]  # fmt: skip
+    return f"{text}\n\n" + _markdown(
+        ["attack", *(column[6:].replace("all", "all steps") for column in columns), "never falls", "no certain fall"],
+        rows,
+    )
+
+
+def _gap(table: Table) -> str:
+    rows = [[row["attack"], _number(row["easr_before"]), _number(row["easr_after"])] for row in table.rows]
+    return _markdown(["attack", "EASR before", "EASR after"], rows) if rows else "No attack on few colours was kept."
+
+
+def _transfer(table: Table, run: Reproduction) -> str:
+    rows = [
+        [row["attack"], row["attacked_on"], *(_bracket(row, detector, detector) for detector in run.detectors)]
+        for row in table.rows
+    ]
+    header = ["attack", "learnt on", *(f"EASR on {detector_name(detector)}" for detector in run.detectors)]
+    return _markdown(header, rows) if rows else "Not part of this preset."
+
+
+def _practicality(table: Table) -> str:
+    chosen = {
+        "texture_painted_area_m2": ("painted, m²", 1),
+        "texture_colours": ("colours", 0),
+        "texture_blocks": ("blocks", 0),
+        "texture_block_roof_u_cm": ("block on the roof, cm", 0),
+        "texture_boundary_m": ("boundaries, m", 0),
+        "shape_added_volume_m3": ("added volume, m³", 2),
+        "shape_share_self_intersecting": ("share self-intersecting", 2),
+    }
+    rows = [
+        [
+            row["attack"],
+            _sign(row["practicality"]),
+            *(_number(row.get(key), digits) for key, (_, digits) in chosen.items()),
+        ]
+        for row in table.rows
+    ]
+    if not rows:
+        return ""
+    text = "The paper’s signs, summed, and means over the test fleet measured beside them."
+    return f"{text}\n\n" + _markdown(["attack", "practicality", *(label for label, _ in chosen.values())], rows)
+
+
+def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _bracket(row: Mapping[str, Any], key: str, prefix: str | None = None) -> str:
+    prefix = prefix or key
+    value, low, high = row.get(key), row.get(f"{prefix}_low"), row.get(f"{prefix}_high")
+    limits = "" if low is None or high is None else f" ({_number(low)} to {_number(high)})"
+    return _number(value) + limits
+
+
+def _range(low: float | None, high: float | None) -> str:
+    return "–" if low is None or high is None else f"{_number(low)} to {_number(high)}"
+
+
+def _number(value: float | int | None, digits: int = 1) -> str:
+    if value is None or value != value:
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def _sign(value: int | None) -> str:
+    return "–" if value is None else f"{value:+d}".replace("-", "−") if value else "0"
+
+
+def _word(value: bool | None) -> str:
+    return "–" if value is None else "yes" if value else "no"

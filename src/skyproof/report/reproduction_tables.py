@@ -1,0 +1,256 @@
+"""The tables of a reproduction: our numbers, in percent, beside the paper's."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from skyproof.evaluate.paper_results import PAPER_RESULTS
+from skyproof.report.reproduction_run import Reproduction
+
+__all__ = ["Table", "comparison", "reproduction_tables"]
+
+_TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
+_LEARNT = re.compile(r"T-[A-Za-z]+")
+_RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table.
+
+    Attributes:
+        name: of its file.
+        rows: values by column, numbers unrounded; None where undefined.
+    """
+
+    name: str
+    rows: Sequence[Mapping[str, Any]]
+
+    @property
+    def columns(self) -> list[str]:
+        """Of all rows, in the order of their first use."""
+        return list(dict.fromkeys(column for row in self.rows for column in row))
+
+    def csv(self) -> str:
+        """Comma-separated, numbers to four decimals, "–" where undefined."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        for row in self.rows:
+            writer.writerow([_plain(row.get(column)) for column in self.columns])
+        return text.getvalue()
+
+
+def reproduction_tables(run: Reproduction) -> dict[str, Table]:
+    """All tables by name."""
+    made = [
+        Table("textures", _textures(run)),
+        Table("shape_combined", _shapes(run)),
+        Table("curves", _curves(run)),
+        Table("practicality", _practicality(run)),
+        Table("transfer", _transfer(run)),
+        Table("ladder", _ladder(run)),
+        Table("signs", _signs(run)),
+        Table("gap", _gap(run)),
+    ]
+    return {table.name: table for table in made}
+
+
+def comparison(run: Reproduction) -> dict[str, float]:
+    """Our EASR of everything the paper has too, in percent: textures and controls by name, shapes at their PM*."""
+    found = {name: run.row(name) for name in run.names if _TEXTURE.fullmatch(name)}
+    found |= {family: run.row_at(family, curve.best) for family, curve in run.curves.items()}
+    return {
+        name: 100 * row["easr"]
+        for name, row in found.items()
+        if name in PAPER_RESULTS and row is not None and row["easr"] is not None
+    }
+
+
+def _textures(run: Reproduction) -> list[dict[str, Any]]:
+    rows = []
+    for name in run.names:
+        if not _TEXTURE.fullmatch(name):
+            continue
+        paper = PAPER_RESULTS.get(name)
+        measured = run.measures.get(name, {}).get("score", {})
+        rows.append(
+            {
+                "attack": name,
+                "practicality": measured.get("total"),
+                **_ours(run.row(name)),
+                "paper_easr": paper.easr if paper else None,
+                "paper_apd": paper.apd if paper else None,
+            }
+        )
+    return rows
+
+
+def _shapes(run: Reproduction) -> list[dict[str, Any]]:
+    rows = []
+    for family, curve in run.curves.items():
+        best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
+        paper = PAPER_RESULTS.get(family)
+        magnitude = paper.perturbation_magnitude if paper else None
+        same = next((point.easr for point in curve.points if point.perturbation_magnitude == magnitude), None)
+        rows.append(
+            {
+                "attack": family,
+                "pm_star": curve.best,
+                "pm_star_share": 100 * best.share_best,
+                "pr_star": best.practicality,
+                "p1_star": best.p1,
+                **_ours(run.row_at(family, curve.best)),
+                "paper_pm_star": magnitude,
+                "paper_easr": paper.easr if paper else None,
+                "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
+                "paper_apd": paper.apd if paper else None,
+            }
+        )
+    return rows
+
+
+def _curves(run: Reproduction) -> list[dict[str, Any]]:
+    return [
+        {
+            "attack": family,
+            "pm": point.perturbation_magnitude,
+            "pr": point.practicality,
+            "p1": point.p1,
+            "share_best": 100 * point.share_best,
+            **_ours(run.row_at(family, point.perturbation_magnitude)),
+            "easr": 100 * point.easr.estimate,
+            "easr_low": 100 * point.easr.low,
+            "easr_high": 100 * point.easr.high,
+        }
+        for family, curve in run.curves.items()
+        for point in curve.points
+    ]
+
+
+def _ours(row: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """The numbers of one row of results, in percent and points."""
+    keys = {
+        "easr": "easr",
+        "easr_low": "easr_low",
+        "easr_high": "easr_high",
+        "easr_repeat_min": "easr_repeat_min",
+        "easr_repeat_max": "easr_repeat_max",
+        "random_easr": "random_easr",
+        "net_easr": "net_easr",
+        "net_easr_low": "net_easr_low",
+        "net_easr_high": "net_easr_high",
+        "apd": "apd",
+    }
+    values = {ours: (row or {}).get(theirs) for ours, theirs in keys.items()}
+    return {"repeats": (row or {}).get("repeats")} | {
+        name: None if value is None else 100 * value for name, value in values.items()
+    }
+
+
+def _practicality(run: Reproduction) -> list[dict[str, Any]]:
+    rows = []
+    for name, measured in run.measures.items():
+        score = measured["score"]
+        flat = {f"{side}_{sign}": value for side in ("texture", "shape") for sign, value in score[side].items()}
+        quantities: dict[str, Any] = {}
+        for side in ("texture", "shape"):
+            quantities |= {f"{side}_{what}": value for what, value in (measured[side] or {}).items()}
+        rows.append({"attack": name, "practicality": score["total"], **flat, **quantities})
+    return rows
+
+
+def _transfer(run: Reproduction) -> list[dict[str, Any]]:
+    """Attacked on (rows) against judged by (columns)."""
+    variants = [name for name in run.names if "_on_" in name or "_without_" in name]
+    bases = list(dict.fromkeys(name.partition("_")[0] for name in variants))
+    rows = []
+    for base in bases:
+        for name in (base, *(each for each in variants if each.startswith(f"{base}_"))):
+            where = name.partition("_")[2].replace("on_", "").replace("without_", "all but ") or "all"
+            row: dict[str, Any] = {"attack": base, "attacked_on": where}
+            for detector in run.detectors:
+                found = run.row(name, detector)
+                easr = found["easr"] if found else None
+                row[detector] = None if easr is None else 100 * easr
+                row[f"{detector}_low"] = None if easr is None else _percent(found, "easr_low")
+                row[f"{detector}_high"] = None if easr is None else _percent(found, "easr_high")
+            rows.append(row)
+    return rows
+
+
+def _ladder(run: Reproduction) -> list[dict[str, Any]]:
+    """EASR of one repeat after some of its steps, and after all; does it get weaker anywhere?"""
+    rungs: dict[str, dict[int, str]] = {}
+    for key in run.tiles.series:
+        if found := _RUNG.fullmatch(key.camouflage):
+            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = key.camouflage
+    rows = []
+    for name, steps in rungs.items():
+        ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
+        easr = {f"after_{label}": run.one(camouflage) for label, camouflage in ladder}
+        changes = [run.difference(later, earlier) for (_, earlier), (_, later) in itertools.pairwise(ladder)]
+        known = [value for value in easr.values() if value is not None]
+        rows.append(
+            {
+                "attack": name,
+                **{label: None if value is None else 100 * value for label, value in easr.items()},
+                "never_falls": None if len(known) < len(easr) else _rises(known),
+                # A fall counts where its whole interval lies below zero.
+                "never_surely_falls": None
+                if any(change is None for change in changes)
+                else not any(change is not None and change.high < 0 for change in changes),
+            }
+        )
+    return rows
+
+
+def _rises(values: Sequence[float]) -> bool:
+    return all(later >= earlier for earlier, later in itertools.pairwise(values))
+
+
+def _signs(run: Reproduction) -> list[dict[str, Any]]:
+    return [
+        {"attack": name, "detector": detector, **found}
+        for name, record in run.records.items()
+        for detector, found in (record.get("sign_test") or {}).items()
+    ]
+
+
+def _gap(run: Reproduction) -> list[dict[str, Any]]:
+    """Of attacks on few colours: EASR and losses before the last rounding and after it (PAPER 32)."""
+    rows = []
+    for key in dict.fromkeys(key.camouflage for key in run.tiles.series):
+        if "_relaxed-" not in key:
+            continue
+        name = key.replace("_relaxed-", "-")
+        before, after = run.one(key), run.one(name)
+        row: dict[str, Any] = {
+            "attack": name,
+            "easr_before": None if before is None else 100 * before,
+            "easr_after": None if after is None else 100 * after,
+        }
+        losses = run.records.get(name, {}).get("discretisation", {})
+        for when in ("before", "after"):
+            row |= {f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()}
+        rows.append(row)
+    return rows
+
+
+def _percent(row: Mapping[str, Any] | None, key: str) -> float | None:
+    value = row[key] if row else None
+    return None if value is None else 100 * value
+
+
+def _plain(value: Any) -> str:
+    if value is None or value != value:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
