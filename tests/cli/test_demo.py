@@ -55,17 +55,16 @@ def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof
     assert bytes_of(finished) == contents
 
 
-def test_undefined_success_crashes_nothing(copied, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_detector_that_finds_nothing_without_camouflage_is_refused(copied, skyproof: Skyproof) -> None:
     """A threshold above every score: no vehicle is found before the camouflage, so there is no success rate."""
     folder = copied("evaluation", "report.html", "results.json")
     card = folder / "detectors" / "retinanet" / "detector.json"
-    card.write_text(json.dumps({**json.loads(card.read_text()), "threshold": 1.0}))
-    answer = skyproof("demo", "--out", folder, *TINY)
-    assert answer.code == 0
-    assert "undefined" in answer.out
-    rows = json.loads((folder / "results.json").read_text())["rows"]
-    assert all(row["easr"] is None for row in rows)
-    assert "undefined" in (folder / "report.html").read_text()
+    good = card.read_text()
+    card.write_text(json.dumps({**json.loads(good), "threshold": 1.0}))
+    skyproof("demo", "--out", folder, *TINY).refused("retinanet finds none of the", "threshold of 1")
+    assert not (folder / "evaluation").exists()
+    card.write_text(good)
+    assert skyproof("demo", "--out", folder, *TINY).code == 0
 
 
 def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> None:

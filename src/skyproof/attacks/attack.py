@@ -74,7 +74,7 @@ def attack(
     detectors: Sequence[TrainableDetector],
     world: AttackWorld,
     settings: AttackSettings,
-    folder: Path,
+    folder: str | Path,
     *,
     record: Mapping[str, Any] | None = None,
     on_step: Callable[[dict[str, Any]], None] | None = None,

@@ -43,11 +43,11 @@ class AttackWorld:
             raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
 
     @classmethod
-    def open(cls, backgrounds: Path, fleet: Path, scenes: SceneSettings | None = None) -> AttackWorld:
-        """The differentiable renderer on a background set folder and a fleet folder; by default 384 px, one vehicle."""
+    def open(cls, backgrounds: str | Path, fleet: str | Path, *, size_px: int = 384) -> AttackWorld:
+        """The differentiable renderer on a background set folder and a fleet folder; one vehicle an image, clear sky."""
         photographs = BackgroundSet.open(Path(backgrounds))
-        drawn = scenes or SceneSettings(gsd_m=photographs.gsd_m, vehicles_maximum=1)
-        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), drawn)
+        scenes = SceneSettings(size_px=size_px, gsd_m=photographs.gsd_m, vehicles_maximum=1)
+        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Random scenes on the attack backgrounds."""

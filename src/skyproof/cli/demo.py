@@ -193,9 +193,6 @@ def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.d
 def _say_answer(out: Path) -> None:
     for row in read_json(out / "results.json")["rows"]:
         if row["camouflage"] == "T-U" and row["match"] == "centre_1m":
-            if row["easr"] is None:
-                say(f"  {row['detector']}: undefined, because it found no vehicle before the camouflage")
-                continue
             say(
                 f"  {row['detector']:<12} T-U hides {percent(row['easr'])} of the vehicles found before "
                 f"(95 % interval {interval(row['easr_low'], row['easr_high'])}); "

@@ -179,7 +179,8 @@ def attack_ensemble(
             f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
         )
     models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
-    world = AttackWorld.open(backgrounds, fleet, scenes)
+    photographs = BackgroundSet.open(backgrounds)
+    world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
     generator = generator_of(settings.seed, "texture", name)
     camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
     signs = {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)

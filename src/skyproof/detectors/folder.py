@@ -125,7 +125,7 @@ def read_card(folder: Path) -> DetectorCard:
     return _card(Path(folder) / "detector.json")[0]
 
 
-def load_detector(folder: Path) -> tuple[TrainableDetector, DetectorCard]:
+def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
     """Builds the detector a folder describes and loads its weights strictly; in eval mode, on the CPU.
 
     Raises:
