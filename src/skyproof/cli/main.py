@@ -13,6 +13,7 @@ from skyproof.cli.bench import Bench
 from skyproof.cli.commands import Attack, Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.plan import Plan
 from skyproof.errors import SkyproofError
 
 __all__ = ["run"]
@@ -24,6 +25,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "attack": Attack,
     "evaluate": Evaluate,
     "report": Report,
+    "plan": Plan,
     "bench": Bench,
 }
 
