@@ -7,7 +7,8 @@ not vehicles. All detectors and camouflages see the same resampled tiles, which 
 Differences from the paper: it gives no intervals. Either limit is the farther of two: BCa's, at levels widened for few
 clusters, and the exact binomial one at the effective number of vehicles. In simulations
 (`tests/evaluate/test_intervals.py`) BCa alone held the truth in 90-95 % of runs, least where nearly all vehicles of
-unlike tiles are lost. Both together hold it in at least 93 %, mostly in 95-97 %.
+unlike tiles are lost. Both together hold it in at least 93 %, mostly in 95-97 %, and are 6-13 % wider; up to 45 % where
+few tiles decide.
 """
 
 from __future__ import annotations
@@ -20,7 +21,17 @@ import numpy as np
 from jaxtyping import Float, Int, Num
 from scipy import special, stats
 
-__all__ = ["REPLICATES", "Interval", "cluster_interval", "holm", "mcnemar_p", "mean_interval", "resample"]
+__all__ = [
+    "REPLICATES",
+    "Interval",
+    "cluster_interval",
+    "effective_limits",
+    "holm",
+    "mcnemar_p",
+    "mean_interval",
+    "resample",
+    "unanimous_margin",
+]
 
 REPLICATES = 2000
 _TAIL = 0.025
@@ -60,7 +71,7 @@ def cluster_interval(
     Bias-corrected and accelerated (BCa; Efron 1987), acceleration from leaving out one cluster at a time; the normal
     quantile is replaced by Student's with C − 1 degrees of freedom times sqrt(C / (C − 1)) (Hesterberg 2015), because
     resampling C clusters understates their spread by that factor. Each limit is moved out to Korn and Graubard's (1998)
-    where that is farther: the exact binomial limit at the effective number of vehicles, see `_effective_limits`.
+    where that is farther: the exact binomial limit at the effective number of vehicles, see `effective_limits`.
     Replicates in which the statistic is undefined are left out. Where all replicates agree (nothing changed on any
     tile, or everything did) resampling sees no spread; each cluster then counts as one trial and the exact binomial
     limit 1 − 0.025^(1/C) is used on both sides.
@@ -127,7 +138,7 @@ def _interval(
         return Interval(estimate, math.nan, math.nan)
     unanimous = _agree(replicates)
     if unanimous:
-        margin = 1 - _TAIL ** (1 / clusters)
+        margin = unanimous_margin(clusters)
         low, high = estimate - margin, estimate + margin
     else:
         low, high = np.quantile(replicates, _levels(estimate, replicates, left_one_out))
@@ -139,28 +150,45 @@ def _interval(
 def _effective_limits(
     estimate: float, left_one_out: Float[np.ndarray, " C"], span: tuple[float, float]
 ) -> tuple[float, float]:
-    """Exact binomial limits at the effective sample size, for a share of `span` (Korn and Graubard 1998).
+    """`effective_limits` with the jackknife variance over clusters, leaving out one at a time.
 
-    p(1 − p) over the jackknife variance is how many independent vehicles would be as telling; fewer by (1.96 / t)², as
-    that variance is itself estimated. t has as many degrees of freedom as the tiles' influences support: 2 / (relative
-    variance of their sample variance), which is small where a few tiles decide (large kurtosis), and at most C − 1.
-    Differences from Korn and Graubard: theirs are C − 1, and the size is at most the sample's.
+    Its degrees of freedom are what the clusters' influences support, 2 / (relative variance of their sample variance):
+    few where few clusters decide (large kurtosis), at most C − 1.
     """
     clusters = len(left_one_out)
     influence = left_one_out[~np.isnan(left_one_out)]
     influence = influence - influence.mean() if len(influence) else np.zeros(1)
-    width = span[1] - span[0]
-    share = (estimate - span[0]) / width
-    variance = (clusters - 1) / clusters * float(np.sum(influence**2)) / width**2
-    if variance == 0 or not 0 < share < 1:
+    variance = (clusters - 1) / clusters * float(np.sum(influence**2))
+    if variance == 0:
         return estimate, estimate
     kurtosis = float(np.mean(influence**4) / np.mean(influence**2) ** 2)
-    degrees = min(clusters - 1, 2 * clusters / max(kurtosis - (clusters - 3) / (clusters - 1), 1e-9))
-    quantiles = special.ndtri(1 - _TAIL) / special.stdtrit(degrees, 1 - _TAIL)
-    size = share * (1 - share) / variance * float(quantiles) ** 2
+    degrees = min(clusters - 1.0, 2 * clusters / max(kurtosis - (clusters - 3) / (clusters - 1), 1e-9))
+    return effective_limits(estimate, variance, degrees, span)
+
+
+def effective_limits(
+    estimate: float, variance: float, degrees: float, span: tuple[float, float] = (-1.0, 1.0)
+) -> tuple[float, float]:
+    """Exact binomial limits at the effective sample size, for an estimate as a share of `span`.
+
+    p(1 − p) / variance is how many independent vehicles would be as telling; times (1.96 / t)², t being Student's
+    quantile, as the variance is itself estimated (Korn and Graubard 1998). Nothing is moved where the estimate lies on
+    an end of `span` or outside. Differences from Korn and Graubard: the size may exceed the sample's.
+    """
+    width = span[1] - span[0]
+    share = (estimate - span[0]) / width
+    if not 0 < share < 1:
+        return estimate, estimate
+    quantiles = float(special.ndtri(1 - _TAIL) / special.stdtrit(degrees, 1 - _TAIL))
+    size = share * (1 - share) / (variance / width**2) * quantiles**2
     hits, misses = share * size, (1 - share) * size
     low, high = special.betaincinv(hits, misses + 1, _TAIL), special.betaincinv(hits + 1, misses, 1 - _TAIL)
     return span[0] + width * float(low), span[0] + width * float(high)
+
+
+def unanimous_margin(clusters: int) -> float:
+    """How far the exact binomial limit lies from the estimate where all clusters agree: 1 − 0.025^(1/C)."""
+    return 1 - _TAIL ** (1 / clusters)
 
 
 def _levels(
