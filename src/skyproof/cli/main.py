@@ -14,6 +14,7 @@ from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
 from skyproof.cli.tables import Tables
 from skyproof.cli.world import World
@@ -35,6 +36,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "report": Report,
     "reproduce": Reproduce,
     "tables": Tables,
+    "plan": Plan,
     "bench": Bench,
 }
 

@@ -1,0 +1,50 @@
+"""The command that says how large a test must be."""
+
+import numpy as np
+import pytest
+
+from skyproof.evaluate.planning import Assumptions, vehicles_needed
+from skyproof.evaluate.tiles import Series, TileCounts, write_tiles
+from tests.cli.conftest import Skyproof, flags
+
+
+def test_the_answer_and_the_table(skyproof: Skyproof):
+    said = skyproof("plan", "--half-width", 0.05, "--easr", 0.8)
+    assert said.code == 0
+    # Nine vehicles a tile at a correlation of 0.1.
+    need = vehicles_needed(0.05, Assumptions(0.8, design_effect=1.8))
+    assert f"About {need.vehicles} test vehicles on {need.tiles} background tiles" in said.out
+    table = [line.split() for line in said.out.splitlines() if line.startswith("  ")][1:]
+    assert [line[0] for line in table] == ["±10", "±5", "±2.5", "±1.25"]
+    assert [int(line[-2].replace(",", "")) for line in table][1] == need.vehicles
+
+
+def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
+    lost = np.tile([1, 2, 3, 4], 10)
+    counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
+    tiles = TileCounts(tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts})
+    write_tiles(tmp_path / "tiles.parquet", tiles)
+    said = skyproof("plan", "--pilot", tmp_path)
+    assert "of an EASR of 62 %" in said.out
+    assert "as T-U before a in the pilot: 5 vehicles a tile, 80 % of them found before" in said.out
+    assert "5 vehicles a tile" not in skyproof("plan", "--pilot", tmp_path, "--vehicles-per-tile", 2).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ("--half-width 0", "half-width"),
+        ("--half-width 1", "half-width"),
+        ("--half-width nan", "half-width"),
+        ("--half-width -0.1", "half-width"),
+        ("--easr 1.2", "EASR"),
+        ("--easr -0.2", "EASR"),
+        ("--easr nan", "EASR"),
+        ("--easr 0.9 --enhancement-rate 0.2", "EASR"),
+        ("--vehicles-per-tile 0", "vehicles on a tile"),
+        ("--intra-tile-correlation 1.5", "intra-tile-correlation"),
+        ("--pilot nowhere", "tiles.parquet is missing"),
+    ],
+)
+def test_bad_input_is_refused(skyproof: Skyproof, arguments, word):
+    skyproof("plan", *flags(arguments)).refused(word)
