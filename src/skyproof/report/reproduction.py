@@ -38,5 +38,5 @@ def write_reproduction(run_folder: Path) -> Path:
     for ending, picture in easr_against_practicality(run).items():
         write_bytes(place / f"easr_vs_pr.{ending}", picture)
     page = place / "README.md"
-    write_bytes(page, reproduction_page(run, tables, []).encode())
+    write_bytes(page, reproduction_page(run, tables).encode())
     return page

@@ -42,8 +42,12 @@ def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
                 continue
             if order != "par":
                 _curve(left, curve, texture, "-")
+                _paper(left, family, texture)
             if kind == "S" or (order and f"C-{texture}-par" in run.curves):
                 _curve(right, curve, texture, "--" if order == "par" else "-")
+            if order == "par":
+                # The others' are in the left panel.
+                _paper(right, family, texture)
         for axes, title in (
             (left, "Shape alone, and on a finished texture (seq.)"),
             (right, "In sequence or parallel"),
@@ -82,12 +86,19 @@ def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:
         best.practicality, 100 * best.easr.estimate, marker, color=colour, markersize=11, zorder=5,
         markeredgecolor="white",
     )  # fmt: skip
-    paper = PAPER_RESULTS.get(curve.family)
-    if paper is not None and paper.perturbation_magnitude is not None:
-        axes.plot(
-            1 - paper.perturbation_magnitude, paper.easr, marker, markerfacecolor="white", markeredgecolor=colour,
-            markeredgewidth=1.6, markersize=10, zorder=6,
-        )  # fmt: skip
+
+
+def _paper(axes: Any, family: str, texture: str) -> None:
+    colour, marker, _ = _TEXTURES[texture]
+    paper = PAPER_RESULTS.get(family)
+    if paper is None or paper.perturbation_magnitude is None:
+        return
+    # Fc and PixFc have nearly the same numbers.
+    aside = {"Fc": -0.012, "PixFc": 0.012}.get(texture, 0.0)
+    axes.plot(
+        1 - paper.perturbation_magnitude + aside, paper.easr, marker, markerfacecolor="white", markeredgecolor=colour,
+        markeredgewidth=1.6, markersize=10, zorder=6,
+    )  # fmt: skip
 
 
 def _legend(run: Reproduction) -> list[Line2D]:

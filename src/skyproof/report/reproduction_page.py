@@ -15,14 +15,8 @@ __all__ = ["reproduction_page", "shape_table", "texture_table"]
 _SURE = 0.05
 
 
-def reproduction_page(run: Reproduction, tables: Mapping[str, Table], agreement: Sequence[str]) -> str:
-    """The whole page.
-
-    Args:
-        run: the reproduction.
-        tables: by name.
-        agreement: sentences on how our order agrees with the paper's.
-    """
+def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
+    """The whole page, from a reproduction and its tables by name."""
     detectors = ", ".join(map(detector_name, run.detectors))
     parts = [
         f"# {run.config.get('title', 'The paper’s tables')}",
@@ -40,7 +34,7 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table], agreement:
         shape_table(tables["shape_combined"]),
         "![EASR against practicality](easr_vs_pr.png)",
         "## Does our order agree with the paper’s?",
-        *agreement,
+        _agreement(tables["agreement"]),
         _order(run),
         "## Can the attacks be trusted?",
         _signs(tables["signs"]),
@@ -106,6 +100,20 @@ def _about(run: Reproduction) -> str:
     return "\n".join(lines)
 
 
+def _agreement(table: Table) -> str:
+    if not table.rows:
+        return "Fewer than three attacks can be compared."
+    rows = [
+        [row["set"], str(row["attacks"]), *(_bracket(row, name, digits=2) for name in ("spearman", "kendall"))]
+        for row in table.rows
+    ]
+    text = (
+        "Rank correlation of our EASR with the paper’s, shapes and combinations each at their own PM\\*. The intervals "
+        "say how far the test scenes alone could move it."
+    )
+    return f"{text}\n\n" + _markdown(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
+
+
 def _order(run: Reproduction) -> str:
     """Ranks of ours and the paper's, where they differ most on top."""
     ours = comparison(run)
@@ -118,12 +126,15 @@ def _order(run: Reproduction) -> str:
     rows = [
         [name, str(own), str(theirs), _number(ours[name]), _number(PAPER_RESULTS[name].easr, 2)]
         for name, (own, theirs) in sorted(ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1]))
-        if own != theirs
+        if abs(own - theirs) > 1
     ]
     if not rows:
-        return "Every attack has the rank that it has in the paper." if ranks else ""
+        return f"None of {len(ranks)} attacks is more than one rank from its place in the paper." if ranks else ""
     header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
-    return f"Of {len(names)} attacks, these rank differently (1 is the strongest):\n\n" + _markdown(header, rows)
+    return (
+        f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is the strongest):\n\n"
+        + _markdown(header, rows)
+    )
 
 
 def _signs(table: Table) -> str:
@@ -179,7 +190,11 @@ def _gap(table: Table) -> str:
 
 def _transfer(table: Table, run: Reproduction) -> str:
     rows = [
-        [row["attack"], row["attacked_on"], *(_bracket(row, detector, detector) for detector in run.detectors)]
+        [
+            row["attack"],
+            ", ".join(map(detector_name, row["attacked_on"].split())),
+            *(_bracket(row, detector) for detector in run.detectors),
+        ]
         for row in table.rows
     ]
     header = ["attack", "learnt on", *(f"EASR on {detector_name(detector)}" for detector in run.detectors)]
@@ -215,11 +230,10 @@ def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def _bracket(row: Mapping[str, Any], key: str, prefix: str | None = None) -> str:
-    prefix = prefix or key
-    value, low, high = row.get(key), row.get(f"{prefix}_low"), row.get(f"{prefix}_high")
-    limits = "" if low is None or high is None else f" ({_number(low)} to {_number(high)})"
-    return _number(value) + limits
+def _bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
+    value, low, high = row.get(key), row.get(f"{key}_low"), row.get(f"{key}_high")
+    known = low is not None and high is not None and not (low != low or high != high)
+    return _number(value, digits) + (f" ({_number(low, digits)} to {_number(high, digits)})" if known else "")
 
 
 def _range(low: float | None, high: float | None) -> str:

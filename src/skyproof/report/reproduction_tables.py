@@ -7,16 +7,21 @@ import io
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.agreement import rank_agreement
 from skyproof.evaluate.paper_results import PAPER_RESULTS
-from skyproof.report.reproduction_run import Reproduction
+from skyproof.evaluate.transfer import transfer_matrix
+from skyproof.report.reproduction_run import MATCH, Reproduction
 
 __all__ = ["Table", "comparison", "reproduction_tables"]
 
 _TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
-_LEARNT = re.compile(r"T-[A-Za-z]+")
 _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
@@ -53,6 +58,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("textures", _textures(run)),
         Table("shape_combined", _shapes(run)),
         Table("curves", _curves(run)),
+        Table("agreement", _agreement(run)),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
         Table("ladder", _ladder(run)),
@@ -75,9 +81,8 @@ def comparison(run: Reproduction) -> dict[str, float]:
 
 def _textures(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
-    for name in run.names:
-        if not _TEXTURE.fullmatch(name):
-            continue
+    # Controls come last, as in the paper.
+    for name in sorted(filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")):
         paper = PAPER_RESULTS.get(name)
         measured = run.measures.get(name, {}).get("score", {})
         rows.append(
@@ -169,20 +174,49 @@ def _practicality(run: Reproduction) -> list[dict[str, Any]]:
 def _transfer(run: Reproduction) -> list[dict[str, Any]]:
     """Attacked on (rows) against judged by (columns)."""
     variants = [name for name in run.names if "_on_" in name or "_without_" in name]
-    bases = list(dict.fromkeys(name.partition("_")[0] for name in variants))
+    attacked = {
+        name: tuple(record["attack"]["detectors"]) for name, record in run.records.items() if "attack" in record
+    }
     rows = []
-    for base in bases:
-        for name in (base, *(each for each in variants if each.startswith(f"{base}_"))):
-            where = name.partition("_")[2].replace("on_", "").replace("without_", "all but ") or "all"
-            row: dict[str, Any] = {"attack": base, "attacked_on": where}
-            for detector in run.detectors:
-                found = run.row(name, detector)
-                easr = found["easr"] if found else None
-                row[detector] = None if easr is None else 100 * easr
-                row[f"{detector}_low"] = None if easr is None else _percent(found, "easr_low")
-                row[f"{detector}_high"] = None if easr is None else _percent(found, "easr_high")
+    for base in dict.fromkeys(name.partition("_")[0] for name in variants):
+        # Copies kept on the way are variants too, but not of what was attacked.
+        matrix = transfer_matrix(
+            [row for row in run.rows if row["camouflage"] in (base, *variants)], attacked, base=base, match=MATCH
+        )
+        for cells in matrix:
+            row: dict[str, Any] = {"attack": base, "attacked_on": " ".join(cells[0].attacked)}
+            for cell in cells:
+                for ending, value in zip(("", "_low", "_high"), cell.easr, strict=True):
+                    row[cell.detector + ending] = None if value is None else 100 * value
             rows.append(row)
     return rows
+
+
+def _agreement(run: Reproduction) -> list[dict[str, Any]]:
+    """Rank correlation with the paper over ever more of what both have; shapes at our PM*."""
+    best = {family: curve.best for family, curve in run.curves.items()}
+    rows = {family: f"{family}@{pm:g}" if pm > 0 else "T-" + family.split("-")[1] for family, pm in best.items()}
+    sets = {
+        "textures": [name for name in PAPER_RESULTS if name.startswith("T-")],
+        "textures, shape and combinations": [name for name in PAPER_RESULTS if not name.startswith("R-")],
+        "all, with random controls": list(PAPER_RESULTS),
+    }
+    made = []
+    for label, names in sets.items():
+        # Fewer than three attacks, or an undefined one, have no correlation.
+        with suppress(ConfigurationError):
+            found = rank_agreement(
+                run.tiles,
+                {name: PAPER_RESULTS[name].easr for name in names},
+                rows=rows,
+                generator=np.random.default_rng(0),
+                match=MATCH,
+            )
+            row: dict[str, Any] = {"set": label, "attacks": len(found.attacks)}
+            for name, interval in (("spearman", found.spearman), ("kendall", found.kendall)):
+                row |= {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
+            made.append(row)
+    return made
 
 
 def _ladder(run: Reproduction) -> list[dict[str, Any]]:
@@ -241,11 +275,6 @@ def _gap(run: Reproduction) -> list[dict[str, Any]]:
             row |= {f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()}
         rows.append(row)
     return rows
-
-
-def _percent(row: Mapping[str, Any] | None, key: str) -> float | None:
-    value = row[key] if row else None
-    return None if value is None else 100 * value
 
 
 def _plain(value: Any) -> str:

@@ -80,6 +80,8 @@ class Preset:
             raise ConfigurationError(f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json.")
         lists = {"detectors", "textures", "magnitudes", "masked_magnitudes", "transfer", "ladder_steps"}
         given: dict[str, Any] = {name: tuple(values[name]) if name in lists else values[name] for name in names}
+        for name in ("magnitudes", "masked_magnitudes"):
+            given[name] = tuple(map(float, given[name]))
         preset = cls(**given)
         counts = {name: getattr(preset, name) for name in ("repeats", "draws", "score_batch", "threads")}
         if min(counts.values()) < 1 or not preset.detectors:

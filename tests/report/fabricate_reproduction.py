@@ -1,0 +1,89 @@
+"""A run folder of `skyproof reproduce`, of made-up counts; `python -m tests.report.fabricate_reproduction FOLDER`."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from skyproof.evaluate.sets import SetScore, write_sets
+from skyproof.evaluate.tiles import Series, TileCounts, write_tiles
+from skyproof.files import write_json
+
+DETECTORS = ("retinanet", "yolov5")
+TILES = tuple(f"tile-{index:02d}" for index in range(20))
+PER_TILE = 10
+
+
+def write_scores(folder, rates, *, found=1.0, spread=None):
+    """Writes one evaluation folder.
+
+    Args:
+        folder: gets tiles.parquet and sets.json.
+        rates: per camouflage the share of vehicles found before that is lost, on every tile alike without `spread`.
+        found: the share of vehicles found before.
+        spread: generator that scatters the lost vehicles over the tiles.
+    """
+    before = round(found * PER_TILE)
+    series, sets = {}, []
+    for detector in DETECTORS:
+        for match in ("centre_1m", "iou_50"):
+            sets.append(SetScore("original", "torch", detector, match, 0.9, 1.0))
+            for name, rate in rates.items():
+                if spread is None:
+                    lost = np.full(len(TILES), round(rate * before))
+                else:
+                    lost = spread.binomial(before, min(max(rate, 0.0), 1.0), len(TILES))
+                counts = np.stack(
+                    [np.full(len(TILES), PER_TILE), before - lost, lost, np.zeros(len(TILES), dtype=int)], axis=1
+                )
+                series[Series(name, "torch", detector, match)] = counts
+                sets.append(SetScore(name, "torch", detector, match, 0.9 - 0.5 * rate, 2.0))
+    folder.mkdir(parents=True)
+    write_tiles(folder / "tiles.parquet", TileCounts(TILES, series))
+    write_sets(folder / "sets.json", sets)
+
+
+def write_record(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
+    """Writes a camouflage.json with what an attack records."""
+    signs = {d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors}
+    losses = {"before": dict.fromkeys(detectors, 0.1), "after": dict.fromkeys(detectors, 0.2)}
+    attack = {"camouflage": name, "detectors": dict.fromkeys(detectors, "digest"), "settings": {}, "scenes": {}}
+    record = {"attack": attack, "sign_test": signs, "discretisation": losses}
+    write_json(folder / "camouflages" / name / "camouflage.json", {"format": 2, "camouflage": {}, "record": record})
+
+
+def fabricate(folder):
+    """The whole paper, made up: to look at."""
+    rng = np.random.default_rng(0)
+    texture = {"U": 0.97, "Pix": 0.93, "Lc": 0.9, "PixLc": 0.92, "Fc": 0.45, "PixFc": 0.4}
+    texture |= {"Ma": 0.7, "PixMa": 0.66, "LcMa": 0.6, "PixLcMa": 0.62, "FcMa": 0.2, "PixFcMa": 0.15}
+    rates = {}
+    for repeat in range(3):
+        for name, rate in texture.items():
+            rates[f"T-{name}-{repeat}"] = rate + 0.02 * repeat
+            rates[f"R-{name}-{repeat}"] = 0.08 * rate
+            for pm in (0.1, 0.2, 0.4, 0.7, 1.0) if "Ma" not in name else (0.2,):
+                rise = 1 - np.exp(-4 * pm)
+                rates[f"C-{name}-seq@{pm:g}-{repeat}"] = rate + (0.99 - rate) * rise
+                rates[f"R-C-{name}@{pm:g}-{repeat}"] = 0.2 * pm
+                if name in ("Fc", "PixFc"):
+                    rates[f"C-{name}-par@{pm:g}-{repeat}"] = rate + (0.97 - rate) * rise * 1.1
+        for pm in (0.1, 0.2, 0.4, 0.7, 1.0):
+            rates[f"S-O@{pm:g}-{repeat}"] = 0.95 * (1 - np.exp(-3 * pm))
+            rates[f"R-S-O@{pm:g}-{repeat}"] = 0.15 * pm
+        for detector in DETECTORS:
+            rates[f"T-U_on_{detector}-{repeat}"] = 0.8
+    rates |= {"T-U_step1-0": 0.1, "T-U_step10-0": 0.6, "T-Fc_step1-0": 0.3, "T-Fc_step10-0": 0.2, "T-Fc_relaxed-0": 0.6}
+    names = list(rates)
+    for batch in range(0, len(names), 50):
+        part = {name: rates[name] for name in names[batch : batch + 50]}
+        write_scores(folder / "scores" / f"{batch:03d}", part, spread=rng)
+    for name in names:
+        if not name.startswith("R-") and "_step" not in name and "_relaxed" not in name:
+            alone = name.partition("_on_")[2].rpartition("-")[0]
+            write_record(folder, name, detectors=(alone,) if alone else DETECTORS)
+    return folder
+
+
+if __name__ == "__main__":
+    fabricate(Path(sys.argv[1]))

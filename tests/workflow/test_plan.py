@@ -1,0 +1,123 @@
+"""What a preset expands to: names by hand, and the same jobs in Snakemake's eyes."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from skyproof.camouflage.recipe import read_recipe
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.names import matched_control, pooled_name
+from skyproof.workflow.plan import PRESETS, SNAKEFILE, Plan, Preset, read_preset
+
+TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
+
+
+def plan(**changes):
+    return Plan(Preset.parse({**TINY, **changes}))
+
+
+def test_tiny_by_hand():
+    tiny = plan()
+    assert list(tiny.attacks) == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
+    assert tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
+    texture = tiny.attacks["T-Fc-0"]
+    assert (texture.kind, texture.fixed_colours, texture.texture, texture.keep_at) == ("texture", True, None, (1,))
+    assert texture.folders == (
+        "T-Fc-0",
+        "T-Fc-0/snapshots/T-Fc_step1-0",
+        "T-Fc-0/snapshots/T-Fc_relaxed-0",
+    )
+    # Its texture is finished: no palette, nothing to round.
+    sequential = tiny.attacks["C-Fc-seq@0.4-0"]
+    assert (sequential.texture, sequential.fixed_colours, sequential.relaxed) == ("T-Fc-0", False, False)
+    assert tiny.attacks["C-Fc-par@0.4-0"].fixed_colours
+    assert list(tiny.batches) == ["000"]
+    assert len(tiny.batches["000"]) == 3 + 2 + 2 + 3 + 3
+
+
+def test_repeats_seeds_transfer_and_masked():
+    wide = plan(
+        seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2, transfer=["T-U"],
+        magnitudes=[0.5, 1.0], masked_magnitudes=[0.2], ladder_steps=[1, 5, 100], ladder_magnitude=0.5, score_batch=4,
+        attack_steps={"texture": 10, "shape": 5, "combined": 6},
+    )  # fmt: skip
+    first = [
+        "T-U", "T-PixFcMa", "T-U_on_a", "T-U_on_b", "T-U_on_c", "T-U_without_a", "T-U_without_b", "T-U_without_c",
+        "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
+    ]  # fmt: skip
+    assert list(wide.attacks) == [f"{name}-{repeat}" for repeat in (0, 1) for name in first]
+    assert {wide.attacks[f"{name}-1"].seed for name in first} == {8}
+    assert wide.attacks["T-U_without_b-0"].detectors == ("a", "c")
+    assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
+    # Copies are kept below the last step, of the first repeat, at one magnitude, and not of transfers.
+    kept = {name: job.keep_at for name, job in wide.attacks.items() if job.keep_at}
+    assert kept == {"T-U-0": (1, 5), "T-PixFcMa-0": (1, 5), "S-O@0.5-0": (1,), "C-U-seq@0.5-0": (1, 5)}
+    scored = [folder for batch in wide.batches.values() for folder in batch]
+    assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
+    assert {len(batch) for batch in list(wide.batches.values())[:-1]} == {4}
+    # Two detectors: all but one is the other one, which is there already.
+    assert [name for name in plan(detectors=["a", "b"], transfer=["T-U"]).attacks if "_" in name] == [
+        "T-U_on_a-0",
+        "T-U_on_b-0",
+    ]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_name_can_be_made_and_has_its_control(preset):
+    full = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())))
+    assert len({pooled_name(name) for name in full.attacks if name.startswith("T-") and "_" not in name}) == 12
+    controls = {pooled_name(name) for name in full.controls}
+    for name, job in full.attacks.items():
+        recipe = read_recipe(name)
+        assert not recipe.random
+        assert (recipe.order == "seq") == (job.texture is not None)
+        assert matched_control(name) in controls
+    assert all(read_recipe(name).random for name in full.controls)
+    assert full.preset.repeats >= 3
+    assert full.preset.draws >= 3
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_snakemake_sees_the_same_jobs_and_no_cycle(preset, tmp_path):
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", tmp_path, "--dry-run"]
+    done = subprocess.run(
+        [*command, "--quiet", "rules", "--cores", "2", "--configfile", PRESETS[preset]], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    counted = {
+        rule: int(count) for rule, count in re.findall(r"^(\w+) +(\d+)$", done.stdout + done.stderr, re.MULTILINE)
+    }
+    expected = Plan(Preset.parse(json.loads(PRESETS[preset].read_text()))).jobs
+    assert counted == {**expected, "all": 1, "total": sum(expected.values()) + 1}
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"repeats": 0}, "repeats"),
+        ({"detectors": []}, "detector"),
+        ({"magnitudes": [0.2, 1.5]}, "1.5"),
+        ({"magnitudes": [0]}, "above 0"),
+        ({"textures": ["LcFc"]}, "Lc and Fc"),
+        ({"attack_steps": {"texture": 1}}, "attack_steps"),
+    ],
+)
+def test_impossible_presets_are_refused(changes, word):
+    with pytest.raises(ConfigurationError, match=word):
+        plan(**changes)
+
+
+def test_presets_by_name_or_file(tmp_path):
+    assert read_preset("quick") == ("quick", PRESETS["quick"])
+    own = tmp_path / "mine.json"
+    own.write_text(json.dumps(TINY))
+    assert read_preset(str(own)) == ("mine", own)
+    own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
+    with pytest.raises(ConfigurationError, match="lacks seed"):
+        read_preset(str(own))
+    with pytest.raises(ConfigurationError, match="quick or paper"):
+        read_preset("quik")
