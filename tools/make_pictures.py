@@ -2,9 +2,11 @@
 
     python tools/make_pictures.py
     python tools/make_pictures.py runs/demo
+    python tools/make_pictures.py runs/reproduce
 
 The first writes fleet.png, scenes.png and weather.png into docs/pictures; the same code gives the same pictures. The
-second writes docs/pictures/demo-result.png from a finished demo on procedural ground.
+second writes docs/pictures/demo-result.png from a finished demo on procedural ground, the third attacks.png from the
+camouflages of a reproduction.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from pathlib import Path
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from skyproof.camouflage.folder import load_camouflage
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
@@ -216,10 +219,43 @@ def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int =
     return sheet
 
 
+def draw_attacks(run_folder: Path) -> Image.Image:
+    """One saloon from above in every texture and shape that a reproduction learnt first, each beside its map."""
+    fleet = sample_fleet(FleetSettings(count=1, weights={"saloon": 1.0}), generator=torch.Generator().manual_seed(4))
+    saloon = fleet.batch(fleet.ids)
+    width, height, map_px, per_row, head = 150, 330, 150, 6, 24
+    rows = [
+        ["T-U", "T-Pix", "T-Lc", "T-PixLc", "T-Fc", "T-PixFc"],
+        ["T-Ma", "T-PixMa", "T-LcMa", "T-PixLcMa", "T-FcMa", "T-PixFcMa"],
+        ["S-O@0.2", "S-O@0.4", "S-O@0.7", "S-O@1", "C-Fc-seq@0.2", "C-PixFc-par@0.2"],
+    ]
+    cell = (width + map_px + 16, height + head)
+    sheet = Image.new("RGB", (per_row * cell[0] + 10, len(rows) * cell[1] + 6), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for row, names in enumerate(rows):
+        for column, name in enumerate(names):
+            folder = run_folder / "camouflages" / f"{name}-0"
+            x, y = column * cell[0] + 10, row * cell[1] + 6
+            pen.text((x, y), name, fill=INK, font=font(16))
+            side_m = 0.02 * height
+            shot = close_up(load_camouflage(folder)(saloon), gsd_m=0.02, side_m=side_m, heading_rad=math.pi / 2)[0]
+            car = as_image(shot)
+            left = (car.width - width) // 2
+            sheet.paste(car.crop((left, 0, left + width, height)), (x, y + head))
+            maps = [folder / file for file in ("texture.png", "displacement.png") if (folder / file).exists()]
+            for index, path in enumerate(maps):
+                with Image.open(path) as image:
+                    flat = image.convert("RGB").resize((map_px, map_px), Image.Resampling.NEAREST)
+                sheet.paste(flat, (x + width + 4, y + head + index * (map_px + 4)))
+    return sheet
+
+
 def main() -> None:
     """Writes the pictures asked for."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    if len(sys.argv) > 1:
+    if len(sys.argv) > 1 and (Path(sys.argv[1]) / "measures.json").exists():
+        sheets = {"attacks.png": draw_attacks(Path(sys.argv[1]))}
+    elif len(sys.argv) > 1:
         sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
     else:
         sheets = {"fleet.png": draw_fleet(), "scenes.png": draw_scenes(), "weather.png": draw_weather_sheet()}
