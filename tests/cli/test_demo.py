@@ -55,17 +55,13 @@ def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof
     assert bytes_of(finished) == contents
 
 
-def test_undefined_success_crashes_nothing(copied, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_detector_that_finds_nothing_is_refused(copied, skyproof: Skyproof) -> None:
     """A threshold above every score: no vehicle is found before the camouflage, so there is no success rate."""
     folder = copied("evaluation", "report.html", "results.json")
     card = folder / "detectors" / "retinanet" / "detector.json"
     card.write_text(json.dumps({**json.loads(card.read_text()), "threshold": 1.0}))
-    answer = skyproof("demo", "--out", folder, *TINY)
-    assert answer.code == 0
-    assert "undefined" in answer.out
-    rows = json.loads((folder / "results.json").read_text())["rows"]
-    assert all(row["easr"] is None for row in rows)
-    assert "undefined" in (folder / "report.html").read_text()
+    skyproof("demo", "--out", folder, *TINY).refused("retinanet finds none", "EASR", "train it longer")
+    assert not (folder / "evaluation").exists()
 
 
 def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> None:
