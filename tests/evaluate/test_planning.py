@@ -55,6 +55,12 @@ def test_by_hand():
     assert vehicles_needed(0.05, Assumptions(1.0)).tiles == 36
 
 
+def test_gained_vehicles_count():
+    # One in ten lost and as many gained: per vehicle found before a variance of 0.1 + 0.1, over 500 x 10 of them.
+    assumed = Assumptions(0.0, 0.1, 10.0, 1.0, 1.0)
+    assert expected_half_width(500, assumed) == pytest.approx(1.96 * (0.2 / 5000) ** 0.5, rel=0.02)
+
+
 def test_a_pilot_tells_rates_and_design_effect(rng):
     counts = simulate(rng, 400, 9, 0.75, 0.05, 0.3)
     control = simulate(rng, 400, 9, 0.5, 0.0, 0.3)
