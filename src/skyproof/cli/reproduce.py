@@ -64,7 +64,7 @@ class Reproduce:
         preset = Preset.parse(settings)
         if find_spec("snakemake") is None:
             raise ConfigurationError("skyproof reproduce needs Snakemake; run pip install 'skyproof[reproduce]' first.")
-        cores = self.cores or len(os.sched_getaffinity(0))
+        cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
         if cores < 1:
             raise ConfigurationError(f"--cores expects at least 1, got {self.cores}.")
         choose_device(self.device)

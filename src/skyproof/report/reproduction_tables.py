@@ -139,7 +139,7 @@ def _curves(run: Reproduction) -> list[dict[str, Any]]:
     ]
 
 
-def _ours(row: Mapping[str, Any] | None) -> dict[str, float | None]:
+def _ours(row: Mapping[str, Any] | None) -> dict[str, Any]:
     """The numbers of one row of results, in percent and points."""
     keys = {
         "easr": "easr",

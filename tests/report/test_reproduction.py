@@ -1,0 +1,149 @@
+"""The tables of a reproduction against cells worked out by hand."""
+
+import csv
+import json
+
+import pytest
+
+from skyproof.errors import StoredFileError
+from skyproof.files import write_json
+from skyproof.report.reproduction import write_reproduction
+from skyproof.report.reproduction_run import read_reproduction
+from skyproof.report.reproduction_tables import comparison
+from tests.report.fabricate_reproduction import write_record, write_scores
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """20 tiles of 10 vehicles, all found before; the same share is lost on every tile."""
+    write_scores(
+        tmp_path / "scores" / "000",
+        {"T-U-0": 0.8, "T-U-1": 1.0, "R-U-0": 0.1, "R-U-1": 0.3, "T-Fc-0": 0.2, "T-Fc-1": 0.4, "R-Fc-0": 0.1}
+        | {"T-U_step1-0": 0.1, "T-U_step10-0": 0.9, "T-Fc_step1-0": 0.1, "T-Fc_relaxed-0": 0.5},
+    )
+    write_scores(
+        tmp_path / "scores" / "001",
+        {"S-O@0.2-0": 0.4, "S-O@0.2-1": 0.4, "S-O@0.4-0": 0.9, "S-O@0.4-1": 0.7, "S-O@1-0": 1.0, "R-S-O@0.4-0": 0.1}
+        | {"C-Fc-seq@0.2-0": 0.8, "C-Fc-seq@0.2-1": 0.8, "R-C-Fc@0.2-0": 0.2, "T-U_on_yolov5-0": 0.6},
+    )
+    for name in ("T-U-0", "T-U-1", "T-Fc-0", "S-O@0.4-0"):
+        write_record(tmp_path, name)
+    write_record(tmp_path, "T-U_on_yolov5-0", detectors=("yolov5",), fell=3, change=0.05)
+    signs = {"production_cost": -1, "installation_difficulty": -1, "operation_difficulty": -1}
+    measured = {
+        "name": "T-U-0",
+        "score": {"texture": signs, "shape": dict.fromkeys(signs, 0), "total": -3},
+        "texture": {"painted_area_m2": 17.5, "colours": 1000.0},
+        "shape": None,
+    }
+    write_json(tmp_path / "measures.json", {"rows": [measured]})
+    return tmp_path
+
+
+def table(folder, name):
+    with open(folder / "tables" / f"{name}.csv", newline="", encoding="utf-8") as file:
+        return {row["attack"] if "attack" in row else row["set"]: row for row in csv.DictReader(file)}
+
+
+def close(text, expected):
+    assert float(text) == pytest.approx(expected, abs=1e-4)
+
+
+def test_textures(folder):
+    write_reproduction(folder)
+    rows = table(folder, "textures")
+    assert list(rows) == ["T-U", "T-Fc", "R-U", "R-Fc"]
+    row = rows["T-U"]
+    close(row["easr"], 90)  # of 80 and 100
+    close(row["easr_repeat_min"], 80)
+    close(row["easr_repeat_max"], 100)
+    close(row["random_easr"], 20)  # of 10 and 30
+    close(row["net_easr"], 70)
+    close(row["apd"], 45)  # 0.9 - (0.9 - 0.5 * 0.9)
+    assert (row["repeats"], row["practicality"], row["paper_easr"], row["paper_apd"]) == ("2", "-3", "95.77", "50.97")
+    assert float(row["easr_low"]) < 90 < float(row["easr_high"])
+    # A control has no control; what was not measured has no sum of signs.
+    assert (rows["R-U"]["net_easr"], rows["T-Fc"]["practicality"]) == ("–", "–")
+
+
+def test_shapes_at_their_best_magnitude(folder):
+    write_reproduction(folder)
+    rows = table(folder, "shape_combined")
+    assert list(rows) == ["S-O", "C-Fc-seq"]
+    # S-O: P1 = 2 E Pr / (E + Pr): 0.4 and 0.8 give 0.533, 0.8 and 0.6 give 0.686, 1 and 0 give 0.
+    alone = rows["S-O"]
+    close(alone["pm_star"], 0.4)
+    close(alone["p1_star"], 2 * 0.8 * 0.6 / 1.4)
+    close(alone["easr"], 80)
+    close(alone["net_easr"], 70)
+    close(alone["easr_at_paper_pm_star"], 80)
+    # The texture alone: 0.3 and 1 give 0.46; at 0.2: 0.8 and 0.8 give 0.8.
+    combined = rows["C-Fc-seq"]
+    close(combined["pm_star"], 0.2)
+    close(combined["p1_star"], 0.8)
+    close(combined["net_easr"], 60)
+    assert (combined["paper_pm_star"], combined["paper_easr"]) == ("0.2", "86.8")
+    with open(folder / "tables" / "curves.csv", newline="", encoding="utf-8") as file:
+        points = [(row["attack"], float(row["pm"]), float(row["easr"])) for row in csv.DictReader(file)]
+    assert points == [
+        ("S-O", 0, 0), ("S-O", 0.2, 40), ("S-O", 0.4, 80), ("S-O", 1, 100), ("C-Fc-seq", 0, 30), ("C-Fc-seq", 0.2, 80),
+    ]  # fmt: skip
+
+
+def test_ladder_gap_and_signs(folder):
+    write_reproduction(folder)
+    ladder = table(folder, "ladder")
+    # From 90 after 10 steps to 80 after all: a fall on every tile alike, so a sure one.
+    assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == ["10", "90", "80"]
+    assert (ladder["T-U-0"]["never_falls"], ladder["T-Fc-0"]["never_falls"]) == ("no", "yes")
+    assert ladder["T-Fc-0"]["after_10"] == "–"
+    gap = table(folder, "gap")["T-Fc-0"]
+    assert (gap["easr_before"], gap["easr_after"], gap["loss_yolov5_after"]) == ("50", "20", "0.2")
+    page = (folder / "tables" / "README.md").read_text()
+    assert "in 8 of 9 pairs" in page  # 4 attacks on two detectors, one on one
+    assert "| T-U_on_yolov5-0 | yolov5 | 8 | 3 | 0.125 | +0.0500 |" in page
+
+
+def test_transfer(folder):
+    write_reproduction(folder)
+    with open(folder / "tables" / "transfer.csv", newline="", encoding="utf-8") as file:
+        rows = [(row["attacked_on"], row["retinanet"], row["yolov5"]) for row in csv.DictReader(file)]
+    assert rows == [("yolov5", "60", "60"), ("retinanet yolov5", "90", "90")]
+
+
+def test_order_beside_the_papers(folder):
+    assert comparison(read_reproduction(folder)) == pytest.approx(
+        {"T-U": 90, "T-Fc": 30, "R-U": 20, "R-Fc": 10, "S-O": 80, "C-Fc-seq": 80}
+    )
+    write_reproduction(folder)
+    agreement = table(folder, "agreement")
+    assert "textures" not in agreement  # two are too few
+    # T-U 90, S-O 80, C-Fc-seq 80, T-Fc 30 against 95.77, 89.82, 86.80, 37.22: ranks 4 2.5 2.5 1 and 4 3 2 1.
+    row = agreement["textures, shape and combinations"]
+    assert row["attacks"] == "4"
+    close(row["spearman"], 4.5 / (4.5 * 5) ** 0.5)
+
+
+def test_undefined_success_is_a_dash(tmp_path):
+    write_scores(tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0)
+    write_reproduction(tmp_path)
+    assert table(tmp_path, "textures")["T-U"]["easr"] == "–"
+    assert "| T-U | – | – |" in (tmp_path / "tables" / "README.md").read_text()
+
+
+def test_files_and_the_same_bytes_again(folder):
+    page = write_reproduction(folder)
+    assert page == folder / "tables" / "README.md"
+    names = {"README.md", "textures.md", "shape_combined.md", "easr_vs_pr.svg", "easr_vs_pr.png"}
+    names |= {f"{name}.csv" for name in ("textures", "shape_combined", "curves", "agreement", "practicality")}
+    names |= {f"{name}.csv" for name in ("transfer", "ladder", "signs", "gap")}
+    first = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
+    assert set(first) == names
+    write_reproduction(folder)
+    assert {path.name: path.read_bytes() for path in (folder / "tables").iterdir()} == first
+    assert json.loads((folder / "results.json").read_text())["rows"]
+
+
+def test_nothing_scored_yet(tmp_path):
+    with pytest.raises(StoredFileError, match="no scores"):
+        write_reproduction(tmp_path)

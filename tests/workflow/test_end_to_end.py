@@ -1,0 +1,75 @@
+"""A tiny reproduction, killed in the middle of an attack and given again: what was finished stays, the rest is done."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+
+TINY = Path(__file__).with_name("tiny.json")
+
+
+def start(folder):
+    return subprocess.Popen(
+        [sys.executable, "-m", "skyproof", "reproduce", "--preset", TINY, "--out", folder, "--cores", "2"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def kill(run):
+    """As a power cut would: everything at once."""
+    processes = [*psutil.Process(run.pid).children(recursive=True), psutil.Process(run.pid)]
+    for process in processes:
+        process.kill()
+    psutil.wait_procs(processes, timeout=30)
+
+
+def test_killed_in_an_attack_and_finished(tmp_path):
+    folder = tmp_path / "run"
+    attack = folder / "camouflages" / "T-Fc-0"
+    run = start(folder)
+    until = time.monotonic() + 240
+    while not (attack / "checkpoint.safetensors").exists():
+        assert run.poll() is None, run.stdout.read()
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    kill(run)
+    assert not (attack / "camouflage.json").exists()
+    assert not (folder / "tables").exists()
+    trained = (folder / "detectors" / "retinanet" / "detector.json").stat().st_mtime_ns
+    checkpoint = (attack / "checkpoint.safetensors").stat().st_mtime_ns
+
+    run = start(folder)
+    said, _ = run.communicate(timeout=400)
+    assert run.returncode == 0, said
+    assert "jobs were finished before" in said
+    assert "tables: " in said
+    # Nothing finished was done again, and the attack went on where it was.
+    assert (folder / "detectors" / "retinanet" / "detector.json").stat().st_mtime_ns == trained
+    assert "train retinanet" not in said
+    rows = [json.loads(line) for line in (attack / "steps.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == list(range(1, 9))
+    assert (attack / "previews" / "000001.png").stat().st_mtime_ns < checkpoint
+
+    page = (folder / "tables" / "README.md").read_text()
+    for name in ("T-Fc", "R-Fc", "S-O", "C-Fc-seq", "C-Fc-par"):
+        assert f"\n| {name} |" in page, name
+    rows = json.loads((folder / "results.json").read_text())["rows"]
+    assert {row["camouflage"] for row in rows} >= {"T-Fc", "T-Fc_step1", "T-Fc_relaxed", "R-C-Fc@0.4", "C-Fc-par@0.4"}
+    assert (folder / "timings.csv").read_text().count("\n") == 1 + 14
+    environment = json.loads((folder / "environment.json").read_text())
+    assert environment["finished"]
+    assert len(environment["commands"]) == 1
+    assert not [path for path in folder.rglob("*") if ".partial" in path.name or path.name == "checkpoint.safetensors"]
+    # And once more: nothing to do.
+    before = {path: path.stat().st_mtime_ns for path in (folder / "scores").rglob("*")}
+    run = start(folder)
+    said, _ = run.communicate(timeout=120)
+    assert run.returncode == 0, said
+    assert {path: path.stat().st_mtime_ns for path in (folder / "scores").rglob("*")} == before
+    assert os.path.exists(folder / "snakemake.log")
