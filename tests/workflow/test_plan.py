@@ -43,7 +43,7 @@ def test_repeats_seeds_transfer_and_masked():
     wide = plan(
         seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2, transfer=["T-U"],
         magnitudes=[0.5, 1.0], masked_magnitudes=[0.2], ladder_steps=[1, 5, 100], ladder_magnitude=0.5, score_batch=4,
-        attack_steps={"texture": 10, "shape": 5, "combined": 6},
+        attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
     )  # fmt: skip
     first = [
         "T-U", "T-PixFcMa", "T-U_on_a", "T-U_on_b", "T-U_on_c", "T-U_without_a", "T-U_without_b", "T-U_without_c",
