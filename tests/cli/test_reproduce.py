@@ -50,7 +50,7 @@ def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:
     # A run stopped before its first stage: only these two are there.
     (tmp_path / "run" / "config.json").write_text(json.dumps({"preset": "tiny", **json.loads(TINY.read_text())}))
     with open(tmp_path / "run" / ".lock", "w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+        fcntl.flock(held, fcntl.LOCK_SH)  # even one that would share it
         skyproof("reproduce", "--preset", TINY, "--out", tmp_path / "run").refused("Another run")
     (tmp_path / "run" / "scores").mkdir()
     changed = tmp_path / "tiny.json"

@@ -24,6 +24,7 @@ def folder(tmp_path):
     write_scores(
         tmp_path / "scores" / "001",
         {"S-O@0.2-0": 0.4, "S-O@0.2-1": 0.4, "S-O@0.4-0": 0.9, "S-O@0.4-1": 0.7, "S-O@1-0": 1.0, "R-S-O@0.4-0": 0.1}
+        | {"S-O@0.2_step1-0": 1.0}
         | {"C-Fc-seq@0.2-0": 0.8, "C-Fc-seq@0.2-1": 0.8, "R-C-Fc@0.2-0": 0.2, "T-U_on_yolov5-0": 0.6},
     )
     for name in ("T-U-0", "T-U-1", "T-Fc-0", "S-O@0.4-0"):
@@ -73,6 +74,7 @@ def test_shapes_at_their_best_magnitude(folder):
     # S-O: P1 = 2 E Pr / (E + Pr): 0.4 and 0.8 give 0.533, 0.8 and 0.6 give 0.686, 1 and 0 give 0.
     alone = rows["S-O"]
     close(alone["pm_star"], 0.4)
+    close(alone["pm_star_share"], 100)  # the tiles are all alike
     close(alone["p1_star"], 2 * 0.8 * 0.6 / 1.4)
     close(alone["easr"], 80)
     close(alone["net_easr"], 70)
@@ -93,9 +95,10 @@ def test_shapes_at_their_best_magnitude(folder):
 def test_ladder_gap_and_signs(folder):
     write_reproduction(folder)
     ladder = table(folder, "ladder")
-    # From 90 after 10 steps to 80 after all: a fall on every tile alike, so a sure one.
     assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == ["10", "90", "80"]
-    assert (ladder["T-U-0"]["never_falls"], ladder["T-Fc-0"]["never_falls"]) == ("no", "yes")
+    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: a fall from 90 to 80 is not sure, 100 to 40 is.
+    falls = {name: (row["never_falls"], row["never_surely_falls"]) for name, row in ladder.items()}
+    assert falls == {"T-U-0": ("no", "yes"), "T-Fc-0": ("yes", "yes"), "S-O@0.2-0": ("no", "no")}
     assert ladder["T-Fc-0"]["after_10"] == "–"
     gap = table(folder, "gap")["T-Fc-0"]
     assert (gap["easr_before"], gap["easr_after"], gap["loss_yolov5_after"]) == ("50", "20", "0.2")
