@@ -96,7 +96,7 @@ def test_ladder_gap_and_signs(folder):
     write_reproduction(folder)
     ladder = table(folder, "ladder")
     assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == ["10", "90", "80"]
-    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: a fall from 90 to 80 is not sure, 100 to 40 is.
+    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: from 90 to 80 is no sure fall, 100 to 40 is.
     falls = {name: (row["never_falls"], row["never_surely_falls"]) for name, row in ladder.items()}
     assert falls == {"T-U-0": ("no", "yes"), "T-Fc-0": ("yes", "yes"), "S-O@0.2-0": ("no", "no")}
     assert ladder["T-Fc-0"]["after_10"] == "–"
