@@ -37,6 +37,7 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
         _agreement(tables["agreement"]),
         _order(run),
         "## Can the attacks be trusted?",
+        _tests([*tables["textures"].rows, *tables["shape_combined"].rows]),
         _signs(tables["signs"]),
         "### Strength ladder",
         _ladder(tables["ladder"]),
@@ -135,6 +136,26 @@ def _order(run: Reproduction) -> str:
         f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is the strongest):\n\n"
         + _markdown(header, rows)
     )
+
+
+def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Net of chance, and McNemar with Holm's correction over all rows of the run."""
+    learnt = [row for row in rows if not row["attack"].startswith("R-")]
+    tested = [row for row in learnt if row["mcnemar_p_holm"] is not None]
+    controlled = [row for row in learnt if row["net_easr_low"] is not None]
+    text = (
+        f"Placebo: in {sum(row['net_easr_low'] > 0 for row in controlled)} of {len(controlled)} rows above, the "
+        "interval of the net EASR lies above zero. McNemar’s exact test, with Holm’s correction over every attack and detector "
+        f"of the run: p < {_SURE} on every detector and for every repeat in "
+        f"{sum(row['mcnemar_p_holm'] < _SURE for row in tested)} of {len(tested)}."
+    )
+    open_rows = [row["attack"] for row in tested if row["mcnemar_p_holm"] >= _SURE]
+    below = [row["attack"] for row in controlled if row["net_easr_low"] <= 0]
+    if below:
+        text += f" Not surely better than chance: {', '.join(below)}."
+    if open_rows:
+        text += f" Not significant on every detector: {', '.join(open_rows)}."
+    return text
 
 
 def _signs(table: Table) -> str:

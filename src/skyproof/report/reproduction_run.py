@@ -63,6 +63,11 @@ class Reproduction:
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
         return self._by_name.get((name, wanted))
 
+    def corrected_p(self, name: str) -> float | None:
+        """The largest Holm-corrected McNemar p over the detectors (PAPER 40); None where one was not tested."""
+        found = [(self.row(name, detector) or {}).get("mcnemar_p_holm") for detector in self.detectors]
+        return None if any(p is None for p in found) else max(p for p in found if p is not None)
+
     @cached_property
     def names(self) -> list[str]:
         """Of all camouflages, without repeats."""

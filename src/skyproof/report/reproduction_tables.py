@@ -90,6 +90,7 @@ def _textures(run: Reproduction) -> list[dict[str, Any]]:
                 "attack": name,
                 "practicality": measured.get("total"),
                 **_ours(run.row(name)),
+                "mcnemar_p_holm": run.corrected_p(name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
             }
@@ -112,6 +113,7 @@ def _shapes(run: Reproduction) -> list[dict[str, Any]]:
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
                 **_ours(run.row_at(family, curve.best)),
+                "mcnemar_p_holm": run.corrected_p((run.row_at(family, curve.best) or {}).get("camouflage", "")),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,
                 "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
