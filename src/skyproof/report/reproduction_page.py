@@ -145,8 +145,8 @@ def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
     controlled = [row for row in learnt if row["net_easr_low"] is not None]
     text = (
         f"Placebo: in {sum(row['net_easr_low'] > 0 for row in controlled)} of {len(controlled)} rows above, the "
-        "interval of the net EASR lies above zero. McNemar’s exact test, with Holm’s correction over every attack and detector "
-        f"of the run: p < {_SURE} on every detector and for every repeat in "
+        "interval of the net EASR lies above zero. McNemar’s exact test, with Holm’s correction over every "
+        f"attack and detector of the run: p < {_SURE} on every detector and for every repeat in "
         f"{sum(row['mcnemar_p_holm'] < _SURE for row in tested)} of {len(tested)}."
     )
     open_rows = [row["attack"] for row in tested if row["mcnemar_p_holm"] >= _SURE]
