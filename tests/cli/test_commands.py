@@ -198,4 +198,5 @@ def test_bench(extra: list[str], tmp_path: Path, skyproof: Skyproof) -> None:
     for key in ("forward", "texture", "vertices"):
         assert figures[f"crop_64px_{key}_ms"] > 0
     assert figures["dataset_images_per_second"] > 0
-    assert figures["attack_step_over_detectors"] > 0
+    for key in ("texture", "fixed_colours", "masked", "shape", "texture_and_shape"):
+        assert figures[f"{key}_step_over_detectors"] > 0
