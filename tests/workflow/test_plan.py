@@ -35,14 +35,17 @@ def test_tiny_by_hand():
     sequential = tiny.attacks["C-Fc-seq@0.4-0"]
     assert (sequential.texture, sequential.fixed_colours, sequential.relaxed) == ("T-Fc-0", False, False)
     assert tiny.attacks["C-Fc-par@0.4-0"].fixed_colours
-    assert list(tiny.batches) == ["000"]
-    assert len(tiny.batches["000"]) == 3 + 2 + 2 + 3 + 3
+    # Random controls are scored by themselves: they wait for no attack.
+    assert tiny.batches["000"] == tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
+    assert list(tiny.batches) == ["000", "001"]
+    assert len(tiny.batches["001"]) == 3 + 2 + 2 + 3
 
 
 def test_repeats_seeds_transfer_and_masked():
     wide = plan(
         seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2, transfer=["T-U"],
-        magnitudes=[0.5, 1.0], masked_magnitudes=[0.2], ladder_steps=[1, 5, 100], ladder_magnitude=0.5, score_batch=4,
+        magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]}, score_batch=4,
+        ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
         attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
     )  # fmt: skip
     first = [
@@ -58,7 +61,7 @@ def test_repeats_seeds_transfer_and_masked():
     assert kept == {"T-U-0": (1, 5), "T-PixFcMa-0": (1, 5), "S-O@0.5-0": (1,), "C-U-seq@0.5-0": (1, 5)}
     scored = [folder for batch in wide.batches.values() for folder in batch]
     assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
-    assert {len(batch) for batch in list(wide.batches.values())[:-1]} == {4}
+    assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
     # Two detectors: all but one is the other one, which is there already.
     assert [name for name in plan(detectors=["a", "b"], transfer=["T-U"]).attacks if "_" in name] == [
         "T-U_on_a-0",

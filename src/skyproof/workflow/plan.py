@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -37,8 +36,8 @@ class Preset:
             combinations.
         repeats: attacks of each kind, from different seeds.
         draws: of each random control (PAPER 34).
-        magnitudes: PM of shapes alone and of combinations with the six textures that are not masked (PAPER 52, 53).
-        masked_magnitudes: PM of combinations with the six masked textures.
+        magnitudes: PM of shapes alone and of combinations (PAPER 52, 53).
+        combined_magnitudes: by texture, PM of its combinations where they are others.
         transfer: textures that are also attacked on single detectors, and on all but one.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done.
@@ -59,7 +58,7 @@ class Preset:
     repeats: int
     draws: int
     magnitudes: tuple[float, ...]
-    masked_magnitudes: tuple[float, ...]
+    combined_magnitudes: Mapping[str, tuple[float, ...]]
     transfer: tuple[str, ...]
     ladder_steps: tuple[int, ...]
     ladder_magnitude: float
@@ -78,17 +77,19 @@ class Preset:
         missing = [name for name in names if name not in values]
         if missing:
             raise ConfigurationError(f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json.")
-        lists = {"detectors", "textures", "magnitudes", "masked_magnitudes", "transfer", "ladder_steps"}
+        lists = {"detectors", "textures", "magnitudes", "transfer", "ladder_steps"}
         given: dict[str, Any] = {name: tuple(values[name]) if name in lists else values[name] for name in names}
-        for name in ("magnitudes", "masked_magnitudes"):
-            given[name] = tuple(map(float, given[name]))
+        given["magnitudes"] = tuple(map(float, given["magnitudes"]))
+        others = values["combined_magnitudes"].items()
+        given["combined_magnitudes"] = {texture: tuple(map(float, grid)) for texture, grid in others}
         preset = cls(**given)
         counts = {name: getattr(preset, name) for name in ("repeats", "draws", "score_batch", "threads")}
         if min(counts.values()) < 1 or not preset.detectors:
             raise ConfigurationError(f"A preset expects at least one detector and counts of at least 1, got {counts}.")
-        for texture in preset.textures:
+        for texture in (*preset.textures, *preset.combined_magnitudes):
             TextureConstraints.parse(texture)
-        unfit = [pm for pm in (*preset.magnitudes, *preset.masked_magnitudes) if not 0 < pm <= 1]
+        grids = (preset.magnitudes, *preset.combined_magnitudes.values())
+        unfit = [pm for grid in grids for pm in grid if not 0 < pm <= 1]
         if unfit:
             raise ConfigurationError(f"A preset expects magnitudes above 0 and up to 1, got {unfit}.")
         if set(preset.attack_steps) != {"texture", "shape", "sequential", "parallel"}:
@@ -161,11 +162,10 @@ class Plan:
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         self.attacks = {job.name: job for job in self._attacks()}
         self.controls = tuple(f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws))
-        folders = [folder for job in self.attacks.values() for folder in job.folders] + list(self.controls)
-        size = preset.score_batch
-        self.batches = {
-            f"{start // size:03d}": tuple(folders[start : start + size]) for start in range(0, len(folders), size)
-        }
+        # Controls by themselves and first: they wait for no attack.
+        folders = [folder for job in self.attacks.values() for folder in job.folders]
+        batches = [*_batched(self.controls, preset.score_batch), *_batched(folders, preset.score_batch)]
+        self.batches = {f"{number:03d}": batch for number, batch in enumerate(batches)}
 
     @property
     def measured(self) -> list[str]:
@@ -194,7 +194,7 @@ class Plan:
         return textures + shapes + combined
 
     def _grid(self, texture: TextureConstraints) -> tuple[float, ...]:
-        return self.preset.masked_magnitudes if texture.masked else self.preset.magnitudes
+        return self.preset.combined_magnitudes.get(texture.name, self.preset.magnitudes)
 
     def _attacks(self) -> list[AttackJob]:
         jobs = []
@@ -212,7 +212,7 @@ class Plan:
                 jobs.append(
                     self._job(f"C-{texture.name}-seq@{pm:g}", repeat, "sequential", texture, pm=pm, under=under)
                 )
-            for texture, pm in itertools.product(parallel, self.preset.magnitudes):
+            for texture, pm in [(each, pm) for each in parallel for pm in self._grid(each)]:
                 jobs.append(self._job(f"C-{texture.name}-par@{pm:g}", repeat, "parallel", texture, pm=pm))
         return jobs
 
@@ -254,3 +254,7 @@ class Plan:
             keep_at=keep_at,
             relaxed=bool(keep_at) and learns_colours,
         )
+
+
+def _batched(folders: Sequence[str], size: int) -> list[tuple[str, ...]]:
+    return [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
