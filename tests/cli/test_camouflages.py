@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from skyproof.evaluate.outcomes import read_outcomes
 from tests.cli.conftest import Skyproof, bytes_of
 
 STEPS = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1, "--device", "cpu"]
@@ -79,6 +80,29 @@ def test_from_palette_to_table(finished: Path, tmp_path: Path, skyproof: Skyproo
     measured = {row["name"]: row for row in json.loads((tmp_path / "measures.json").read_text())["rows"]}
     assert measured["T-PixFcMa-0"]["score"]["total"] == 3
     assert measured["C-PixFcMa-seq@0.2-0"]["shape"]["largest_displacement_m"] > 0
+
+
+def test_a_camouflage_is_judged_under_weather(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    scenes, clear, out = tmp_path / "weather.jsonl", tmp_path / "clear", tmp_path / "scores"
+    world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
+    conditions = ["--conditions", "rain", "low_sun", "jpeg"]
+    call = ["scenes", *world, "--out", scenes, "--count", 8, "--image-px", 128, *conditions]
+    assert skyproof(*call).code == 0
+    assert {row["weather"]["condition"] for row in map(json.loads, scenes.read_text().splitlines())} == {
+        "rain",
+        "low_sun",
+        "jpeg",
+    }
+    skyproof(*call).refused(str(scenes), "not overwritten")
+    skyproof(*call[:-3], "hail", "--out", tmp_path / "x").refused("hail")
+    skyproof(*call, "--count", 0, "--out", tmp_path / "x").refused("--count")
+    assert skyproof("render", "--scenes", scenes, *world, "--out", clear, "--device", "cpu").code == 0
+    answer = skyproof(
+        *("score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"),
+        *("--scenes", scenes, *world, "--original", clear, "--out", out, "--device", "cpu"),
+    )
+    assert answer.code == 0, answer.err
+    assert {outcome.condition for outcome in read_outcomes(out / "outcomes.parquet")} == {"rain", "low_sun", "jpeg"}
 
 
 def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> None:

@@ -1,25 +1,81 @@
-"""The single stages around an attack as commands: render, train, evaluate, report."""
+"""The single stages around an attack as commands: scenes, render, train, evaluate, report."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import (
     choose_device,
     evaluate_folders,
+    generator_of,
     render_folder,
     train_detector,
 )
 from skyproof.detectors.folder import read_card
 from skyproof.detectors.training import TRAINING_PRESETS
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.scene import write_scenes
+from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["Evaluate", "Render", "Report", "Train"]
+__all__ = ["Evaluate", "Render", "Report", "Scenes", "Train"]
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """Samples scenes on a split's ground, in any weather: which window, camera, sun, vehicles where.
+
+    Attributes:
+        backgrounds: background set folder.
+        fleet: fleet folder.
+        out: scene file (JSON lines) to write.
+        split: of the backgrounds: train, validation, attack or test.
+        count: how many scenes.
+        image_px: image side.
+        vehicles_minimum, vehicles_maximum: per image.
+        conditions: weather and light, each equally likely: clear, haze, rain, low_sun, overcast, exposure, noise, jpeg.
+        seed: of everything.
+    """
+
+    backgrounds: Path
+    fleet: Path
+    out: Path
+    split: Literal["train", "validation", "attack", "test"] = "test"
+    count: int = 120
+    image_px: int = 192
+    vehicles_minimum: int = 1
+    vehicles_maximum: int = 5
+    conditions: tuple[str, ...] = ("clear",)
+    seed: int = 0
+
+    def run(self) -> None:
+        """Samples and writes."""
+        if self.count < 1:
+            raise ConfigurationError(f"--count expects at least 1 scene, got {self.count}.")
+        if self.out.exists():
+            raise RunFolderError(f"{self.out} exists and is not overwritten; choose another --out or remove it.")
+        backgrounds, fleet = BackgroundSet.open(self.backgrounds), Fleet.load(self.fleet)
+        settings = SceneSettings(
+            size_px=self.image_px,
+            gsd_m=backgrounds.gsd_m,
+            vehicles_minimum=self.vehicles_minimum,
+            vehicles_maximum=self.vehicles_maximum,
+            conditions=self.conditions,
+        )
+        sizes_m = {name: fleet.size_m(name) for name in fleet.ids}
+        generator = generator_of(self.seed, "scenes", self.split)
+        scenes = sample_scenes(
+            settings, backgrounds, self.split, sizes_m, self.count, generator=generator, prefix=self.split
+        )
+        write_scenes(self.out, scenes)
+        say(f"Scenes: {self.out.resolve()}")
 
 
 @dataclass(frozen=True)

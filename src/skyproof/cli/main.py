@@ -11,7 +11,7 @@ import tyro
 
 from skyproof.cli.bench import Bench
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
-from skyproof.cli.commands import Evaluate, Render, Report, Train
+from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
 from skyproof.cli.plan import Plan
@@ -25,6 +25,7 @@ __all__ = ["run"]
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "world": World,
+    "scenes": Scenes,
     "render": Render,
     "train": Train,
     "palette": Palette,
