@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shlex
 import signal
@@ -115,6 +114,9 @@ def _snakemake(out: Path, config: Path, *more: str) -> list[str]:
 @contextmanager
 def _alone(out: Path) -> Iterator[int]:
     """Holds the folder's lock; a kill gives it back."""
+    # Windows has none, and must still run the other commands.
+    import fcntl
+
     out.mkdir(parents=True, exist_ok=True)
     with open(out / ".lock", "w", encoding="utf-8") as file:
         try:
