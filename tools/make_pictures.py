@@ -227,7 +227,7 @@ def draw_attacks(run_folder: Path) -> Image.Image:
     rows = [
         ["T-U", "T-Pix", "T-Lc", "T-PixLc", "T-Fc", "T-PixFc"],
         ["T-Ma", "T-PixMa", "T-LcMa", "T-PixLcMa", "T-FcMa", "T-PixFcMa"],
-        ["S-O@0.2", "S-O@0.4", "S-O@0.7", "S-O@1", "C-Fc-seq@0.2", "C-PixFc-par@0.2"],
+        ["S-O@0.2", "S-O@0.4", "S-O@0.7", "C-Fc-seq@0.2", "C-PixFc-seq@0.7", "C-PixFc-par@0.2"],
     ]
     cell = (width + map_px + 16, height + head)
     sheet = Image.new("RGB", (per_row * cell[0] + 10, len(rows) * cell[1] + 6), PAPER)
