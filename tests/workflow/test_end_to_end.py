@@ -60,7 +60,7 @@ def test_killed_in_an_attack_and_finished(tmp_path):
         assert f"\n| {name} |" in page, name
     rows = json.loads((folder / "results.json").read_text())["rows"]
     assert {row["camouflage"] for row in rows} >= {"T-Fc", "T-Fc_step1", "T-Fc_relaxed", "R-C-Fc@0.4", "C-Fc-par@0.4"}
-    assert (folder / "timings.csv").read_text().count("\n") == 1 + 14
+    assert (folder / "timings.csv").read_text().count("\n") == 1 + 15
     environment = json.loads((folder / "environment.json").read_text())
     assert environment["finished"]
     assert len(environment["commands"]) == 1
