@@ -126,7 +126,7 @@ def draw_scenes() -> Image.Image:
     """A contact sheet of rendered scenes: 2 x 4 images of 192 px on eight tiles, enlarged twice."""
     size_px, columns, count = 192, 4, 8
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
-    sizes = {name: fleet.size_m(name) for name in fleet.ids}
+    sizes = fleet.sizes_m
     with tempfile.TemporaryDirectory() as folder:
         backgrounds = write_procedural_backgrounds(Path(folder), {"test": 16}, 386, seed=3)
         settings = SceneSettings(size_px=size_px, vehicles_minimum=2)
@@ -158,7 +158,7 @@ def draw_weather_sheet() -> Image.Image:
     """One scene of 240 px under every condition: 2 x 4 pictures."""
     size_px, columns = 240, 4
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
-    sizes = {name: fleet.size_m(name) for name in fleet.ids}
+    sizes = fleet.sizes_m
     with tempfile.TemporaryDirectory() as folder:
         backgrounds = write_procedural_backgrounds(Path(folder), {"test": 1}, 700, seed=WEATHER_TILE_SEED)
         renderer = TorchRenderer(backgrounds)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from skyproof.camouflage.names import matched_control, pooled_name
 from skyproof.camouflage.recipe import read_recipe
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.names import matched_control, pooled_name
 from skyproof.workflow.plan import PRESETS, SNAKEFILE, Plan, Preset, read_preset
 
 TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import math
-import re
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -24,12 +23,13 @@ from skyproof.attacks.objective import balanced_weights, empty_truth_losses, fro
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.names import variant_name
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_json, read_jsonl, refuse_foreign, write_beside, write_bytes, write_json, write_jsonl
 
-__all__ = ["AttackSettings", "attack"]
+__all__ = ["AttackSettings", "attack", "make_optimiser"]
 
 _CHECKPOINT = "checkpoint.safetensors"
 
@@ -156,6 +156,23 @@ def attack(
     return camouflage
 
 
+def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
+    """Adam at the start of an attack; every parameter's own rate is also kept as "first_lr" of its group.
+
+    Raises:
+        ConfigurationError: no parameter is there to be learnt.
+    """
+    groups = []
+    for name, value in camouflage.named_parameters():
+        # The finished texture under a sequential attack's shape is not learnt.
+        if value.requires_grad:
+            rate = settings.learning_rate * camouflage.learning_rates.get(name, 1.0)
+            groups.append({"params": [value], "lr": rate, "first_lr": rate})
+    if not groups:
+        raise ConfigurationError(f"{camouflage.name} has nothing to learn; attack with one that is not finished.")
+    return torch.optim.Adam(groups)
+
+
 @torch.no_grad()
 def _measure(
     camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
@@ -172,8 +189,7 @@ def _measure(
 def _snapshot(camouflage: Camouflage, variant: str, folder: Path, *, finalise: bool) -> None:
     """A copy of the camouflage as it is now, under a name of its own: "T-U-0" after 10 steps is "T-U_step10-0"."""
     copied = copy.deepcopy(camouflage)
-    base, repeat = re.fullmatch(r"(.*?)(-\d+)?", camouflage.name).groups()  # type: ignore[union-attr]
-    copied.name = f"{base}_{variant}{repeat or ''}"
+    copied.name = variant_name(camouflage.name, variant)
     if finalise:
         copied.finalise()
     save_camouflage(folder / "snapshots" / copied.name, copied, {"of": camouflage.name, "variant": variant})
@@ -185,16 +201,7 @@ class _Run:
     def __init__(self, camouflage: Camouflage, settings: AttackSettings, identity: dict[str, Any]) -> None:
         self.camouflage, self.settings = camouflage, settings
         self.identity = json.loads(json.dumps(identity))
-        rates = camouflage.learning_rates
-        groups = [
-            {"params": [value], "factor": rates.get(name, 1.0)}
-            for name, value in camouflage.named_parameters()
-            # The finished texture under a sequential attack's shape is not learnt.
-            if value.requires_grad
-        ]
-        if not groups:
-            raise ConfigurationError(f"{camouflage.name} has nothing to learn; attack with one that is not finished.")
-        self.optimiser = torch.optim.Adam(groups, lr=settings.learning_rate)
+        self.optimiser = make_optimiser(camouflage, settings)
         self.weights: dict[str, float] = {}
         self.rows: list[dict[str, Any]] = []
         self.step = 0
@@ -205,7 +212,7 @@ class _Run:
         """One step; returns the batch's images and every detector's mean loss before it."""
         share = self.step / self.settings.steps
         for group in self.optimiser.param_groups:
-            group["lr"] = self.settings.learning_rate * group["factor"] * (0.55 + 0.45 * math.cos(math.pi * share))
+            group["lr"] = group["first_lr"] * (0.55 + 0.45 * math.cos(math.pi * share))
         self.step += 1
         self.camouflage.before_step_(self.step, self.settings.steps)
         scenes = world.step_scenes(self.settings.batch_size, self.settings.seed, self.step)

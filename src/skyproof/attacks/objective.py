@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -10,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.camouflage.names import base_name
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError
@@ -57,7 +57,7 @@ def paper_weights(camouflage: str, detectors: Sequence[str]) -> dict[str, float]
     Raises:
         ConfigurationError: another ensemble, or an attack for which the paper gives no weights.
     """
-    base = re.sub(r"-\d+$", "", camouflage).partition("_")[0].partition("@")[0]
+    base = base_name(camouflage).partition("@")[0]
     if base not in _PAPER_WEIGHTS or sorted(detectors) != sorted(_PAPER_ORDER):
         raise ConfigurationError(
             f"The paper gives weights for {', '.join(_PAPER_WEIGHTS)} on {', '.join(_PAPER_ORDER)} together, not for "

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
-from skyproof.attacks.attack import AttackSettings
+from skyproof.attacks.attack import AttackSettings, make_optimiser
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
@@ -49,12 +49,7 @@ def sign_test(
             frames = world.frames(moved, scenes)
             losses = {name: values.mean() for name, values in empty_truth_losses(detectors, frames.image).items()}
             weights = balanced_weights({name: [float(value.detach())] for name, value in losses.items()})
-            groups = [
-                {"params": [value], "lr": settings.learning_rate * moved.learning_rates.get(name, 1.0)}
-                for name, value in moved.named_parameters()
-                if value.requires_grad
-            ]
-            optimiser = torch.optim.Adam(groups)
+            optimiser = make_optimiser(moved, settings)
             torch.stack([weights[name] * value for name, value in losses.items()]).sum().backward()
             optimiser.step()
             moved.project_()

@@ -51,8 +51,7 @@ class AttackWorld:
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Random scenes on the attack backgrounds."""
-        sizes = {vehicle: self.fleet.size_m(vehicle) for vehicle in self.fleet.ids}
-        return sample_scenes(self.scenes, self.backgrounds, "attack", sizes, count, generator=generator)
+        return sample_scenes(self.scenes, self.backgrounds, "attack", self.fleet.sizes_m, count, generator=generator)
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
         """The scenes of one step; those of steps 0, -1, -2 ... are seen by no step, and serve to measure."""

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
-from sklearn.cluster import KMeans
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -45,6 +44,9 @@ def fit_palette(pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int) ->
             f"A palette of {colours} colours needs ground with as many, but its pixels have {distinct}; "
             "give other imagery or fewer colours."
         )
+    # Slow to import, and needed by one command.
+    from sklearn.cluster import KMeans
+
     points = srgb_to_cielab(pixels.double()).numpy()
     means = KMeans(colours, n_init=4, random_state=seed).fit(points)
     order = np.argsort(-np.bincount(means.labels_, minlength=colours), kind="stable")

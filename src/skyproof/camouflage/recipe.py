@@ -14,6 +14,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.names import base_name
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 
@@ -71,7 +72,7 @@ def read_recipe(name: str) -> Recipe:
     Raises:
         ConfigurationError: no such camouflage, contradictory constraints, or PM outside [0, 1].
     """
-    base = re.sub(r"-\d+$", "", name).partition("_")[0]
+    base = base_name(name)
     if match := _TEXTURE.fullmatch(base):
         constraints = TextureConstraints.parse(match["constraints"])
         return Recipe(name, constraints, None, None, random=match["kind"] == "R")

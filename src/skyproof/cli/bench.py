@@ -77,12 +77,13 @@ class Bench:
         backgrounds = write_procedural_backgrounds(folder / "tiles", {"attack": 4}, _TILE_PX, seed=0)
         fleet = sample_fleet(FleetSettings(count=16), generator=generator_of(0, "fleet"))
         renderer = TorchRenderer(backgrounds)
-        sizes = {name: fleet.size_m(name) for name in fleet.ids}
         settings = SceneSettings(size_px=self.image_px, vehicles_maximum=1)
 
         def scenes(count: int, most: int = 1) -> list[Scene]:
             chosen = replace(settings, vehicles_maximum=most)
-            return sample_scenes(chosen, backgrounds, "attack", sizes, count, generator=generator_of(0, "scenes"))
+            return sample_scenes(
+                chosen, backgrounds, "attack", fleet.sizes_m, count, generator=generator_of(0, "scenes")
+            )
 
         threads = torch.get_num_threads()
         crops = _Crops(fleet, device, scenes(self.batch_size))

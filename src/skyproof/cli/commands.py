@@ -69,10 +69,9 @@ class Scenes:
             vehicles_maximum=self.vehicles_maximum,
             conditions=self.conditions,
         )
-        sizes_m = {name: fleet.size_m(name) for name in fleet.ids}
         generator = generator_of(self.seed, "scenes", self.split)
         scenes = sample_scenes(
-            settings, backgrounds, self.split, sizes_m, self.count, generator=generator, prefix=self.split
+            settings, backgrounds, self.split, fleet.sizes_m, self.count, generator=generator, prefix=self.split
         )
         write_scenes(self.out, scenes)
         say(f"Scenes: {self.out.resolve()}")

@@ -32,7 +32,7 @@ from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.coco import read_coco
 from skyproof.scenes.sampling import SceneSettings
-from skyproof.scenes.scene import read_scenes
+from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = [
@@ -89,19 +89,21 @@ def render_folder(
     device: torch.device | str = "cpu",
 ) -> None:
     """Draws a scene file to a dataset folder, with a camouflage folder or without."""
-    worn: Camouflage | None = load_camouflage(camouflage).to(device) if camouflage else None
     renderer = TorchRenderer(BackgroundSet.open(backgrounds))
-    name = f"render {out.name}"
-    with progress_bar(name) as update:
-        render_dataset(
-            out,
-            read_scenes(scenes),
-            Fleet.load(fleet),
-            renderer,
-            camouflage=worn,
-            device=device,
-            progress=update,
-        )
+    _render(read_scenes(scenes), renderer, Fleet.load(fleet), out, camouflage, device)
+
+
+def _render(
+    scenes: Sequence[Scene],
+    renderer: TorchRenderer,
+    fleet: Fleet,
+    out: Path,
+    camouflage: Path | None,
+    device: torch.device | str,
+) -> None:
+    worn: Camouflage | None = load_camouflage(camouflage).to(device) if camouflage else None
+    with progress_bar(f"render {out.name}") as update:
+        render_dataset(out, scenes, fleet, renderer, camouflage=worn, device=device, progress=update)
 
 
 def train_detector(
@@ -250,9 +252,11 @@ def score_camouflages(
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.images.") as images:
         rendered = {folder.name: Path(images) / folder.name for folder in camouflages}
+        # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering one set.
+        renderer = TorchRenderer(BackgroundSet.open(backgrounds))
+        shown, vehicles = read_scenes(scenes), Fleet.load(fleet)
         for folder in camouflages:
-            place = rendered[folder.name]
-            render_folder(scenes, backgrounds, fleet, place, camouflage=folder, device=device)
+            _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
         return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
 
 

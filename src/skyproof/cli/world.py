@@ -130,7 +130,8 @@ def write_scene_files(out: Path, sizes: WorldSizes, seed: int) -> None:
     with finished_folder(out / "scenes") as folder:
         for split, (count, settings) in wanted.items():
             fleet = Fleet.load(out / "fleets" / split)
-            sizes_m = {name: fleet.size_m(name) for name in fleet.ids}
             generator = generator_of(seed, "scenes", split)
-            scenes = sample_scenes(settings, backgrounds, split, sizes_m, count, generator=generator, prefix=split)
+            scenes = sample_scenes(
+                settings, backgrounds, split, fleet.sizes_m, count, generator=generator, prefix=split
+            )
             write_scenes(folder / f"{split}.jsonl", scenes)

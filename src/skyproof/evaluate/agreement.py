@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from skyproof.camouflage.names import pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.intervals import Interval, resample
-from skyproof.evaluate.names import pooled_name
+from skyproof.evaluate.intervals import Interval, resample, resampled
 from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.evaluate.tiles import TileCounts
 
@@ -79,12 +79,9 @@ def rank_agreement(
     undefined = next((name for name, rate in zip(shared, ours, strict=True) if math.isnan(rate)), None)
     if undefined is not None:
         raise ConfigurationError(f"The EASR of {undefined} is undefined; a detector found no vehicle before it.")
-    weights = resample(len(tiles.tiles), generator=generator).astype(np.float64)
+    weights = resample(len(tiles.tiles), generator=generator)
     drawn = np.stack(
-        [
-            overall_attack_success_rate(np.einsum("rc,sck->rsk", weights, stack, optimize=True)).mean(axis=-1)
-            for stack in chosen
-        ],
+        [overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in chosen],
         axis=1,
     )
     drawn = drawn[~np.isnan(drawn).any(axis=1)]

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from skyproof.camouflage.names import is_control, pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.intervals import Interval, mean_interval, resample
-from skyproof.evaluate.names import is_control, pooled_name
+from skyproof.evaluate.intervals import Interval, mean_interval, resample, resampled
 from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.evaluate.tiles import TileCounts
 
@@ -117,8 +117,7 @@ def practicality_curve(
         pm: mean_interval(stack, overall_attack_success_rate, weights, (-math.inf, 1.0)) for pm, stack in stacks.items()
     }
     replicates = {
-        pm: overall_attack_success_rate(np.einsum("rc,sck->rsk", weights, stack, optimize=True)).mean(axis=-1)
-        for pm, stack in stacks.items()
+        pm: overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for pm, stack in stacks.items()
     }
     if family == "S-O":
         # Without any change every vehicle is found exactly when it was found before.

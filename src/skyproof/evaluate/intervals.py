@@ -30,6 +30,7 @@ __all__ = [
     "mcnemar_p",
     "mean_interval",
     "resample",
+    "resampled",
     "unanimous_margin",
 ]
 
@@ -83,7 +84,7 @@ def cluster_interval(
         limits: the values that the statistic can take; rates and their differences, so seldom beyond [-1, 1].
     """
     total = counts.sum(axis=1)
-    replicates, left_one_out = statistic(_resampled(counts, weights)), statistic(total - counts.transpose(1, 0, 2))
+    replicates, left_one_out = statistic(resampled(counts, weights)), statistic(total - counts.transpose(1, 0, 2))
     return _interval(float(statistic(total)), replicates, left_one_out, limits)
 
 
@@ -101,7 +102,7 @@ def mean_interval(
 
     total = counts.sum(axis=1)
     points, left_one_out = rate(total), rate(total - counts.transpose(1, 0, 2))
-    replicates = rate(_resampled(counts, weights))
+    replicates = rate(resampled(counts, weights))
     whole = _interval(float(points.mean()), replicates.mean(axis=-1), left_one_out.mean(axis=-1), limits)
     if whole.unanimous or not any(_agree(column) for column in replicates.T):
         return whole
@@ -113,7 +114,7 @@ def mean_interval(
     return Interval(whole.estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
 
 
-def _resampled(counts: Num[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]) -> Float[np.ndarray, "R S 3"]:
+def resampled(counts: Num[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]) -> Float[np.ndarray, "R S 3"]:
     """Summed counts of every replicate."""
     flat = counts.transpose(1, 0, 2).reshape(counts.shape[1], -1)
     # Floats, because only they are multiplied by fast library code; counts are far below 2^53, so it is exact.

@@ -11,7 +11,7 @@ from typing import Literal
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from skyproof.errors import StoredFileError
+from skyproof.evaluate.parquet import read_table
 from skyproof.files import write_beside
 
 __all__ = ["MATCHES", "Outcome", "read_outcomes", "write_outcomes"]
@@ -82,15 +82,4 @@ def read_outcomes(path: Path) -> list[Outcome]:
     Raises:
         StoredFileError: the file is missing, not Parquet, or has other columns.
     """
-    try:
-        table = pq.read_table(path)
-    except FileNotFoundError as error:
-        raise StoredFileError(f"{path} is missing; run the evaluation, or give another run folder.") from error
-    except (pa.ArrowException, OSError) as error:
-        raise StoredFileError(f"{path} is not a readable Parquet file ({error}); run the evaluation again.") from error
-    if not table.schema.equals(_SCHEMA):
-        difference = sorted(set(_SCHEMA.names) ^ set(table.schema.names)) or "types"
-        raise StoredFileError(
-            f"{path} has other columns than this version writes ({difference}); run the evaluation again."
-        )
-    return [Outcome(**row) for row in table.to_pylist()]
+    return [Outcome(**row) for row in read_table(path, _SCHEMA).to_pylist()]

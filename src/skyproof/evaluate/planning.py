@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
+from skyproof.camouflage.names import is_control
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.intervals import effective_limits, unanimous_margin
-from skyproof.evaluate.names import is_control
 from skyproof.evaluate.tiles import TileCounts
 
 __all__ = ["Assumptions", "Need", "assume_from_pilot", "expected_half_width", "vehicles_needed"]

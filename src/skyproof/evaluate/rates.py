@@ -7,6 +7,8 @@ and thousands of bootstrap replicates.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Bool, Float, Num
@@ -17,6 +19,7 @@ __all__ = [
     "false_alarms_per_km2",
     "overall_attack_success_rate",
     "pair_counts",
+    "success_difference",
 ]
 
 
@@ -44,6 +47,16 @@ def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "
 def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
     """EASR = ASR − ER, equal to 1 − TP_adversarial / TP_original at the fixed threshold. nan where none was found."""
     return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
+
+
+def success_difference(own: int) -> Callable[[Num[np.ndarray, "*shape S 3"]], Float[np.ndarray, "*shape"]]:
+    """Of stacked series: the mean EASR of the first `own` minus that of the rest (net EASR, PAPER 37)."""
+
+    def difference(counts: Num[np.ndarray, "*shape S 3"]) -> Float[np.ndarray, "*shape"]:
+        easr = overall_attack_success_rate(counts)
+        return np.asarray(easr[..., :own].mean(axis=-1) - easr[..., own:].mean(axis=-1))
+
+    return difference
 
 
 def false_alarms_per_km2(false_alarms: int, images: int, image_area_m2: float) -> float:

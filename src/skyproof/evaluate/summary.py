@@ -10,10 +10,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from skyproof.camouflage.names import is_control, matched_control, pooled_name
 from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, mean_interval, resample
-from skyproof.evaluate.names import is_control, matched_control, pooled_name
 from skyproof.evaluate.outcomes import MATCHES
-from skyproof.evaluate.rates import attack_success_rate, enhancement_rate, overall_attack_success_rate
+from skyproof.evaluate.rates import (
+    attack_success_rate,
+    enhancement_rate,
+    overall_attack_success_rate,
+    success_difference,
+)
 from skyproof.evaluate.sets import ORIGINAL, SetScore
 from skyproof.evaluate.tiles import Series, TileCounts
 
@@ -108,7 +113,7 @@ class _Table:
         if control:
             random = self._stack(control, detectors)
             chance = mean_interval(random, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
-            net = cluster_interval(np.concatenate([own, random]), _net(len(own)), self.weights)
+            net = cluster_interval(np.concatenate([own, random]), success_difference(len(own)), self.weights)
             net = _no_surer_than_its_parts(net, easr, chance)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
         row |= self._set_scores(members, detectors, renderer, match)
@@ -172,16 +177,6 @@ def _no_surer_than_its_parts(net: Interval, easr: Interval, chance: Interval) ->
     if not unanimous or math.isnan(lower + upper):
         return net
     return Interval(net.estimate, min(net.low, net.estimate - lower), max(net.high, net.estimate + upper))
-
-
-def _net(own: int) -> Any:
-    """Mean EASR of the first `own` series minus that of the rest."""
-
-    def difference(counts: np.ndarray) -> Any:
-        easr = overall_attack_success_rate(counts)
-        return easr[..., :own].mean(axis=-1) - easr[..., own:].mean(axis=-1)
-
-    return difference
 
 
 def _unique(values: Any) -> list[str]:

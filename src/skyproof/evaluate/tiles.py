@@ -14,6 +14,7 @@ from jaxtyping import Int
 
 from skyproof.errors import StoredFileError
 from skyproof.evaluate.outcomes import Outcome
+from skyproof.evaluate.parquet import read_table
 from skyproof.files import write_beside
 
 __all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
@@ -92,14 +93,7 @@ def read_tiles(path: Path) -> TileCounts:
     Raises:
         StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot be.
     """
-    try:
-        table = pq.read_table(path)
-    except FileNotFoundError as error:
-        raise StoredFileError(f"{path} is missing; run the evaluation, or give another folder.") from error
-    except (pa.ArrowException, OSError) as error:
-        raise StoredFileError(f"{path} is not a readable Parquet file ({error}); run the evaluation again.") from error
-    if not table.schema.equals(_SCHEMA):
-        raise StoredFileError(f"{path} has other columns than this version writes; run the evaluation again.")
+    table = read_table(path, _SCHEMA)
     names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
     counts = np.stack([table[name].to_numpy() for name in _COUNTS], axis=1)
     keys, first, which = np.unique(np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skyproof.camouflage.names import base_name, is_control, pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.names import is_control, pooled_name
 from skyproof.evaluate.summary import MEAN
 
 __all__ = ["Cell", "transfer_matrix"]
@@ -68,7 +68,7 @@ def transfer_matrix(
         row
         for row in rows
         if (row["renderer"], row["match"]) == (renderer, match)
-        and row["camouflage"].partition("_")[0] == base
+        and base_name(row["camouflage"]) == base
         and not is_control(row["camouflage"])
         and row["detector"] != MEAN
     ]

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from skyproof.camouflage.names import pooled_name
 from skyproof.errors import StoredFileError
 from skyproof.evaluate.curves import Curve, curve_families, practicality_curve
 from skyproof.evaluate.intervals import Interval, cluster_interval, resample
 from skyproof.evaluate.merge import merge_evaluations
-from skyproof.evaluate.names import pooled_name
-from skyproof.evaluate.rates import overall_attack_success_rate
+from skyproof.evaluate.rates import overall_attack_success_rate, success_difference
 from skyproof.evaluate.summary import MEAN, summarise
 from skyproof.evaluate.tiles import Series, TileCounts
 from skyproof.files import read_json
@@ -101,12 +101,7 @@ class Reproduction:
         after, before = self._counts(later), self._counts(earlier)
         if after is None or before is None:
             return None
-
-        def minus(counts: np.ndarray) -> Any:
-            easr = overall_attack_success_rate(counts)
-            return easr[..., : len(after)].mean(axis=-1) - easr[..., len(after) :].mean(axis=-1)
-
-        return cluster_interval(np.concatenate([after, before]), minus, self._weights)
+        return cluster_interval(np.concatenate([after, before]), success_difference(len(after)), self._weights)
 
     def _counts(self, camouflage: str) -> np.ndarray | None:
         keys = [Series(camouflage, renderer, detector, MATCH) for renderer in ("torch",) for detector in self.detectors]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from skyproof.camouflage.names import base_name
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.agreement import rank_agreement
 from skyproof.evaluate.paper_results import PAPER_RESULTS
@@ -180,7 +181,7 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
         name: tuple(record["attack"]["detectors"]) for name, record in run.records.items() if "attack" in record
     }
     rows = []
-    for base in dict.fromkeys(name.partition("_")[0] for name in variants):
+    for base in dict.fromkeys(base_name(name) for name in variants):
         # Copies kept on the way are variants too, but not of what was attacked.
         matrix = transfer_matrix(
             [row for row in run.rows if row["camouflage"] in (base, *variants)], attacked, base=base, match=MATCH

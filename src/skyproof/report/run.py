@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skyproof.camouflage.names import is_control, matched_control
 from skyproof.errors import StoredFileError
-from skyproof.evaluate.names import is_control, matched_control
 from skyproof.evaluate.outcomes import Outcome, read_outcomes
 from skyproof.files import read_json, read_jsonl
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -92,6 +93,11 @@ class Fleet:
         vertices = self.vertices[self._row(vehicle_id)]
         length, width, height = (vertices.amax(0) - vertices.amin(0)).tolist()
         return length, width, height
+
+    @cached_property
+    def sizes_m(self) -> dict[str, tuple[float, float, float]]:
+        """`size_m` of every vehicle by id, as sampling scenes needs them."""
+        return {name: self.size_m(name) for name in self.ids}
 
     def save(self, folder: Path) -> None:
         """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all.

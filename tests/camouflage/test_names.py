@@ -2,7 +2,7 @@
 
 import pytest
 
-from skyproof.evaluate.names import is_control, matched_control, pooled_name
+from skyproof.camouflage.names import is_control, matched_control, pooled_name
 
 
 @pytest.mark.parametrize(
