@@ -2,11 +2,19 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Blender's Python package exists for one Python only, and wants an older NumPy: an environment of its own.
+BLENDER_PYTHON ?= python3.11
+BLENDER := .venv-blender
 
-.PHONY: demo test check clean
+.PHONY: demo demo-cycles blender test check clean
 
 demo: $(VENV)/demo.ok
 	$(BIN)/skyproof demo
+
+demo-cycles: $(VENV)/demo.ok $(BLENDER)/blender.ok
+	$(BIN)/skyproof demo --cycles
+
+blender: $(BLENDER)/blender.ok
 
 test: $(VENV)/test.ok
 	$(BIN)/pytest -n 2
@@ -18,12 +26,21 @@ check: $(VENV)/test.ok
 	$(BIN)/pytest tests/test_structure.py
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(BLENDER) build dist .pytest_cache .mypy_cache .ruff_cache
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("skyproof needs Python 3.11 or newer, found " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
+
+# bpy is GPL-3.0; only the worker that runs inside it, under the same licence, uses it.
+$(BLENDER)/blender.ok:
+	$(BLENDER_PYTHON) -c 'import sys; sys.exit("Blender 4.5 needs Python 3.11, found " + sys.version.split()[0] + "; give make BLENDER_PYTHON=...") if sys.version_info[:2] != (3, 11) else None'
+	$(BLENDER_PYTHON) -m venv $(BLENDER)
+	$(BLENDER)/bin/python -m pip install --quiet --upgrade pip
+	$(BLENDER)/bin/python -m pip install --quiet 'bpy==4.5.*' 'numpy<2'
+	$(BLENDER)/bin/python -c 'import bpy'
+	touch $@
 
 $(VENV)/demo.ok: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[yolo]'

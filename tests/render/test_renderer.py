@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.render.renderer import TorchRenderer
+from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.scene import Placement
 from tests.render.bodies import PlainGround, rounded_box, scene, vehicles
@@ -60,7 +60,7 @@ def test_shaded_ground_keeps_the_skys_share_of_its_linear_light():
     place = lit_from(scene((0, 0, 0), tilt_deg=0.0), 0, 45)
     renderer = TorchRenderer(PlainGround(None), dataclasses.replace(SHARP, sky_share=0.3))
     image = renderer([place], post(side_m=2.0)).image
-    photograph = renderer.photographs([place], torch.device("cpu"))
+    photograph = photographs(renderer.backgrounds, [place], torch.device("cpu"))
     # Between 1.5 and 3.5 m west of the middle, in the middle of the shadow.
     west = slice(48 - 28, 48 - 12)
     shaded, open_ground = (srgb_to_linear(each[0, :, 44:52, west]) for each in (image, photograph))
@@ -149,7 +149,7 @@ def test_a_vehicle_outside_the_image_changes_nothing_and_is_not_visible():
     renderer = TorchRenderer(PlainGround(None))
     place = scene((40.0, 0.0, 0.0))
     frames = renderer([place], vehicles(), masks=True)
-    assert torch.equal(frames.image, renderer.photographs([place], torch.device("cpu")))
+    assert torch.equal(frames.image, photographs(renderer.backgrounds, [place], torch.device("cpu")))
     assert float(frames.visible_px) == float(frames.visible_fraction) == 0.0
     assert not frames.masks.any()
 
@@ -158,7 +158,7 @@ def test_scenes_without_vehicles_are_their_photographs():
     renderer = TorchRenderer(PlainGround(None))
     nobody = [scene(name="a"), scene(name="b")]
     frames = renderer(nobody, vehicles(0), masks=True)
-    assert torch.equal(frames.image, renderer.photographs(nobody, torch.device("cpu")))
+    assert torch.equal(frames.image, photographs(renderer.backgrounds, nobody, torch.device("cpu")))
     assert frames.boxes.shape == (0, 4)
     assert frames.masks.shape == (0, 96, 96)
     mixed = renderer([nobody[0], scene((0, 0, 0))], vehicles(1))

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.render.renderer import TorchRenderer
+from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import AIRLIGHT, finish_images, jpeg, wet, wet_grounds
 from skyproof.scenes.weather import CONDITIONS, Weather, draw_weather
@@ -145,7 +145,7 @@ def test_pictures_without_vehicles_have_weather_too():
     renderer = TorchRenderer(PlainGround(None))
     place = dataclasses.replace(scene(), weather=Weather(haze=0.4, wetness=1.0))
     light = srgb_to_linear(renderer([place], vehicles(0)).image[0])
-    photograph = srgb_to_linear(renderer.photographs([place], torch.device("cpu"))[0])
+    photograph = srgb_to_linear(photographs(renderer.backgrounds, [place], torch.device("cpu"))[0])
     expected = 0.6 * wet(photograph, 1.0) + 0.4 * torch.tensor(AIRLIGHT)[:, None, None]
     torch.testing.assert_close(light, expected, atol=1e-5, rtol=0)
 

@@ -146,7 +146,7 @@ class UniversalTexture(Camouflage):
         """The vehicles with this map as their common texture, or laid over their own where they are painted."""
         mask = self.mask(vehicles)
         if mask is None:
-            return replace(vehicles, texture=self.map()[None], overlay=None)
+            return replace(vehicles, texture=self.map()[None], overlay=None, repainted=True)
         return replace(vehicles, overlay=Overlay(self.map(), mask))
 
     def before_step_(self, step: int, steps: int) -> None:

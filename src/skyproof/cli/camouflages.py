@@ -10,6 +10,7 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.palette import load_palette
 from skyproof.camouflage.recipe import Materials
 from skyproof.cli.console import say
+from skyproof.cli.rendering import Rendering
 from skyproof.cli.stages import (
     attack_ensemble,
     choose_device,
@@ -155,8 +156,10 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Rendering):
     """Scores any camouflages on any detectors: renders scenes with each, compares every vehicle with itself.
+
+    With --renderer cycles the scenes are path-traced in Blender; --original must then be, too.
 
     Attributes:
         detectors: detector folders.
@@ -192,6 +195,7 @@ class Score:
             self.fleet,
             self.original,
             self.out,
+            rendering=self,
             seed=self.seed,
             device=choose_device(self.device),
         )

@@ -8,6 +8,7 @@ from typing import Literal
 
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
+from skyproof.cli.rendering import Rendering
 from skyproof.cli.stages import (
     choose_device,
     evaluate_folders,
@@ -78,8 +79,10 @@ class Scenes:
 
 
 @dataclass(frozen=True)
-class Render:
+class Render(Rendering):
     """Draws a scene file to images with COCO labels, with or without a camouflage.
+
+    With --renderer cycles the same scenes are path-traced in Blender, to the same labels.
 
     Attributes:
         scenes: scene file (JSON lines).
@@ -100,7 +103,15 @@ class Render:
     def run(self) -> None:
         """Draws the dataset."""
         device = choose_device(self.device)
-        render_folder(self.scenes, self.backgrounds, self.fleet, self.out, camouflage=self.camouflage, device=device)
+        render_folder(
+            self.scenes,
+            self.backgrounds,
+            self.fleet,
+            self.out,
+            camouflage=self.camouflage,
+            rendering=self,
+            device=device,
+        )
         say(f"Dataset: {self.out.resolve()}")
 
 

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["Rendering"]
+from skyproof.cycles.blender import find_blender
+from skyproof.cycles.renderer import CyclesRenderer
+from skyproof.cycles.settings import CyclesSettings
+from skyproof.cycles.workers import Workers
+from skyproof.render.frames import Renderer
+from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.backgrounds import BackgroundSet
+
+__all__ = ["Rendering", "open_renderer"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +39,23 @@ class Rendering:
     samples: int = 32
     finish: Literal["gloss", "matt"] = "gloss"
     workers: int | None = None
+
+
+@contextmanager
+def open_renderer(rendering: Rendering, backgrounds: BackgroundSet, out: Path) -> Iterator[Renderer]:
+    """The renderer that was asked for.
+
+    Path-traced crops are kept beside `out` until the block ends well: what was stopped goes on where it was.
+
+    Raises:
+        ConfigurationError: no usable Blender, or settings that cannot work.
+    """
+    if rendering.renderer == "torch":
+        yield TorchRenderer(backgrounds)
+        return
+    settings = CyclesSettings(samples=rendering.samples, finish=rendering.finish)
+    count = len(os.sched_getaffinity(0)) if rendering.workers is None else rendering.workers
+    crops = out.with_name(f".{out.name}.crops")
+    with Workers(find_blender(rendering.blender), count, crops) as workers:
+        yield CyclesRenderer(backgrounds, workers, settings)
+    shutil.rmtree(crops, ignore_errors=True)

@@ -20,6 +20,7 @@ from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.palette import fit_palette, save_palette
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.cli.console import progress_bar
+from skyproof.cli.rendering import Rendering, open_renderer
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
@@ -27,6 +28,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
 from skyproof.files import write_beside, write_json
 from skyproof.render.dataset import render_dataset
+from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -86,16 +88,17 @@ def render_folder(
     out: Path,
     *,
     camouflage: Path | None = None,
+    rendering: Rendering | None = None,
     device: torch.device | str = "cpu",
 ) -> None:
     """Draws a scene file to a dataset folder, with a camouflage folder or without."""
-    renderer = TorchRenderer(BackgroundSet.open(backgrounds))
-    _render(read_scenes(scenes), renderer, Fleet.load(fleet), out, camouflage, device)
+    with open_renderer(rendering or Rendering(), BackgroundSet.open(backgrounds), out) as renderer:
+        _render(read_scenes(scenes), renderer, Fleet.load(fleet), out, camouflage, device)
 
 
 def _render(
     scenes: Sequence[Scene],
-    renderer: TorchRenderer,
+    renderer: Renderer,
     fleet: Fleet,
     out: Path,
     camouflage: Path | None,
@@ -242,6 +245,7 @@ def score_camouflages(
     original: Path,
     out: Path,
     *,
+    rendering: Rendering | None = None,
     seed: int = 0,
     device: torch.device | str = "cpu",
 ) -> list[dict[str, Any]]:
@@ -253,10 +257,10 @@ def score_camouflages(
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.images.") as images:
         rendered = {folder.name: Path(images) / folder.name for folder in camouflages}
         # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering one set.
-        renderer = TorchRenderer(BackgroundSet.open(backgrounds))
         shown, vehicles = read_scenes(scenes), Fleet.load(fleet)
-        for folder in camouflages:
-            _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
+        with open_renderer(rendering or Rendering(), BackgroundSet.open(backgrounds), out) as renderer:
+            for folder in camouflages:
+                _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
         return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
 
 

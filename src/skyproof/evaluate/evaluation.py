@@ -21,7 +21,7 @@ from skyproof.evaluate.sets import ORIGINAL, SetScore, write_sets
 from skyproof.evaluate.summary import summarise
 from skyproof.evaluate.tiles import count_tiles, write_tiles
 from skyproof.files import finished_folder, write_json, write_jsonl
-from skyproof.scenes.coco import read_coco, read_visible_fractions
+from skyproof.scenes.coco import read_coco, read_renderer, read_visible_fractions
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import Scene, read_scenes
 
@@ -57,7 +57,6 @@ def evaluate_pairs(
     camouflaged: Mapping[str, Path],
     folder: Path,
     *,
-    renderer: str = "torch",
     clean: Sequence[CleanSet] = (),
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -66,11 +65,10 @@ def evaluate_pairs(
 
     Args:
         judges: detectors with thresholds.
-        original: dataset without camouflage; its `scenes.jsonl` says the conditions.
+        original: dataset without camouflage; its `scenes.jsonl` says the conditions, and it names the renderer.
         camouflaged: datasets of the same scenes by camouflage name.
         folder: gets `outcomes.parquet`, `tiles.parquet`, `sets.json`, `results.json`, `clean.json`,
             `detections/<dataset>/<detector>.jsonl`; whole or not at all; must not exist yet.
-        renderer: named in the table.
         clean: further images to check the detectors on.
         seed: of the bootstrap.
         progress: called with (detector runs done, runs in all).
@@ -79,16 +77,22 @@ def evaluate_pairs(
         The rows of `results.json`.
 
     Raises:
-        ConfigurationError: the datasets do not show the same scenes, or a detector finds no vehicle in `original`.
+        ConfigurationError: the datasets do not show the same scenes by the same renderer, or a detector finds no
+            vehicle in `original`.
         StoredFileError: a dataset is missing or damaged.
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     scenes = read_scenes(Path(original) / "scenes.jsonl")
-    before, visible = read_coco(original), read_visible_fractions(original)
+    before, visible, renderer = read_coco(original), read_visible_fractions(original), read_renderer(original)
     for place in camouflaged.values():
         # Ids alone do not tell: two runs number their scenes alike.
         if read_scenes(Path(place) / "scenes.jsonl") != scenes:
             raise ConfigurationError(f"{place} does not show the scenes of {original}; render it from the same scenes.")
+        if read_renderer(place) != renderer:
+            raise ConfigurationError(
+                f"{original} was rendered by {renderer} and {place} by {read_renderer(place)}, so that they differ in "
+                "more than camouflage; render both with the same --renderer."
+            )
     _check_names(judges, [Path(original), *map(Path, camouflaged.values())])
     after = {name: read_coco(path) for name, path in camouflaged.items()}
     for name, images in {ORIGINAL: before, **after}.items():

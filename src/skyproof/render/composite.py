@@ -10,12 +10,10 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.layers import Windows
+from skyproof.render.sensor import blur_matrix, sensor_noise
 from skyproof.render.settings import RenderSettings
 
 __all__ = ["composite"]
-
-# Sensor noise repeats after this many pixels; only vehicles, far smaller, show it.
-_NOISE_TILE_PX = 64
 
 
 def composite(
@@ -60,7 +58,7 @@ def composite(
     place = (y.clamp(0, height - 1) * width)[:, None, :, None] + x.clamp(0, width - 1)[:, None, None, :] + channel
     ground_srgb = photographs.view(-1)[place]
     ground = srgb_to_linear(ground_srgb)
-    kernel = _blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
+    kernel = blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
     layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
     colour, alpha = layers[:, :3], layers[:, 3:]
     sky = settings.sky_share if sky_share is None else sky_share[:, None, None, None]
@@ -68,7 +66,7 @@ def composite(
     reached = (alpha.detach() > 0) | (shadow.detach() > 0)
     pixels = linear_to_srgb(composed)
     if settings.noise > 0:
-        noise = _noise(seeds, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX, ground)
+        noise = sensor_noise(seeds, y, x, ground)
         pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
     inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
@@ -131,25 +129,3 @@ def _lay(
         laid = above if turn == 0 else over(canvas[where], above)
         canvas = canvas.index_put((where,), laid)
     return canvas.view(len(origin), channels, size, size)
-
-
-def _blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Float[Tensor, "S S"]:
-    """The Gaussian blur of a row of pixels as a banded matrix, zero beyond the ends (PAPER 12)."""
-    steps = torch.arange(size, device=like.device)
-    distance = (steps[:, None] - steps).abs()
-    if radius_px == 0:
-        return torch.eye(size, dtype=like.dtype, device=like.device)
-    weights = torch.exp(-0.5 * (torch.arange(-radius_px, radius_px + 1, dtype=torch.float64) / sigma_px) ** 2).sum()
-    kernel = torch.exp(-0.5 * (distance.to(like.dtype) / sigma_px) ** 2) / float(weights)
-    return kernel * (distance <= radius_px)
-
-
-def _noise(
-    seeds: Sequence[int], y: Int[Tensor, "B S"], x: Int[Tensor, "B S"], like: Float[Tensor, "B 3 S S"]
-) -> Float[Tensor, "B 3 S S"]:
-    """Unit noise from every scene's own seed, tied to image pixels: the same whatever else is in the batch."""
-    shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
-    drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
-    tile = torch.stack(drawn).to(like)
-    image = torch.arange(len(seeds), device=like.device)
-    return tile.permute(0, 2, 3, 1)[image[:, None, None], y[:, :, None], x[:, None, :]].permute(0, 3, 1, 2)

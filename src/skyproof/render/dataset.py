@@ -47,7 +47,8 @@ def render_dataset(
     Raises:
         RunFolderError: the folder exists, or the disk cannot take it.
     """
-    with finished_folder(folder) as partial, CocoWriter(partial, gsd_m=scenes[0].camera.gsd_m) as writer:
+    gsd_m, source = scenes[0].camera.gsd_m, {"renderer": renderer.name, "rendering": renderer.record()}
+    with finished_folder(folder) as partial, CocoWriter(partial, gsd_m=gsd_m, source=source) as writer:
         write_scenes(partial / "scenes.jsonl", scenes)
         for start in range(0, len(scenes), batch_size):
             batch = scenes[start : start + batch_size]

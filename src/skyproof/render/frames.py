@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -40,9 +40,19 @@ class Frames:
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Draws scenes; `vehicles` holds one row per placement, scene by scene."""
+    """Draws scenes; `vehicles` holds one row per placement, scene by scene.
 
+    Attributes:
+        name: as tables show it.
+        differentiable: whether gradients reach textures and vertices.
+    """
+
+    name: str
     differentiable: bool
+
+    def record(self) -> dict[str, Any]:
+        """The settings that its images depend on, as plain JSON values."""
+        ...
 
     def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
         """Draws one image per scene."""

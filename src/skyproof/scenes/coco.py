@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,7 +19,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_visible_fractions"]
+__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_renderer", "read_visible_fractions"]
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -51,11 +51,16 @@ class CocoWriter:
     """Writes a dataset image by image: `images/<scene id>.png`, and `annotations.json` when the block ends well.
 
     Put it inside `skyproof.files.finished_folder`, so that only a whole dataset gets its final name.
+
+    Args:
+        folder: gets the files.
+        gsd_m: metres per pixel.
+        source: what else `info` is to say, such as who rendered the images.
     """
 
-    def __init__(self, folder: Path, *, gsd_m: float) -> None:
+    def __init__(self, folder: Path, *, gsd_m: float, source: Mapping[str, Any] | None = None) -> None:
         self.folder = Path(folder)
-        self._gsd_m = gsd_m
+        self._info = {"description": "skyproof scenes", "version": "1", "gsd_m": gsd_m, **(source or {})}
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 
@@ -67,9 +72,8 @@ class CocoWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
-            info = {"description": "skyproof scenes", "version": "1", "gsd_m": self._gsd_m}
             document = {
-                "info": info,
+                "info": self._info,
                 "categories": [CATEGORY],
                 "images": self._images,
                 "annotations": self._annotations,
@@ -154,6 +158,21 @@ def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
     return [torch.tensor(values) for values in fractions.values()]
+
+
+def read_renderer(folder: Path) -> str:
+    """Who rendered a dataset: "torch", or "cycles".
+
+    Raises:
+        StoredFileError: the folder is missing or damaged.
+    """
+    path = Path(folder) / "annotations.json"
+    document = read_json(path)
+    try:
+        # Datasets of before there was a choice do not say it.
+        return str(document["info"].get("renderer", "torch"))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
 
 
 def _boxes(rows: list[dict[str, Any]], *, crowd: int) -> Tensor:

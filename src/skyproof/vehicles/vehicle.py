@@ -78,6 +78,7 @@ class VehicleBatch:
         parts: `[N, 512, 512]` values of `Part`.
         ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
         overlay: a common texture on top of `texture`, or none.
+        repainted: whether `texture` is a camouflage's and no longer the vehicles' own.
     """
 
     template: Template
@@ -86,6 +87,7 @@ class VehicleBatch:
     parts: UInt8[Tensor, "N 512 512"]
     ids: tuple[str, ...]
     overlay: Overlay | None = None
+    repainted: bool = False
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -100,6 +102,7 @@ class VehicleBatch:
             self.parts.to(device),
             self.ids,
             over and Overlay(over.texture.to(device), over.mask.to(device)),
+            self.repainted,
         )
 
     def row(self, index: int) -> VehicleBatch:
@@ -112,7 +115,14 @@ class VehicleBatch:
             self.parts[one],
             self.ids[one],
             over and Overlay(over.texture, over.mask[one]),
+            self.repainted,
         )
+
+    def covered_texels(self) -> Bool[Tensor, "N 512 512"] | None:
+        """Where a camouflage covers the vehicles; None for nowhere."""
+        if self.repainted:
+            return torch.ones_like(self.parts, dtype=torch.bool)
+        return None if self.overlay is None else self.overlay.mask
 
     def worn_texture(self) -> Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]:
         """The textures as they are seen, the overlay included: `[N or 1, 3, 512, 512]`, one map where it is shared."""

@@ -1,0 +1,103 @@
+"""Finding a Blender that the worker can run in (bpy from the package index, or the user's own executable)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyproof.errors import ConfigurationError
+
+__all__ = ["Blender", "find_blender", "worker_environment"]
+
+_WANTED = (4, 5)
+_HOW = "run `make blender` in skyproof's checkout, or give --blender the path of a Blender 4.5 LTS"
+_ENVIRONMENT = Path(".venv-blender") / "bin" / "python"
+_PATIENCE_S = 120
+
+
+@dataclass(frozen=True)
+class Blender:
+    """An interpreter that has Blender's Python interface.
+
+    Attributes:
+        path: a Python with bpy, or a Blender executable.
+        is_python: which of the two.
+        version: of Blender, such as "4.5.15".
+    """
+
+    path: Path
+    is_python: bool
+    version: str
+
+    def command(self, script: Path, *arguments: str) -> list[str]:
+        """The command line that runs a Python script inside Blender."""
+        if self.is_python:
+            return [str(self.path), str(script), *arguments]
+        options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
+        return [str(self.path), *options, str(script), "--", *arguments]
+
+
+def find_blender(path: Path | None = None) -> Blender:
+    """The Blender at `path`; where not given, what `make blender` made, then `blender` on the PATH.
+
+    Raises:
+        ConfigurationError: there is none, it does not start, or it has another version than 4.5.
+    """
+    chosen = _search() if path is None else Path(path)
+    if not chosen.is_file():
+        raise ConfigurationError(f"--blender expects a Blender or a Python with bpy, but {chosen} is no file; {_HOW}.")
+    is_python, version = _ask(chosen)
+    if version is None:
+        raise ConfigurationError(f"{chosen} is neither Blender nor a Python in which `import bpy` works; {_HOW}.")
+    if tuple(map(int, version.split(".")[:2])) != _WANTED:
+        raise ConfigurationError(f"{chosen} is Blender {version}, but skyproof works with Blender 4.5 LTS; {_HOW}.")
+    return Blender(chosen, is_python, version)
+
+
+def worker_environment(environment: dict[str, str]) -> dict[str, str]:
+    """Without what would bring this Python's packages into Blender's."""
+    return {name: value for name, value in environment.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+
+
+def _search() -> Path:
+    checkout = Path(__file__).resolve().parents[3]
+    for folder in (Path.cwd(), checkout):
+        # Not resolved: a virtual environment is known by the path of its link.
+        if (folder / _ENVIRONMENT).is_file():
+            return folder / _ENVIRONMENT
+    found = shutil.which("blender")
+    if found is None:
+        raise ConfigurationError(f"Physics-based images need Blender 4.5 LTS, and none was found; {_HOW}.")
+    return Path(found)
+
+
+def _ask(path: Path) -> tuple[bool, str | None]:
+    """Whether it is a Python, and the version of Blender in it; None where there is none."""
+    answer = _output([str(path), "--version"])
+    if found := re.search(r"^Blender (\d+\.\d+[.\d]*)", answer, re.MULTILINE):
+        return False, found[1]
+    if not answer.startswith("Python "):
+        return False, None
+    answer = _output([str(path), "-c", "import bpy; print('Blender', bpy.app.version_string)"])
+    found = re.search(r"^Blender (\d+\.\d+[.\d]*)", answer, re.MULTILINE)
+    return True, found[1] if found else None
+
+
+def _output(command: list[str]) -> str:
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            stdin=subprocess.DEVNULL,
+            timeout=_PATIENCE_S,
+            env=worker_environment(dict(os.environ)),
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout

@@ -1,0 +1,73 @@
+"""Path-traced crops laid over the photograph, in linear light, and what the sensor does to them (PAPER 11, 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.sensor import blur_matrix, sensor_noise
+from skyproof.render.settings import RenderSettings
+
+__all__ = ["composite_crops"]
+
+_LEAST_WEIGHT = 1e-3
+
+
+@torch.no_grad()
+def composite_crops(
+    photograph: Float[Tensor, "3 H W"],
+    crops: Sequence[tuple[tuple[int, int, int, int], Float[Tensor, "7 _h _w"]]],
+    seed: int,
+    margin_px: int,
+    settings: RenderSettings,
+) -> Float[Tensor, "3 H W"]:
+    """One image: I = I_bg * (1 - G(taken)) + G(colour), in linear light, and noise where a vehicle is.
+
+    What is taken from the ground's light, per channel: all of it behind vehicles, and 1 - ratio beside them, where
+    ratio is the light there over the light without vehicles (below 1 in shadow, above 1 beside a bright side).
+    Pixels that nothing reaches keep the photograph's value exactly.
+
+    Args:
+        photograph: sRGB.
+        crops: left, top, width, height in image pixels, and linear colour times coverage (3), coverage (1), ratio (3).
+            Each shows all that is to be seen in its window, so that where two overlap either is right.
+        seed: of the noise.
+        margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels.
+        settings: blur and noise.
+    """
+    if not crops:
+        return photograph
+    radius, size = settings.blur_radius_px, photograph.shape[-1]
+    wide = size + 2 * radius
+    total, weight = photograph.new_zeros(7, wide, wide), photograph.new_zeros(wide, wide)
+    nearest = photograph.new_zeros(wide, wide)
+    for (left, top, width, height), layers in crops:
+        rows, columns = slice(top + radius, top + radius + height), slice(left + radius, left + radius + width)
+        inside = _inwards(height, margin_px, layers)[:, None] * _inwards(width, margin_px, layers)
+        trust = inside + _LEAST_WEIGHT
+        total[:, rows, columns] += layers * trust
+        weight[rows, columns] += trust
+        nearest[rows, columns] = torch.maximum(nearest[rows, columns], inside)
+    mean = total / weight.clamp(min=_LEAST_WEIGHT)
+    colour, alpha, ratio = mean.split((3, 1, 3))
+    taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
+    kernel = blur_matrix(wide, settings.blur_sigma_px, radius, photograph)
+    middle = slice(radius, radius + size)
+    colour, alpha, taken = ((kernel @ layer @ kernel)[:, middle, middle] for layer in (colour, alpha, taken))
+    pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
+    if settings.noise > 0:
+        steps = torch.arange(size, device=photograph.device)[None]
+        noise = sensor_noise([seed], steps, steps, photograph[None])[0]
+        pixels = pixels + settings.noise * alpha * noise
+    reached = (taken != 0).any(0) | (alpha[0] > 0)
+    return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)
+
+
+def _inwards(length: int, margin: int, like: Tensor) -> Float[Tensor, " length"]:
+    """From 0 outside the first pixel to 1 beyond the margin, and back at the other end."""
+    step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
+    return (torch.minimum(step, length - step) / max(margin, 1)).clamp(max=1.0)

@@ -1,0 +1,179 @@
+"""What a Blender process is asked for: one crop around one vehicle, as plain numbers and arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skyproof.cycles.materials import material_labels, material_table
+from skyproof.cycles.settings import CyclesSettings
+from skyproof.cycles.sky import SUN_DIAMETER_RAD, daylight
+from skyproof.render.placed import Placed
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.scene import Scene
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["Job", "crop_jobs", "crop_windows"]
+
+_WORKER = Path(__file__).with_name("worker.py")
+# Ground around a crop that still sends noticeable light to its vehicles.
+_GROUND_BORDER_M = 2.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """One crop.
+
+    Attributes:
+        name: for messages, such as "vehicle 2 of test-0007".
+        scene: index of the image it belongs to.
+        window_px: left, top, width, height in image pixels; may reach beyond the image by the sensor's blur.
+        numbers: camera, sun, samples, seed.
+        arrays: vehicles, ground and sky.
+    """
+
+    name: str
+    scene: int
+    window_px: tuple[int, int, int, int]
+    numbers: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+    def stored(self) -> bytes:
+        """The job file: NumPy's .npz, the numbers as JSON in an array of their own."""
+        buffer = io.BytesIO()
+        np.savez(buffer, job=np.array(json.dumps(self.numbers)), **self.arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
+
+    def digest(self, blender_version: str) -> str:
+        """Names the result: another worker or Blender is another result."""
+        total = hashlib.sha256(_WORKER.read_bytes())
+        total.update(json.dumps([blender_version, self.numbers]).encode())
+        for name, values in self.arrays.items():
+            total.update(f"{name} {values.dtype} {values.shape}".encode())
+            total.update(np.ascontiguousarray(values).tobytes())
+        return total.hexdigest()
+
+
+@torch.no_grad()
+def crop_windows(placed: Placed, margin_px: int, border_px: int) -> Int[Tensor, "N 4"]:
+    """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
+
+    Cut at the image's border, beyond which only what the sensor's blur brings in is drawn; without area where nothing
+    of the vehicle is near the image.
+    """
+    points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
+    window = torch.cat((points.amin(1).floor() - margin_px, points.amax(1).ceil() + margin_px), dim=1)
+    return window.clamp(-border_px, placed.size_px + border_px).long().cpu()
+
+
+def crop_jobs(
+    scenes: Sequence[Scene],
+    vehicles: VehicleBatch,
+    placed: Placed,
+    ground: Float[Tensor, "B 3 H W"],
+    windows: Int[Tensor, "N 4"],
+    settings: CyclesSettings,
+    sensor: RenderSettings,
+) -> list[Job]:
+    """One job for every vehicle that the image may show.
+
+    A crop also holds the scene's other vehicles that reach into it: they hide and shade each other.
+
+    Args:
+        scenes: as drawn.
+        vehicles: one row per placement.
+        placed: the same, in their scenes.
+        ground: the photographs in linear light.
+        windows: of `crop_windows`.
+        settings: samples and finish.
+        sensor: for the sky's share of the light.
+    """
+    scene_of = placed.scene.tolist()
+    first: dict[int, int] = {}
+    low, high = windows[:, :2], windows[:, 2:]
+    rows = _Rows(vehicles, placed)
+    jobs = []
+    for row, index in enumerate(scene_of):
+        first.setdefault(index, row)
+        if not bool((high[row] > low[row]).all()):
+            continue
+        scene = scenes[index]
+        shared = (placed.scene.cpu() == index) & ((low < high[row]) & (high > low[row])).all(1)
+        light = daylight(scene.sun, sensor.sky_share, scene.weather.overcast)
+        left, top, right, bottom = windows[row].tolist()
+        origin, patch = _patch(ground[index], (left, top, right, bottom), placed.gsd_m)
+        numbers = {
+            "window_px": [left, top, right - left, bottom - top],
+            "size_px": placed.size_px,
+            "gsd_m": placed.gsd_m,
+            "viewer": list(scene.camera.direction),
+            "sun": list(scene.sun.direction),
+            "sun_irradiance": list(light.sun_irradiance),
+            "sun_diameter_rad": SUN_DIAMETER_RAD,
+            "ground_origin_px": origin,
+            "samples": settings.samples,
+            # The same with and without camouflage, so that pairs share their noise.
+            "seed": (scene.seed * 31 + row - first[index]) % 2**31,
+        }
+        arrays = {
+            "sky": light.sky,
+            "ground": patch,
+            "materials": material_table(settings.finish).numpy(),
+            **rows.template,
+            **rows.of(shared.nonzero()[:, 0].tolist()),
+        }
+        name = f"vehicle {row - first[index] + 1} of {scene.id}"
+        jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
+    return jobs
+
+
+class _Rows:
+    """Vehicles as arrays, turned into bytes once."""
+
+    def __init__(self, vehicles: VehicleBatch, placed: Placed) -> None:
+        self._vehicles, self._placed = vehicles, placed
+        template = vehicles.template
+        self.template = {name: getattr(template, name).cpu().numpy() for name in ("faces", "face_uvs", "uvs")}
+
+    @cached_property
+    def _textures(self) -> np.ndarray:
+        worn = self._vehicles.worn_texture().detach()
+        return (worn if worn.dtype == torch.uint8 else (worn.clamp(0, 1) * 255).round().byte()).cpu().numpy()
+
+    @cached_property
+    def _labels(self) -> np.ndarray:
+        return material_labels(self._vehicles).cpu().numpy()
+
+    def of(self, rows: list[int]) -> dict[str, np.ndarray]:
+        textures = [0] * len(rows) if len(self._textures) == 1 else rows
+        return {
+            "vertices": self._placed.vertices[rows].detach().float().cpu().numpy(),
+            "textures": self._textures[textures],
+            "labels": self._labels[rows],
+        }
+
+
+def _patch(
+    photograph: Float[Tensor, "3 H W"], window: tuple[int, int, int, int], gsd_m: float
+) -> tuple[list[int], Float[np.ndarray, "h w 3"]]:
+    """The photograph around a window, and the patch's top-left pixel; at least one pixel where it lies outside."""
+    border = math.ceil(_GROUND_BORDER_M / gsd_m)
+    size = photograph.shape[-1]
+    left, top = (min(max(value - border, 0), size - 1) for value in window[:2])
+    right, bottom = (
+        max(min(value + border, size), low + 1) for value, low in zip(window[2:], (left, top), strict=True)
+    )
+    patch = photograph[:, top:bottom, left:right].permute(1, 2, 0).float().cpu().numpy()
+    return [left, top], np.ascontiguousarray(patch)

@@ -1,0 +1,83 @@
+"""The path tracer as a renderer: the same scenes, vehicles and labels, other light (PAPER 7, 9, 58)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.cycles.composite import composite_crops
+from skyproof.cycles.jobs import crop_jobs, crop_windows
+from skyproof.cycles.settings import CyclesSettings
+from skyproof.cycles.workers import Workers
+from skyproof.geometry.colour import srgb_to_linear
+from skyproof.render.frames import Frames
+from skyproof.render.layers import windows_around
+from skyproof.render.placed import label, nothing_placed, place
+from skyproof.render.rasterise import rasterise
+from skyproof.render.renderer import Backgrounds, photographs
+from skyproof.render.settings import RenderSettings
+from skyproof.render.weather import finish_images, wet_grounds
+from skyproof.scenes.scene import Scene
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["CyclesRenderer"]
+
+
+class CyclesRenderer:
+    """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.
+
+    Sun and sky add up to the light the photograph was exposed for. Vehicles hide, shade and mirror each other and
+    themselves, take light from the ground that the photograph shows, and send theirs to it. Camera, places, headings,
+    labels, blur, noise and weather are those of `TorchRenderer`.
+
+    Differences from the paper: only crops are path-traced, and the photograph is the ground; the authors' Blender
+    scenes are not available. No camera effects beyond the sensor model; vehicles are closed shells without an inside.
+    """
+
+    name = "cycles"
+    differentiable = False
+
+    def __init__(
+        self,
+        backgrounds: Backgrounds,
+        workers: Workers,
+        settings: CyclesSettings | None = None,
+        sensor: RenderSettings | None = None,
+    ) -> None:
+        self.backgrounds, self.workers = backgrounds, workers
+        self.settings, self.sensor = settings or CyclesSettings(), sensor or RenderSettings()
+
+    def record(self) -> dict[str, Any]:
+        """Its settings, and Blender's version."""
+        return {**asdict(self.settings), "sensor": asdict(self.sensor), "blender": self.workers.blender.version}
+
+    @torch.no_grad()
+    def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
+        """Draws one image per scene; arguments as for `TorchRenderer`.
+
+        Raises:
+            RunFolderError: Blender failed twice at a crop, or the disk is full.
+        """
+        ground = wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
+        if not len(vehicles):
+            return nothing_placed(finish_images(ground, scenes), masks=masks)
+        placed, sensor = place(scenes, vehicles), self.sensor
+        margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
+        windows = crop_windows(placed, margin_px, sensor.blur_radius_px)
+        jobs = crop_jobs(scenes, vehicles, placed, srgb_to_linear(ground), windows, self.settings, sensor)
+        drawn = [torch.from_numpy(each).permute(2, 0, 1).to(ground) for each in self.workers.run(jobs)]
+        images: list[Float[Tensor, "3 H W"]] = []
+        for index, scene in enumerate(scenes):
+            crops = [(job.window_px, layers) for job, layers in zip(jobs, drawn, strict=True) if job.scene == index]
+            images.append(composite_crops(ground[index], crops, scene.seed, margin_px, sensor))
+        window, factor = windows_around(placed.screen), sensor.supersampling
+        visibility = rasterise(
+            window.samples(placed.screen, factor), placed.depth, vehicles.template.faces, window.size * factor
+        )
+        return label(finish_images(torch.stack(images), scenes), placed, visibility, window, factor, masks=masks)

@@ -1,0 +1,193 @@
+"""Blender processes that take job files and leave arrays; restarted when they die."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from skyproof.cycles.blender import Blender, worker_environment
+from skyproof.cycles.jobs import Job
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.files import write_bytes
+
+__all__ = ["WORKER", "Workers"]
+
+WORKER = Path(__file__).with_name("worker.py")
+
+_MARK = "skyproof-worker "
+_TRIES = 2
+_LAST_LINES = 3
+
+
+class Workers:
+    """Some Blender processes of one thread each, started when the first job comes; use as a context.
+
+    What a job gives depends on the job alone: the same bytes whatever the number of processes. Finished results are
+    kept in a folder under the jobs' digests, so that work that was stopped goes on where it was.
+
+    Args:
+        blender: what runs them.
+        count: how many.
+        results: folder of finished results; None keeps them only until the context ends.
+    """
+
+    def __init__(self, blender: Blender, count: int, results: Path | None = None) -> None:
+        if count < 1:
+            raise ConfigurationError(f"--workers expects at least 1 process, got {count}.")
+        self.blender, self.count = blender, count
+        self._scratch = Path(tempfile.mkdtemp(prefix="skyproof-cycles-"))
+        self.results = self._scratch / "results" if results is None else Path(results)
+        self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        self._all = [_Process(blender, self._scratch, number) for number in range(count)]
+        for process in self._all:
+            self._idle.put(process)
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the processes and removes their files."""
+        for process in self._all:
+            process.stop()
+        shutil.rmtree(self._scratch, ignore_errors=True)
+
+    def run(self, jobs: Sequence[Job], *, on_done: Callable[[], None] | None = None) -> list[np.ndarray]:
+        """The results of all jobs, in their order; those that are there already are read.
+
+        Raises:
+            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full; names it.
+        """
+        executor = ThreadPoolExecutor(self.count)
+        try:
+            futures = [executor.submit(self._one, job) for job in jobs]
+            done = []
+            for future in futures:
+                done.append(future.result())
+                if on_done:
+                    on_done()
+            return done
+        except BaseException:
+            # Threads wait for their processes: without these they end at once.
+            for process in self._all:
+                process.stop()
+            raise
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+    def _one(self, job: Job) -> np.ndarray:
+        result = self.results / f"{job.digest(self.blender.version)}.npy"
+        if not result.exists():
+            process = self._idle.get()
+            try:
+                self._render(process, job, result)
+            finally:
+                self._idle.put(process)
+        return np.load(result)
+
+    def _render(self, process: _Process, job: Job, result: Path) -> None:
+        place = self._scratch / f"{process.number}.npz"
+        write_bytes(place, job.stored())
+        result.parent.mkdir(parents=True, exist_ok=True)
+        why = ""
+        for _ in range(_TRIES):
+            answer = process.ask(place, result)
+            if "done" in answer:
+                return
+            why = answer["why"]
+        raise RunFolderError(
+            f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make room or give fewer "
+            "--workers, then run the same command again (finished pictures are kept)."
+        )
+
+
+class _Process:
+    """One Blender process; started when needed, started again after its death."""
+
+    def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
+        self.number = number
+        self._command = blender.command(WORKER, str(scratch))
+        self._log = scratch / f"{number}.log"
+        self._process: subprocess.Popen[str] | None = None
+        self._stopped = False
+
+    def ask(self, job: Path, result: Path) -> dict[str, Any]:
+        """Has one job done; the answer holds "done", or "why" it was not."""
+        try:
+            if self._process is None and not self._start():
+                return {"why": f"it did not start: {self._last_words()}"}
+            assert self._process is not None
+            assert self._process.stdin is not None
+            self._process.stdin.write(f"{job}\t{result}\n")
+            self._process.stdin.flush()
+            answer = self._listen()
+        except (BrokenPipeError, ValueError):
+            answer = None
+        if answer is None:
+            why = f"its process died: {self._last_words()}"
+            self._end()
+            return {"why": why}
+        return answer
+
+    def stop(self) -> None:
+        """Ends it for good."""
+        self._stopped = True
+        self._end()
+
+    def _start(self) -> bool:
+        if self._stopped:
+            return False
+        with open(self._log, "w", encoding="utf-8") as log:
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                errors="replace",
+                env=worker_environment(dict(os.environ)),
+                # Ctrl-C is for us; the process ends when its input does.
+                start_new_session=True,
+            )
+        if self._listen() is None:
+            self._end()
+            return False
+        return True
+
+    def _listen(self) -> dict[str, Any] | None:
+        """The next line that is meant for us; None when the process has ended."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(_MARK):
+                return json.loads(line.removeprefix(_MARK))
+        return None
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+
+    def _last_words(self) -> str:
+        if self._process is not None:
+            code = self._process.wait()
+            if code < 0:
+                return f"signal {-code}"
+        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n") if self._log.exists() else []
+        return "; ".join([line.strip() for line in lines if line.strip()][-_LAST_LINES:]) or "it said nothing"

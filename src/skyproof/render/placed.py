@@ -1,0 +1,122 @@
+"""Vehicles put into their scenes: where every vertex falls in the picture and on the ground, and the labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from skyproof.geometry.projection import project, rotate_about_vertical
+from skyproof.render.frames import Frames
+from skyproof.render.layers import Windows
+from skyproof.render.rasterise import Visibility
+from skyproof.scenes.scene import Scene
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["Placed", "label", "nothing_placed", "place"]
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The N placements of all scenes, scene by scene; differentiable in the vehicles' vertices.
+
+    Attributes:
+        scene: the image each placement is in.
+        vertices: metres, world frame.
+        viewer, sun: unit vectors towards camera and sun.
+        ground: where each vehicle stands, metres.
+        screen: vertices in image pixels.
+        depth: metres along the view; smaller is nearer.
+        shadow_screen: where the vertices' shadows fall, image pixels.
+        gsd_m, size_px: of the images.
+    """
+
+    scene: Int[Tensor, " N"]
+    vertices: Float[Tensor, "N V 3"]
+    viewer: Float[Tensor, "N 3"]
+    sun: Float[Tensor, "N 3"]
+    ground: Float[Tensor, "N 3"]
+    screen: Float[Tensor, "N V 2"]
+    depth: Float[Tensor, "N V"]
+    shadow_screen: Float[Tensor, "N V 2"]
+    gsd_m: float
+    size_px: int
+
+
+def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
+    """Puts vehicles where their scenes' placements say.
+
+    Args:
+        scenes: all of one image size and ground sampling distance, with at least one placement in all.
+        vehicles: one row per placement, scene by scene.
+    """
+    placements = [placement for scene in scenes for placement in scene.placements]
+    if len(placements) != len(vehicles):
+        raise ValueError(f"expected {len(placements)} vehicles, one per placement, got {len(vehicles)}")
+    camera, like = scenes[0].camera, vehicles.vertices
+    scene = torch.tensor([i for i, each in enumerate(scenes) for _ in each.placements], device=like.device)
+    viewer = like.new_tensor([each.camera.direction for each in scenes])[scene]
+    sun = like.new_tensor([each.sun.direction for each in scenes])[scene]
+    ground = like.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements])
+    heading = like.new_tensor([placement.heading_rad for placement in placements])
+    vertices = rotate_about_vertical(like, heading) + ground[:, None]
+    screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
+    shadow_screen, _ = project(vertices, sun, camera.gsd_m, camera.size_px)
+    return Placed(scene, vertices, viewer, sun, ground, screen, depth, shadow_screen, camera.gsd_m, camera.size_px)
+
+
+@torch.no_grad()
+def label(
+    image: Float[Tensor, "B 3 H W"],
+    placed: Placed,
+    visibility: Visibility,
+    window: Windows,
+    supersampling: int,
+    *,
+    masks: bool,
+) -> Frames:
+    """The images with boxes, centres, visible parts and masks of their vehicles; the same for every renderer.
+
+    Args:
+        image: as drawn.
+        placed: what it shows.
+        visibility: of the vehicles' samples.
+        window: each vehicle's samples lie in it.
+        supersampling: samples along a pixel's side.
+        masks: also give every vehicle's pixel mask.
+    """
+    visible_px, fraction, drawn = _visible(visibility, window, supersampling, placed.size_px, masks)
+    boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(0, placed.size_px)
+    extent = torch.stack((placed.vertices.amin(1), placed.vertices.amax(1)))
+    centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, placed.size_px)
+    like = placed.vertices
+    return Frames(image, placed.scene, boxes, centres[:, 0], visible_px.to(like), fraction.to(like), drawn)
+
+
+def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
+    """Images of scenes without any vehicle."""
+    nothing = image.new_zeros(0)
+    drawn = image.new_zeros(0, *image.shape[2:]).bool() if masks else None
+    scene = torch.zeros(0, dtype=torch.long, device=image.device)
+    return Frames(image, scene, nothing.view(0, 4), nothing.view(0, 2), nothing, nothing, drawn)
+
+
+def _visible(
+    visibility: Visibility, window: Windows, factor: int, size_px: int, masks: bool
+) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
+    """Visible pixels, the fraction inside the image, and the masks."""
+    count = len(visibility.keys)
+    vehicle = visibility.vehicle
+    pixel = window.origin[vehicle] + torch.stack((visibility.x, visibility.y), dim=-1) // factor
+    held = ((pixel >= 0) & (pixel < size_px)).all(-1)
+    every = torch.bincount(vehicle, minlength=count).double()
+    visible = torch.bincount(vehicle[held], minlength=count).double()
+    drawn = None
+    if masks:
+        index = (vehicle * size_px + pixel[:, 1]) * size_px + pixel[:, 0]
+        shares = torch.bincount(index[held], minlength=count * size_px * size_px)
+        drawn = (shares * 2 >= factor**2).view(count, size_px, size_px)
+    return visible / factor**2, visible / every.clamp(min=1), drawn
