@@ -14,7 +14,7 @@ TILES = tuple(f"tile-{index:02d}" for index in range(20))
 PER_TILE = 10
 
 
-def write_scores(folder, rates, *, found=1.0, spread=None):
+def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
     """Writes one evaluation folder.
 
     Args:
@@ -22,12 +22,13 @@ def write_scores(folder, rates, *, found=1.0, spread=None):
         rates: per camouflage the share of vehicles found before that is lost, on every tile alike without `spread`.
         found: the share of vehicles found before.
         spread: generator that scatters the lost vehicles over the tiles.
+        renderer: that drew the images.
     """
     before = round(found * PER_TILE)
     series, sets = {}, []
     for detector in DETECTORS:
         for match in ("centre_1m", "iou_50"):
-            sets.append(SetScore("original", "torch", detector, match, 0.9, 1.0))
+            sets.append(SetScore("original", renderer, detector, match, 0.9, 1.0))
             for name, rate in rates.items():
                 if spread is None:
                     lost = np.full(len(TILES), round(rate * before))
@@ -36,8 +37,8 @@ def write_scores(folder, rates, *, found=1.0, spread=None):
                 counts = np.stack(
                     [np.full(len(TILES), PER_TILE), before - lost, lost, np.zeros(len(TILES), dtype=int)], axis=1
                 )
-                series[Series(name, "torch", detector, match)] = counts
-                sets.append(SetScore(name, "torch", detector, match, 0.9 - 0.5 * rate, 2.0))
+                series[Series(name, renderer, detector, match)] = counts
+                sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(TILES, series))
     write_sets(folder / "sets.json", sets)
@@ -78,6 +79,8 @@ def fabricate(folder):
     for batch in range(0, len(names), 50):
         part = {name: rates[name] for name in names[batch : batch + 50]}
         write_scores(folder / "scores" / f"{batch:03d}", part, spread=rng)
+        seen = {name: 0.1 + 0.7 * rate for name, rate in part.items() if "_" not in name}
+        write_scores(folder / "scores-cycles" / f"{batch:03d}", seen, spread=rng, renderer="cycles", found=0.8)
     for name in names:
         if not name.startswith("R-") and "_step" not in name and "_relaxed" not in name:
             alone = name.partition("_on_")[2].rpartition("-")[0]

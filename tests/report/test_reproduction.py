@@ -127,6 +127,99 @@ def test_order_beside_the_papers(folder):
     close(row["spearman"], 4.5 / (4.5 * 5) ** 0.5)
 
 
+def add_cycles(folder):
+    """8 of 10 vehicles found before; shares of eighths are lost, on every tile alike."""
+    rates = {"T-U-0": 0.5, "T-U-1": 0.75, "R-U-0": 0.125, "R-U-1": 0.375, "T-Fc-0": 0.5, "R-Fc-0": 0.25}
+    rates |= {"T-Fc-1": 0.5, "S-O@0.4-0": 0.5, "S-O@0.4-1": 0.25, "R-S-O@0.4-0": 0.25}
+    write_scores(folder / "scores-cycles" / "000", rates, found=0.8, renderer="cycles")
+
+
+def test_cycles_beside_the_renderer(folder):
+    write_reproduction(folder)
+    before = {name: table(folder, name) for name in ("textures", "shape_combined", "agreement", "ladder", "gap")}
+    page = (folder / "tables" / "README.md").read_text()
+    assert "Cycles" not in page
+    assert not (folder / "tables" / "cycles.csv").exists()
+    add_cycles(folder)
+    write_reproduction(folder)
+    # What was there stays, to the last digit.
+    for name, rows in before.items():
+        after = table(folder, name)
+        assert {attack: {key: after[attack][key] for key in row} for attack, row in rows.items()} == rows, name
+
+    row = table(folder, "textures")["T-U"]
+    close(row["cycles_easr"], 62.5)  # of 50 and 75
+    close(row["cycles_random_easr"], 25)  # of 12.5 and 37.5
+    close(row["cycles_net_easr"], 37.5)
+    close(row["cycles_change"], 62.5 - 90)
+    close(row["cycles_apd"], 50 * 0.625)
+    assert (row["paper_easr_blender"], row["paper_apd_blender"]) == ("70.02", "63.17")
+    control = table(folder, "textures")["R-U"]
+    close(control["cycles_easr"], 25)
+    assert (control["cycles_net_easr"], control["paper_easr_blender"]) == ("–", "16.31")
+    # At the PM* of the renderer; what was not scored on Cycles is a dash.
+    alone = table(folder, "shape_combined")["S-O"]
+    close(alone["pm_star"], 0.4)
+    close(alone["cycles_easr"], 37.5)
+    close(alone["cycles_net_easr"], 12.5)
+    combined = table(folder, "shape_combined")["C-Fc-seq"]
+    assert (combined["cycles_easr"], combined["cycles_change"], combined["paper_easr_blender"]) == ("–", "–", "70.37")
+
+
+def test_how_far_success_moves_to_cycles(folder):
+    add_cycles(folder)
+    write_reproduction(folder)
+    with open(folder / "tables" / "cycles.csv", newline="", encoding="utf-8") as file:
+        rows = {row["kind"]: row for row in csv.DictReader(file)}
+    assert list(rows) == ["textures", "shapes", "all attacks", "random textures", "random shapes and combinations"]
+    # T-U 80, 100 and T-Fc 20, 40 on the renderer; 50, 75 and 50, 50 on Cycles.
+    close(rows["textures"]["easr"], 60)
+    close(rows["textures"]["cycles_easr"], 56.25)
+    close(rows["textures"]["change"], -3.75)
+    # Tiles that all agree leave the exact margin, 1 - 0.025^(1/20).
+    close(rows["textures"]["change_low"], -3.75 - 100 * (1 - 0.025**0.05))
+    # 10, 30 and 10 became 12.5, 37.5 and 25.
+    close(rows["random textures"]["change"], 25 - 50 / 3)
+    assert (rows["random textures"]["camouflages"], rows["random textures"]["paper_number"]) == ("2", "4")
+    close(rows["random textures"]["paper_easr_blender"], (16.31 + 18.95 + 18.95 + 20.24) / 4)
+    close(rows["shapes"]["change"], 37.5 - 80)  # S-O@0.2 and S-O@1 were not scored on Cycles
+
+
+def test_orders_on_cycles(folder):
+    add_cycles(folder)
+    write_reproduction(folder)
+    with open(folder / "tables" / "cycles_agreement.csv", newline="", encoding="utf-8") as file:
+        rows = {(row["compared"].split()[-1], row["set"]): row for row in csv.DictReader(file)}
+    # T-U 62.5, T-Fc 50, S-O 37.5 against Blender's 70.02, 55.96, 78.86: ranks 3 2 1 and 2 1 3.
+    ours = rows["Blender", "textures, shape and combinations"]
+    assert ours["attacks"] == "3"
+    close(ours["spearman"], -0.5)
+    # T-U 90, T-Fc 30, S-O@0.4 80 on the renderer: ranks 3 1 2.
+    own = rows["renderer", "all attacks, at every magnitude"]
+    assert own["attacks"] == "3"
+    close(own["spearman"], 0.5)
+
+
+def test_the_page_says_what_the_cycles_column_is(folder):
+    add_cycles(folder)
+    page = write_reproduction(folder).read_text()
+    texture = next(line for line in page.splitlines() if line.startswith("| T-U |"))
+    assert "| 62.5 (" in texture
+    assert "| 37.5 (" in texture
+    assert "| 95.77 | 70.02 | 50.97 |" in texture
+    header = next(line for line in page.splitlines() if line.startswith("| attack | practicality |"))
+    assert header.count("|") == texture.count("|")
+    assert "## On Cycles" in page
+    assert "Blender’s path tracer Cycles" in page
+    # All but the copies kept on the way and transfer: 7 textures and controls, 6 shapes, 3 combinations; 10 are there.
+    assert "Not scored on Cycles yet: 6 of 16 camouflages." in page
+    # T-U 37.5, T-Fc 25 and S-O 12.5 above chance, give or take 17.
+    assert "in 2 of 3 rows" in page
+    assert "better than chance there: S-O." in page
+    # AP 0.9 for both; 10 and 8 of 10 vehicles found.
+    assert "| RetinaNet | 90.0 | 90.0 | 100.0 | 80.0 |" in page
+
+
 def test_undefined_success_is_a_dash(tmp_path):
     write_scores(tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0)
     write_reproduction(tmp_path)

@@ -24,7 +24,7 @@ from skyproof.cli.stages import choose_device
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import read_json
 from skyproof.workflow.plan import SNAKEFILE, Plan, Preset, read_preset
-from skyproof.workflow.progress import failed_log, finished_jobs, time_left_s, write_timings
+from skyproof.workflow.progress import FinishedJob, failed_log, finished_jobs, time_left_s, write_timings
 
 __all__ = ["Reproduce"]
 
@@ -47,6 +47,10 @@ class Reproduce:
         out: run folder.
         cores: CPU cores to use; all where not given.
         device: auto, cpu or cuda.
+        cycles: also score finished attacks and random controls as Blender's path tracer Cycles draws them, the paper's
+            "Blender" column. A finished run may be given again with it: only that column is added then.
+        blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not given, what
+            `make blender` made, then `blender` on the PATH.
         dry_run: only check, and say what would be done and how.
     """
 
@@ -54,6 +58,8 @@ class Reproduce:
     out: Path = Path("runs/reproduce")
     cores: int | None = None
     device: str = "auto"
+    cycles: bool = False
+    blender: Path | None = None
     dry_run: bool = False
 
     def run(self) -> None:
@@ -68,14 +74,16 @@ class Reproduce:
             raise ConfigurationError(f"--cores expects at least 1, got {self.cores}.")
         choose_device(self.device)
         check_detectors(preset.detectors, preset.size)
+        cycles = self._cycles()
         run = RunFolder(self.out, {"preset": name, **settings})
-        plan = Plan(preset)
+        plan = Plan(preset, cycles=self.cycles)
         if self.dry_run:
-            self._check(path, plan)
+            self._check(path, plan, cycles)
             return
         with _alone(self.out) as lock:
             run.start(self.device)
-            command = _snakemake(self.out, self.out / "config.json", "--config", f"device={self.device}")
+            more = ["--config", f"device={self.device}", *cycles]
+            command = _snakemake(self.out, self.out / "config.json", *more)
             # Marks left by a kill must not stop the next try; our own lock keeps a second run away.
             command += ["--cores", str(cores), "--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
             if preset.resources.get("gpu"):
@@ -85,11 +93,27 @@ class Reproduce:
             run.finish()
         say(f"Tables: {(self.out / 'tables' / 'README.md').resolve()}")
 
-    def _check(self, path: Path, plan: Plan) -> None:
+    def _cycles(self) -> list[str]:
+        """What the workflow is told of the Cycles column, which like the device is no setting of the run folder.
+
+        Raises:
+            ConfigurationError: there is no usable Blender, or it is given for nothing.
+        """
+        if not self.cycles:
+            if self.blender is not None:
+                raise ConfigurationError("--blender is for the Cycles column; give --cycles too, or leave it out.")
+            return []
+        from skyproof.cycles.blender import find_blender
+
+        # Not resolved: the Python of a virtual environment is a link, and loses its packages when followed.
+        return ["cycles=1", f"blender={find_blender(self.blender).absolute()}"]
+
+    def _check(self, path: Path, plan: Plan, cycles: Sequence[str]) -> None:
+        more = ["--config", *cycles] if cycles else []
         with tempfile.TemporaryDirectory() as empty:
             place = self.out if self.out.exists() else Path(empty)
             done = subprocess.run(
-                [*_snakemake(place, path), "--cores", "1", "--dry-run", "--nolock", "--quiet", "all"],
+                [*_snakemake(place, path, *more), "--cores", "1", "--dry-run", "--nolock", "--quiet", "all"],
                 capture_output=True,
                 text=True,
             )
@@ -97,7 +121,7 @@ class Reproduce:
             raise ConfigurationError(f"Snakemake refuses this plan: {' '.join(done.stderr.split())[-400:]}")
         say(f"Jobs: {_listed(plan.jobs)}.")
         say("By hand, or with options for a cluster's executor:")
-        say("  " + shlex.join(_snakemake(self.out, path)) + " --cores 2")
+        say("  " + shlex.join(_snakemake(self.out, path, *more)) + " --cores 2")
 
 
 def _listed(jobs: Mapping[str, int]) -> str:
@@ -129,7 +153,7 @@ def _alone(out: Path) -> Iterator[int]:
 def _follow(command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: int, lock: int) -> None:
     """Runs Snakemake and prints a line per finished job."""
     place = out / "snakemake.log"
-    before = {(job.rule, job.name) for job in finished_jobs(out)}
+    before = set(_finished(out, jobs))
     if before:
         say(f"  {len(before)} jobs were finished before")
     with open(place, "ab") as log, _stop_signals():
@@ -150,15 +174,21 @@ def _follow(command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: i
         raise RunFolderError(_failure(out, place.read_bytes()[start:].decode(errors="replace")))
 
 
-def _say_finished(out: Path, jobs: Mapping[str, int], cores: int, before: set[tuple[str, str]]) -> set[tuple[str, str]]:
-    finished = finished_jobs(out)
+def _say_finished(out: Path, jobs: Mapping[str, int], cores: int, before: set[FinishedJob]) -> set[FinishedJob]:
+    """Says what is new; a job that was done again counts as new, as it took another time."""
+    finished = _finished(out, jobs)
     left_s = time_left_s(jobs, finished, cores)
     for number, job in enumerate(finished, start=1):
-        if (job.rule, job.name) not in before:
+        if job not in before:
             what = job.rule if job.rule == job.name else f"{job.rule} {job.name}"
             left = "" if left_s is None else f", about {_duration(left_s)} left"
             say(f"  {what}: {job.seconds:.0f} s ({number} of {sum(jobs.values())} jobs{left})")
-    return {(job.rule, job.name) for job in finished}
+    return set(finished)
+
+
+def _finished(out: Path, jobs: Mapping[str, int]) -> list[FinishedJob]:
+    """Those of the plan: an earlier run may have added the Cycles column."""
+    return [job for job in finished_jobs(out) if job.rule in jobs]
 
 
 def _duration(seconds: float) -> str:

@@ -1,13 +1,13 @@
-"""Do our results and the paper's order the attacks alike? Rank correlation with an interval (PAPER 35)."""
+"""Do our results and the paper's, or two renderers', order the attacks alike? Rank correlations (PAPER 35)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from skyproof.camouflage.names import pooled_name
@@ -16,7 +16,7 @@ from skyproof.evaluate.intervals import Interval, resample, resampled
 from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.evaluate.tiles import TileCounts
 
-__all__ = ["Agreement", "rank_agreement"]
+__all__ = ["Agreement", "rank_agreement", "renderer_agreement"]
 
 _FEWEST = 3
 
@@ -26,8 +26,8 @@ class Agreement:
     """How alike two orders of the same attacks are.
 
     Attributes:
-        attacks: names in the paper, in its order of falling success.
-        ours, theirs: EASR per attack, fractions and percent.
+        attacks: names, in the second order of falling success.
+        ours, theirs: EASR per attack in either: ours as fractions, the paper's in percent.
         spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the reverse, with the 95 %
             percentile interval over resampled tiles.
     """
@@ -64,30 +64,101 @@ def rank_agreement(
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
     rows = rows or {}
-    series: dict[str, list[np.ndarray]] = {}
-    for key, counts in tiles.series.items():
-        if (key.renderer, key.match) == (renderer, match):
-            series.setdefault(pooled_name(key.camouflage), []).append(counts[:, 1:])
+    series = _pooled(tiles, renderer, match)
     shared = [name for name in sorted(paper, key=lambda name: -paper[name]) if rows.get(name, name) in series]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
             f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has too, got {len(shared)}."
         )
-    chosen = [np.stack(series[rows.get(name, name)]) for name in shared]
+    weights = resample(len(tiles.tiles), generator=generator)
+    ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, weights)
     theirs = np.array([paper[name] for name in shared])
-    ours = np.array([overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in chosen])
-    undefined = next((name for name, rate in zip(shared, ours, strict=True) if math.isnan(rate)), None)
+    return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
+
+
+def renderer_agreement(
+    tiles: TileCounts,
+    names: Iterable[str],
+    *,
+    generator: np.random.Generator,
+    renderers: tuple[str, str] = ("torch", "cycles"),
+    match: str = "centre_1m",
+) -> Agreement:
+    """Rank correlation between the EASRs under two renderers, over the attacks scored under both.
+
+    Both vary over the same resampled tiles: they show the same scenes.
+
+    Args:
+        tiles: counts under both.
+        names: of the attacks to compare, without repeats.
+        generator: of the bootstrap.
+        renderers: whose EASRs are `ours` and `theirs`.
+        match: which of the counts.
+
+    Raises:
+        ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
+    """
+    one, other = (_pooled(tiles, renderer, match) for renderer in renderers)
+    shared = [name for name in names if name in one and name in other]
+    if len(shared) < _FEWEST:
+        raise ConfigurationError(
+            f"A rank correlation of two renderers expects at least {_FEWEST} attacks scored under both, "
+            f"got {len(shared)}."
+        )
+    weights = resample(len(tiles.tiles), generator=generator)
+    (ours, drawn_ours), (theirs, drawn_theirs) = (
+        _easr({name: series[name] for name in shared}, weights) for series in (one, other)
+    )
+    order = np.argsort(-theirs, kind="stable")
+    return _agreement(
+        [shared[place] for place in order],
+        ours[order],
+        theirs[order],
+        drawn_ours[:, order],
+        drawn_theirs[:, order],
+    )
+
+
+def _pooled(tiles: TileCounts, renderer: str, match: str) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
+    """Pair counts of every repeat and detector by attack."""
+    series: dict[str, list[np.ndarray]] = {}
+    for key, counts in tiles.series.items():
+        if (key.renderer, key.match) == (renderer, match):
+            series.setdefault(pooled_name(key.camouflage), []).append(counts[:, 1:])
+    return series
+
+
+def _easr(
+    series: Mapping[str, Sequence[Int[np.ndarray, "C 3"]]], weights: Int[np.ndarray, "R C"]
+) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
+    """Mean EASR of every attack, as it is and on the resampled tiles.
+
+    Raises:
+        ConfigurationError: one is undefined.
+    """
+    stacks = [np.stack(counts) for counts in series.values()]
+    easr = np.array([overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks])
+    undefined = next((name for name, rate in zip(series, easr, strict=True) if math.isnan(rate)), None)
     if undefined is not None:
         raise ConfigurationError(f"The EASR of {undefined} is undefined; a detector found no vehicle before it.")
-    weights = resample(len(tiles.tiles), generator=generator)
-    drawn = np.stack(
-        [overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in chosen],
-        axis=1,
+    drawn = [overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in stacks]
+    return easr, np.stack(drawn, axis=1)
+
+
+def _agreement(
+    names: Sequence[str],
+    ours: Float[np.ndarray, " A"],
+    theirs: Float[np.ndarray, " A"],
+    drawn_ours: Float[np.ndarray, "R A"],
+    drawn_theirs: Float[np.ndarray, "R A"],
+) -> Agreement:
+    defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
+    drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
+    spearman, kendall = (
+        _interval(correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn]))
+        for correlation in (_spearman, _kendall)
     )
-    drawn = drawn[~np.isnan(drawn).any(axis=1)]
-    spearman = _interval(_spearman(ours, theirs), np.array([_spearman(row, theirs) for row in drawn]))
-    kendall = _interval(_kendall(ours, theirs), np.array([_kendall(row, theirs) for row in drawn]))
-    return Agreement(shared, ours.tolist(), theirs.tolist(), spearman, kendall)
+    return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)
 
 
 def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:

@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skyproof.evaluate.paper_results import PAPER_RESULTS
+from skyproof.report.reproduction_cells import Table, bracket, markdown, number, sign, span, word
+from skyproof.report.reproduction_cycles import cycles_section
 from skyproof.report.reproduction_run import Reproduction
-from skyproof.report.reproduction_tables import Table, comparison
+from skyproof.report.reproduction_tables import comparison
 from skyproof.report.words import detector_name, probability
 
 __all__ = ["reproduction_page", "shape_table", "texture_table"]
@@ -23,7 +25,12 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
         f"All rates in percent, of the test vehicles that a detector found before; mean over {detectors}. Brackets "
         "hold 95 % bootstrap intervals over background tiles, “repeats” the range over attacks from different seeds. "
         "“random” is the EASR of random draws under the same constraints, “net” the EASR minus that. “paper” is what "
-        "the paper reports for its own renderer († only in its source’s comments).",
+        "the paper reports for its own renderer († only in its source’s comments)."
+        + (
+            " What stands “on Cycles”, and the paper’s for Blender, is [explained below](#on-cycles)."
+            if run.cycles
+            else ""
+        ),
         _about(run),
         "## Textures",
         texture_table(tables["textures"]),
@@ -36,6 +43,7 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
         "## Does our order agree with the paper’s?",
         _agreement(tables["agreement"]),
         _order(run),
+        cycles_section(run, tables),
         "## Can the attacks be trusted?",
         _tests([*tables["textures"].rows, *tables["shape_combined"].rows]),
         _signs(tables["signs"]),
@@ -55,34 +63,45 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
 
 def texture_table(table: Table) -> str:
     """The paper's first table as Markdown."""
-    header = ["attack", "practicality", "EASR", "repeats", "random", "net", "APD", "paper EASR", "paper APD"]
-    return _markdown(header, [[row["attack"], _sign(row["practicality"]), *_cells(row)] for row in table.rows])
+    header = ["attack", "practicality", *_header(table)]
+    return markdown(header, [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows])
 
 
 def shape_table(table: Table) -> str:
     """The paper's second table as Markdown."""
-    header = ["attack", "PM*", "chosen", "Pr*", "P1", "EASR", "repeats", "random", "net", "APD", "paper EASR"]
-    header += ["paper APD", "paper PM*", "our EASR there"]
+    header = ["attack", "PM*", "chosen", "Pr*", "P1", *_header(table), "paper PM*", "our EASR there"]
     rows = []
     for row in table.rows:
-        first = [row["attack"], f"{row['pm_star']:g}", _number(row["pm_star_share"], 0), f"{row['pr_star']:.1f}"]
+        first = [row["attack"], f"{row['pm_star']:g}", number(row["pm_star_share"], 0), f"{row['pr_star']:.1f}"]
         there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
-        last = [there, _number(row["easr_at_paper_pm_star"])]
-        rows.append([*first, _number(row["p1_star"], 2), *_cells(row), *last])
-    return _markdown(header, rows)
+        last = [there, number(row["easr_at_paper_pm_star"])]
+        rows.append([*first, number(row["p1_star"], 2), *_cells(row), *last])
+    return markdown(header, rows)
+
+
+def _header(table: Table) -> list[str]:
+    """Of what `_cells` makes of the table's rows."""
+    ours = ["EASR", "repeats", "random", "net", "APD"]
+    if "cycles_easr" in table.columns:
+        return [*ours, "EASR on Cycles", "net on Cycles", "paper EASR", "paper Blender", "paper APD"]
+    return [*ours, "paper EASR", "paper APD"]
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     paper = PAPER_RESULTS.get(row["attack"])
-    return [
-        _bracket(row, "easr"),
-        _range(row["easr_repeat_min"], row["easr_repeat_max"]),
-        _number(row["random_easr"]),
-        _bracket(row, "net_easr"),
-        _number(row["apd"]),
-        _number(row["paper_easr"], 2) + ("†" if paper and paper.commented else ""),
-        _number(row["paper_apd"], 2),
+    mark = "†" if paper and paper.commented else ""
+    cells = [
+        bracket(row, "easr"),
+        span(row["easr_repeat_min"], row["easr_repeat_max"]),
+        number(row["random_easr"]),
+        bracket(row, "net_easr"),
+        number(row["apd"]),
     ]
+    papers = [number(row["paper_easr"], 2) + mark]
+    if "cycles_easr" in row:
+        cells += [bracket(row, "cycles_easr"), bracket(row, "cycles_net_easr")]
+        papers.append(number(row["paper_easr_blender"], 2) + (mark if row["paper_easr_blender"] is not None else ""))
+    return [*cells, *papers, number(row["paper_apd"], 2)]
 
 
 def _about(run: Reproduction) -> str:
@@ -105,14 +124,14 @@ def _agreement(table: Table) -> str:
     if not table.rows:
         return "Fewer than three attacks can be compared."
     rows = [
-        [row["set"], str(row["attacks"]), *(_bracket(row, name, digits=2) for name in ("spearman", "kendall"))]
+        [row["set"], str(row["attacks"]), *(bracket(row, name, digits=2) for name in ("spearman", "kendall"))]
         for row in table.rows
     ]
     text = (
         "Rank correlation of our EASR with the paper’s, shapes and combinations each at their own PM\\*. The intervals "
         "say how far the test scenes alone could move it."
     )
-    return f"{text}\n\n" + _markdown(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
+    return f"{text}\n\n" + markdown(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
 
 
 def _order(run: Reproduction) -> str:
@@ -125,7 +144,7 @@ def _order(run: Reproduction) -> str:
         theirs = 1 + sum(PAPER_RESULTS[other].easr > PAPER_RESULTS[name].easr for other in names)
         ranks[name] = (own, theirs)
     rows = [
-        [name, str(own), str(theirs), _number(ours[name]), _number(PAPER_RESULTS[name].easr, 2)]
+        [name, str(own), str(theirs), number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
         for name, (own, theirs) in sorted(ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1]))
         if abs(own - theirs) > 1
     ]
@@ -134,7 +153,7 @@ def _order(run: Reproduction) -> str:
     header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
     return (
         f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is the strongest):\n\n"
-        + _markdown(header, rows)
+        + markdown(header, rows)
     )
 
 
@@ -176,7 +195,7 @@ def _signs(table: Table) -> str:
              f"{row['mean_change']:+.4f}".replace("-", "−")]
             for row in others
         ]  # fmt: skip
-        text += "\n\n" + _markdown(header, cells)
+        text += "\n\n" + markdown(header, cells)
     return text
 
 
@@ -194,19 +213,19 @@ def _ladder(table: Table) -> str:
         f"{len(table.rows)} attacks; in {holds} no fall is certain (its 95 % interval reaches zero)."
     )
     rows = [
-        [row["attack"], *(_number(row.get(column)) for column in columns), _word(row["never_falls"]),
-         _word(row["never_surely_falls"])]
+        [row["attack"], *(number(row.get(column)) for column in columns), word(row["never_falls"]),
+         word(row["never_surely_falls"])]
         for row in table.rows
     ]  # fmt: skip
-    return f"{text}\n\n" + _markdown(
+    return f"{text}\n\n" + markdown(
         ["attack", *(column[6:].replace("all", "all steps") for column in columns), "never falls", "no certain fall"],
         rows,
     )
 
 
 def _gap(table: Table) -> str:
-    rows = [[row["attack"], _number(row["easr_before"]), _number(row["easr_after"])] for row in table.rows]
-    return _markdown(["attack", "EASR before", "EASR after"], rows) if rows else "No attack on few colours was kept."
+    rows = [[row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in table.rows]
+    return markdown(["attack", "EASR before", "EASR after"], rows) if rows else "No attack on few colours was kept."
 
 
 def _transfer(table: Table, run: Reproduction) -> str:
@@ -214,12 +233,12 @@ def _transfer(table: Table, run: Reproduction) -> str:
         [
             row["attack"],
             ", ".join(map(detector_name, row["attacked_on"].split())),
-            *(_bracket(row, detector) for detector in run.detectors),
+            *(bracket(row, detector) for detector in run.detectors),
         ]
         for row in table.rows
     ]
     header = ["attack", "learnt on", *(f"EASR on {detector_name(detector)}" for detector in run.detectors)]
-    return _markdown(header, rows) if rows else "Not part of this preset."
+    return markdown(header, rows) if rows else "Not part of this preset."
 
 
 def _practicality(table: Table) -> str:
@@ -235,42 +254,12 @@ def _practicality(table: Table) -> str:
     rows = [
         [
             row["attack"],
-            _sign(row["practicality"]),
-            *(_number(row.get(key), digits) for key, (_, digits) in chosen.items()),
+            sign(row["practicality"]),
+            *(number(row.get(key), digits) for key, (_, digits) in chosen.items()),
         ]
         for row in table.rows
     ]
     if not rows:
         return ""
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
-    return f"{text}\n\n" + _markdown(["attack", "practicality", *(label for label, _ in chosen.values())], rows)
-
-
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-
-
-def _bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
-    value, low, high = row.get(key), row.get(f"{key}_low"), row.get(f"{key}_high")
-    known = low is not None and high is not None and not (low != low or high != high)
-    return _number(value, digits) + (f" ({_number(low, digits)} to {_number(high, digits)})" if known else "")
-
-
-def _range(low: float | None, high: float | None) -> str:
-    return "–" if low is None or high is None else f"{_number(low)} to {_number(high)}"
-
-
-def _number(value: float | int | None, digits: int = 1) -> str:
-    if value is None or value != value:
-        return "–"
-    text = f"{value:.{digits}f}"
-    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
-
-
-def _sign(value: int | None) -> str:
-    return "–" if value is None else f"{value:+d}".replace("-", "−") if value else "0"
-
-
-def _word(value: bool | None) -> str:
-    return "–" if value is None else "yes" if value else "no"
+    return f"{text}\n\n" + markdown(["attack", "practicality", *(label for label, _ in chosen.values())], rows)

@@ -21,9 +21,12 @@ from skyproof.evaluate.summary import MEAN, summarise
 from skyproof.evaluate.tiles import Series, TileCounts
 from skyproof.files import read_json
 
-__all__ = ["MATCH", "Reproduction", "read_reproduction"]
+__all__ = ["CYCLES", "MATCH", "RENDERER", "Reproduction", "point_name", "read_reproduction"]
 
 MATCH = "centre_1m"
+# As they are called in the scores: the renderer that attacks go through, and the second opinion.
+RENDERER = "torch"
+CYCLES = "cycles"
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Reproduction:
 
     Attributes:
         folder: of the run.
-        rows: of `results.json`, both match rules.
+        rows: of `results.json`, both match rules; those on Cycles, where there are any, last.
         tiles: counts that the rows come from.
         records: per attack (with its repeat) what `camouflage.json` records.
         measures: per camouflage (without its repeat) its measured practicality; empty where not measured.
@@ -55,13 +58,19 @@ class Reproduction:
         return list(dict.fromkeys(row["detector"] for row in self.rows if row["detector"] != MEAN))
 
     @cached_property
-    def _by_name(self) -> dict[tuple[str, str], dict[str, Any]]:
-        return {(row["camouflage"], row["detector"]): row for row in self.rows if row["match"] == MATCH}
+    def cycles(self) -> bool:
+        """Whether anything was scored on Cycles."""
+        return any(row["renderer"] == CYCLES for row in self.rows)
 
-    def row(self, name: str, detector: str | None = None) -> dict[str, Any] | None:
+    @cached_property
+    def _by_name(self) -> dict[tuple[str, str, str], dict[str, Any]]:
+        rows = [row for row in self.rows if row["match"] == MATCH]
+        return {(row["camouflage"], row["detector"], row["renderer"]): row for row in rows}
+
+    def row(self, name: str, detector: str | None = None, *, renderer: str = RENDERER) -> dict[str, Any] | None:
         """The row of a camouflage, of the mean over detectors or of one detector; None where it was not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
-        return self._by_name.get((name, wanted))
+        return self._by_name.get((name, wanted, renderer))
 
     def corrected_p(self, name: str) -> float | None:
         """The largest Holm-corrected McNemar p over the detectors (PAPER 40); None where one was not tested."""
@@ -82,11 +91,10 @@ class Reproduction:
             for family in sorted(curve_families(self.tiles), key=lambda family: family != "S-O")
         }
 
-    def row_at(self, family: str, magnitude: float) -> dict[str, Any] | None:
-        """The row of one point of a curve; at magnitude 0 the texture's, None for the vehicle as it was."""
-        if magnitude > 0:
-            return self.row(f"{family}@{magnitude:g}")
-        return None if family == "S-O" else self.row("T-" + family.split("-")[1])
+    @cached_property
+    def best(self) -> dict[str, str]:
+        """Per attack with a shape, the name of what stands at its PM*."""
+        return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
 
     def one(self, camouflage: str) -> float | None:
         """EASR of one single camouflage with its repeat, mean over detectors; None where unknown or undefined."""
@@ -101,16 +109,24 @@ class Reproduction:
         after, before = self._counts(later), self._counts(earlier)
         if after is None or before is None:
             return None
-        return cluster_interval(np.concatenate([after, before]), success_difference(len(after)), self._weights)
+        return cluster_interval(np.concatenate([after, before]), success_difference(len(after)), self.weights)
 
     def _counts(self, camouflage: str) -> np.ndarray | None:
-        keys = [Series(camouflage, renderer, detector, MATCH) for renderer in ("torch",) for detector in self.detectors]
+        keys = [Series(camouflage, RENDERER, detector, MATCH) for detector in self.detectors]
         found = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
         return np.stack(found) if len(found) == len(keys) else None
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def weights(self) -> np.ndarray:
+        """Resampled tiles, `[R, C]`, for whatever is not in the rows."""
         return resample(len(self.tiles.tiles), generator=np.random.default_rng(0))
+
+
+def point_name(family: str, magnitude: float) -> str:
+    """What stands at one point of a curve; at magnitude 0 the texture ("S-O@0" of S-O, which is never scored)."""
+    if magnitude > 0 or family == "S-O":
+        return f"{family}@{magnitude:g}"
+    return "T-" + family.split("-")[1]
 
 
 def read_reproduction(folder: Path) -> Reproduction:
@@ -121,12 +137,19 @@ def read_reproduction(folder: Path) -> Reproduction:
         ConfigurationError: the scores do not belong together.
     """
     folder = Path(folder)
-    scores = sorted(path for path in (folder / "scores").glob("*") if not path.name.startswith("."))
+    scores, on_cycles = (
+        sorted(path for path in (folder / name).glob("*") if not path.name.startswith("."))
+        for name in ("scores", "scores-cycles")
+    )
     if not scores:
         raise StoredFileError(f"{folder} holds no scores; run skyproof reproduce, or give its run folder.")
-    tiles, sets = merge_evaluations(scores)
+    tiles, sets = merge_evaluations([*scores, *on_cycles])
     config = _read(folder / "config.json")
-    rows = summarise(tiles, sets, generator=np.random.default_rng(config.get("seed", 0)))
+    rows = []
+    for renderer in dict.fromkeys(key.renderer for key in tiles.series):
+        # One by one, Holm's correction too: the renderer's numbers stay as they are when Cycles is added.
+        own = TileCounts(tiles.tiles, {key: counts for key, counts in tiles.series.items() if key.renderer == renderer})
+        rows += summarise(own, sets, generator=np.random.default_rng(config.get("seed", 0)))
     records = {
         path.parent.name: read_json(path).get("record", {})
         for path in sorted((folder / "camouflages").glob("*/camouflage.json"))

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,41 +13,16 @@ import numpy as np
 from skyproof.camouflage.names import base_name
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.agreement import rank_agreement
-from skyproof.evaluate.paper_results import PAPER_RESULTS
+from skyproof.evaluate.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.evaluate.transfer import transfer_matrix
-from skyproof.report.reproduction_run import MATCH, Reproduction
+from skyproof.report.reproduction_cells import Table, in_percent, interval_cells
+from skyproof.report.reproduction_cycles import cycles_columns, cycles_tables
+from skyproof.report.reproduction_run import MATCH, Reproduction, point_name
 
-__all__ = ["Table", "comparison", "reproduction_tables"]
+__all__ = ["comparison", "reproduction_tables"]
 
 _TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
 _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
-
-
-@dataclass(frozen=True)
-class Table:
-    """One table.
-
-    Attributes:
-        name: of its file.
-        rows: values by column, numbers unrounded; None where undefined.
-    """
-
-    name: str
-    rows: Sequence[Mapping[str, Any]]
-
-    @property
-    def columns(self) -> list[str]:
-        """Of all rows, in the order of their first use."""
-        return list(dict.fromkeys(column for row in self.rows for column in row))
-
-    def csv(self) -> str:
-        """Comma-separated, numbers to four decimals, "–" where undefined."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
-        for row in self.rows:
-            writer.writerow([_plain(row.get(column)) for column in self.columns])
-        return text.getvalue()
 
 
 def reproduction_tables(run: Reproduction) -> dict[str, Table]:
@@ -60,6 +32,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("shape_combined", _shapes(run)),
         Table("curves", _curves(run)),
         Table("agreement", _agreement(run)),
+        *cycles_tables(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
         Table("ladder", _ladder(run)),
@@ -72,7 +45,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
 def comparison(run: Reproduction) -> dict[str, float]:
     """Our EASR of everything the paper has too, in percent: textures and controls by name, shapes at their PM*."""
     found = {name: run.row(name) for name in run.names if _TEXTURE.fullmatch(name)}
-    found |= {family: run.row_at(family, curve.best) for family, curve in run.curves.items()}
+    found |= {family: run.row(name) for family, name in run.best.items()}
     return {
         name: 100 * row["easr"]
         for name, row in found.items()
@@ -90,10 +63,11 @@ def _textures(run: Reproduction) -> list[dict[str, Any]]:
             {
                 "attack": name,
                 "practicality": measured.get("total"),
-                **_ours(run.row(name)),
+                **in_percent(run.row(name)),
                 "mcnemar_p_holm": run.corrected_p(name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
+                **_on_cycles(run, name, paper),
             }
         )
     return rows
@@ -113,15 +87,28 @@ def _shapes(run: Reproduction) -> list[dict[str, Any]]:
                 "pm_star_share": 100 * best.share_best,
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
-                **_ours(run.row_at(family, curve.best)),
-                "mcnemar_p_holm": run.corrected_p((run.row_at(family, curve.best) or {}).get("camouflage", "")),
+                **in_percent(run.row(run.best[family])),
+                "mcnemar_p_holm": run.corrected_p(run.best[family]),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,
                 "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
                 "paper_apd": paper.apd if paper else None,
+                **_on_cycles(run, run.best[family], paper),
             }
         )
     return rows
+
+
+def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[str, Any]:
+    """Our Cycles column, and the paper's Blender column beside it."""
+    ours = cycles_columns(run, name)
+    if not ours:
+        return {}
+    return {
+        **ours,
+        "paper_easr_blender": paper.easr_blender if paper else None,
+        "paper_apd_blender": paper.apd_blender if paper else None,
+    }
 
 
 def _curves(run: Reproduction) -> list[dict[str, Any]]:
@@ -132,34 +119,15 @@ def _curves(run: Reproduction) -> list[dict[str, Any]]:
             "pr": point.practicality,
             "p1": point.p1,
             "share_best": 100 * point.share_best,
-            **_ours(run.row_at(family, point.perturbation_magnitude)),
+            **in_percent(run.row(point_name(family, point.perturbation_magnitude))),
             "easr": 100 * point.easr.estimate,
             "easr_low": 100 * point.easr.low,
             "easr_high": 100 * point.easr.high,
+            **cycles_columns(run, point_name(family, point.perturbation_magnitude)),
         }
         for family, curve in run.curves.items()
         for point in curve.points
     ]
-
-
-def _ours(row: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The numbers of one row of results, in percent and points."""
-    keys = {
-        "easr": "easr",
-        "easr_low": "easr_low",
-        "easr_high": "easr_high",
-        "easr_repeat_min": "easr_repeat_min",
-        "easr_repeat_max": "easr_repeat_max",
-        "random_easr": "random_easr",
-        "net_easr": "net_easr",
-        "net_easr_low": "net_easr_low",
-        "net_easr_high": "net_easr_high",
-        "apd": "apd",
-    }
-    values = {ours: (row or {}).get(theirs) for ours, theirs in keys.items()}
-    return {"repeats": (row or {}).get("repeats")} | {
-        name: None if value is None else 100 * value for name, value in values.items()
-    }
 
 
 def _practicality(run: Reproduction) -> list[dict[str, Any]]:
@@ -197,8 +165,6 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
 
 def _agreement(run: Reproduction) -> list[dict[str, Any]]:
     """Rank correlation with the paper over ever more of what both have; shapes at our PM*."""
-    best = {family: curve.best for family, curve in run.curves.items()}
-    rows = {family: f"{family}@{pm:g}" if pm > 0 else "T-" + family.split("-")[1] for family, pm in best.items()}
     sets = {
         "textures": [name for name in PAPER_RESULTS if name.startswith("T-")],
         "textures, shape and combinations": [name for name in PAPER_RESULTS if not name.startswith("R-")],
@@ -211,14 +177,12 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
             found = rank_agreement(
                 run.tiles,
                 {name: PAPER_RESULTS[name].easr for name in names},
-                rows=rows,
+                rows=run.best,
                 generator=np.random.default_rng(0),
                 match=MATCH,
             )
-            row: dict[str, Any] = {"set": label, "attacks": len(found.attacks)}
-            for name, interval in (("spearman", found.spearman), ("kendall", found.kendall)):
-                row |= {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
-            made.append(row)
+            row = {"set": label, "attacks": len(found.attacks)}
+            made.append(row | interval_cells("spearman", found.spearman) | interval_cells("kendall", found.kendall))
     return made
 
 
@@ -278,11 +242,3 @@ def _gap(run: Reproduction) -> list[dict[str, Any]]:
             row |= {f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()}
         rows.append(row)
     return rows
-
-
-def _plain(value: Any) -> str:
-    if value is None or value != value:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)

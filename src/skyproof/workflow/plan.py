@@ -155,17 +155,18 @@ class Plan:
         attacks: by name.
         controls: names of all random draws.
         batches: what is scored together: batch name to folders relative to `camouflages/`.
+        cycles_batches: what is scored on Cycles together, empty where nothing is: random controls and finished attacks
+            on all detectors, as in the paper's "Blender" column (PAPER 35).
     """
 
-    def __init__(self, preset: Preset) -> None:
+    def __init__(self, preset: Preset, *, cycles: bool = False) -> None:
         self.preset = preset
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         self.attacks = {job.name: job for job in self._attacks()}
         self.controls = tuple(f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws))
-        # Controls by themselves and first: they wait for no attack.
-        folders = [folder for job in self.attacks.values() for folder in job.folders]
-        batches = [*_batched(self.controls, preset.score_batch), *_batched(folders, preset.score_batch)]
-        self.batches = {f"{number:03d}": batch for number, batch in enumerate(batches)}
+        self.batches = self._scored([folder for job in self.attacks.values() for folder in job.folders])
+        finished = [name for name in self.attacks if "_" not in name]
+        self.cycles_batches = self._scored(finished) if cycles else {}
 
     @property
     def measured(self) -> list[str]:
@@ -175,7 +176,7 @@ class Plan:
     @property
     def jobs(self) -> dict[str, int]:
         """How many jobs of every rule there are."""
-        return {
+        jobs = {
             "world": 1,
             "render": 3,
             "train": len(self.preset.detectors),
@@ -184,8 +185,16 @@ class Plan:
             "control": 1,
             "measure": 1,
             "score": len(self.batches),
-            "tables": 1,
         }
+        if self.cycles_batches:
+            jobs |= {"render_cycles": 1, "score_cycles": len(self.cycles_batches)}
+        return {**jobs, "tables": 1}
+
+    def _scored(self, attacks: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """Scoring jobs by name; controls by themselves and first: they wait for no attack."""
+        size = self.preset.score_batch
+        batches = [*_batched(self.controls, size), *_batched(attacks, size)]
+        return {f"{number:03d}": batch for number, batch in enumerate(batches)}
 
     def _control_bases(self) -> list[str]:
         textures = [f"R-{texture.name}" for texture in self._textures]

@@ -1,0 +1,215 @@
+"""The Cycles column of a reproduction: what becomes of attacks and random controls under Blender's path tracer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from skyproof.camouflage.names import is_control, pooled_name
+from skyproof.errors import ConfigurationError
+from skyproof.evaluate.agreement import Agreement, rank_agreement, renderer_agreement
+from skyproof.evaluate.differences import difference_interval
+from skyproof.evaluate.paper_results import PAPER_RESULTS
+from skyproof.evaluate.rates import overall_attack_success_rate
+from skyproof.report.reproduction_cells import Table, bracket, in_percent, interval_cells, markdown, number
+from skyproof.report.reproduction_run import CYCLES, MATCH, RENDERER, Reproduction
+from skyproof.report.words import detector_name
+
+__all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
+
+_COLUMNS = ("easr", "easr_repeat_min", "easr_repeat_max", "random_easr", "net_easr", "apd")
+_KINDS: Mapping[str, Callable[[str], bool]] = {
+    "textures": lambda name: name.startswith("T-"),
+    "shapes": lambda name: name.startswith("S-"),
+    "combinations": lambda name: name.startswith("C-"),
+    "all attacks": lambda name: not is_control(name),
+    "random textures": lambda name: is_control(name) and "-" not in name[2:],
+    "random shapes and combinations": lambda name: is_control(name) and "-" in name[2:],
+}
+
+
+def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
+    """One camouflage's numbers on Cycles and how far its EASR moved, in percent; empty where nothing is on Cycles."""
+    if not run.cycles:
+        return {}
+    found = in_percent(run.row(name, renderer=CYCLES))
+    columns = {f"cycles_{key}": value for key, value in found.items() if key.startswith(_COLUMNS)}
+    change = _change(run, [name])
+    return columns | {f"cycles_{key}": change.get(key) for key in ("change", "change_low", "change_high")}
+
+
+def cycles_tables(run: Reproduction) -> list[Table]:
+    """How far EASR moves from the renderer to Cycles, and who orders the attacks alike; none without Cycles."""
+    if not run.cycles:
+        return []
+    return [Table("cycles", _changes(run)), Table("cycles_agreement", _agreements(run))]
+
+
+def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> str:
+    """What the column is and what it shows, in Markdown; empty without Cycles."""
+    if not run.cycles:
+        return ""
+    parts = [
+        "## On Cycles",
+        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the images are drawn by "
+        "Blender’s path tracer Cycles instead of the differentiable renderer: light that no attack saw while it was "
+        "learnt. It is the counterpart of the paper’s “Blender” column. A vehicle counts where the detector found it "
+        "on Cycles’ own image without camouflage; net is minus the random control on Cycles. Shapes and combinations "
+        "keep the PM\\* that they have on the renderer.",
+        _missing(run),
+        _moves(tables["cycles"]),
+        _placebo(tables),
+        _correlations(tables["cycles_agreement"]),
+        _originals(run),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _names(run: Reproduction) -> list[str]:
+    """What both renderers show."""
+    return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
+
+
+def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
+    """Mean EASR under either renderer and their difference, in percent, over all repeats and detectors; {} for none."""
+    shared = [
+        (key, key._replace(renderer=CYCLES))
+        for key in run.tiles.series
+        if (key.renderer, key.match) == (RENDERER, MATCH) and pooled_name(key.camouflage) in names
+    ]
+    shared = [(one, other) for one, other in shared if other in run.tiles.series]
+    if not shared:
+        return {}
+    before, after = (np.stack([run.tiles.series[pair[which]][:, 1:] for pair in shared]) for which in (0, 1))
+    easr, on_cycles = (
+        100 * float(overall_attack_success_rate(counts.sum(axis=1)).mean()) for counts in (before, after)
+    )
+    difference = difference_interval(after, before, run.weights)
+    return {"easr": easr, "cycles_easr": on_cycles, **interval_cells("change", difference, 100.0)}
+
+
+def _changes(run: Reproduction) -> list[dict[str, Any]]:
+    rows = []
+    for kind, belongs in _KINDS.items():
+        names = [name for name in _names(run) if belongs(name)]
+        paper = [result for name, result in PAPER_RESULTS.items() if belongs(name)]
+        known = [(result.easr, result.easr_blender) for result in paper if result.easr_blender is not None]
+        renderer, blender = np.mean(known, axis=0).tolist() if known else (None, None)
+        if names:
+            ours = {"kind": kind, "camouflages": len(names), **_change(run, names)}
+            rows.append(ours | {"paper_number": len(known), "paper_easr": renderer, "paper_easr_blender": blender})
+    return rows
+
+
+def _agreements(run: Reproduction) -> list[dict[str, Any]]:
+    """Rank correlations of Cycles with the paper's Blender column, and with our renderer."""
+    blender = {name: result.easr_blender for name, result in PAPER_RESULTS.items() if result.easr_blender is not None}
+    attacks = [name for name in _names(run) if not is_control(name)]
+
+    def with_paper(names: Collection[str]) -> Agreement:
+        paper = {name: blender[name] for name in names}
+        rng = np.random.default_rng(0)
+        return rank_agreement(run.tiles, paper, rows=run.best, generator=rng, renderer=CYCLES, match=MATCH)
+
+    def with_renderer(names: Collection[str]) -> Agreement:
+        rng = np.random.default_rng(0)
+        return renderer_agreement(run.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MATCH)
+
+    paper, renderer = "Cycles and the paper’s Blender", "Cycles and our renderer"
+    sets = [
+        (paper, with_paper, "textures", [name for name in blender if name.startswith("T-")]),
+        (paper, with_paper, "textures, shape and combinations", [name for name in blender if not is_control(name)]),
+        (paper, with_paper, "all, with random controls", list(blender)),
+        (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
+        (renderer, with_renderer, "all attacks, at every magnitude", attacks),
+        (renderer, with_renderer, "all, with random controls", _names(run)),
+    ]
+    rows = []
+    for compared, correlate, label, names in sets:
+        # Fewer than three attacks, or an undefined one, have no correlation.
+        with suppress(ConfigurationError):
+            found = correlate(names)
+            row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
+            rows.append(row | interval_cells("spearman", found.spearman) | interval_cells("kendall", found.kendall))
+    return rows
+
+
+def _missing(run: Reproduction) -> str:
+    wanted = {key.camouflage for key in run.tiles.series if key.renderer == RENDERER and "_" not in key.camouflage}
+    left = wanted - {key.camouflage for key in run.tiles.series if key.renderer == CYCLES}
+    return f"Not scored on Cycles yet: {len(left)} of {len(wanted)} camouflages." if left else ""
+
+
+def _moves(table: Table) -> str:
+    rows = [
+        [
+            row["kind"],
+            str(row["camouflages"]),
+            number(row["easr"]),
+            number(row["cycles_easr"]),
+            bracket(row, "change"),
+            str(row["paper_number"] or "–"),
+            number(row["paper_easr"], 2),
+            number(row["paper_easr_blender"], 2),
+        ]
+        for row in table.rows
+    ]
+    if not rows:
+        return ""
+    text = (
+        "How far EASR moves from the renderer to Cycles: means over camouflages, their repeats and the detectors, in "
+        "percent and points, on the same tiles. Beside them the paper’s means, over the attacks for which it has both."
+    )
+    header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
+    return f"{text}\n\n" + markdown([*header, "in the paper", "paper EASR", "paper Blender"], rows)
+
+
+def _placebo(tables: Mapping[str, Table]) -> str:
+    rows = [row for name in ("textures", "shape_combined") for row in tables[name].rows]
+    controlled = [row for row in rows if row["cycles_net_easr_low"] is not None]
+    below = [row["attack"] for row in controlled if row["cycles_net_easr_low"] <= 0]
+    text = (
+        f"Placebo on Cycles: in {len(controlled) - len(below)} of {len(controlled)} rows of the tables above, the "
+        "interval of the net EASR lies above zero."
+    )
+    return text + (f" Not surely better than chance there: {', '.join(below)}." if below else "")
+
+
+def _correlations(table: Table) -> str:
+    rows = [
+        [row["compared"], row["set"], str(row["attacks"]), bracket(row, "spearman", digits=2),
+         bracket(row, "kendall", digits=2)]
+        for row in table.rows
+    ]  # fmt: skip
+    if not rows:
+        return ""
+    text = "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers are held fixed."
+    return f"{text}\n\n" + markdown(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
+
+
+def _originals(run: Reproduction) -> str:
+    """What the detectors make of the images without camouflage."""
+    rows = []
+    for detector in run.detectors:
+        precision, found = [], []
+        for renderer in (RENDERER, CYCLES):
+            # Any camouflage will do: all are compared with the same original images.
+            key = next((key for key in run.tiles.series if key[1:] == (renderer, detector, MATCH)), None)
+            if key is not None:
+                row = run.row(pooled_name(key.camouflage), detector, renderer=renderer) or {}
+                precision.append(_percent(row.get("ap_original")))
+                vehicles, both, lost, _ = run.tiles.series[key].sum(axis=0).tolist()
+                found.append(_percent((both + lost) / vehicles if vehicles else None))
+        if len(found) == 2:
+            rows.append([detector_name(detector), *precision, *found])
+    if not rows:
+        return ""
+    header = ["detector", "AP", "AP on Cycles", "vehicles found", "vehicles found on Cycles"]
+    return "On the images without camouflage, in percent:\n\n" + markdown(header, rows)
+
+
+def _percent(value: float | None) -> str:
+    return number(None if value is None else 100 * value)
