@@ -94,8 +94,8 @@ class Stage:
             "glossy_bounces": 3,
             "transmission_bounces": 0,
             "caustics_reflective": False,
-            # Single paths that meet the sun in a mirror would be seen for a metre around, once blurred.
-            "sample_clamp_direct": 20.0,
+            # In units of a sunlit white surface: the mirrored sun is cut here, or blurred it would hide half a vehicle.
+            "sample_clamp_direct": 5.0,
             "sample_clamp_indirect": 5.0,
         }
         for name, value in settings.items():
