@@ -48,7 +48,9 @@ def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
     place(drawn, body, *body_at, margin)
     place(shade, shadow, *shadow_at, margin)
     drawn, shade = blurred(drawn, settings.blur_sigma_px), blurred(shade, settings.blur_sigma_px)
-    mixed = to_srgb(ground * (1 - shade + settings.sky_share * shade) * (1 - drawn[3]) + drawn[:3])
+    mixed = to_srgb(
+        ground * (1 - shade + np.array(settings.shadow_light)[:, None, None] * shade) * (1 - drawn[3]) + drawn[:3]
+    )
     return mixed[:, margin : margin + size, margin : margin + size]
 
 
@@ -89,6 +91,7 @@ def compose(photograph, bodies, body_at, shadows, shadow_at, settings, scene=(0,
         torch.tensor(nearness, dtype=photograph.dtype),
         list(seeds),
         settings,
+        photograph.new_tensor(settings.shadow_light).expand(len(photograph), 3),
     )
 
 
@@ -132,14 +135,15 @@ def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     assert (image != photograph)[0, :, 14:35, 14:35].float().mean() > 0.99
 
 
-def test_full_shadow_leaves_the_skys_share_of_the_linear_light():
-    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0, sky_share=0.3)
+def test_full_shadow_leaves_its_light_of_each_channel():
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0, shadow_light=(0.3, 0.2, 0.5))
     photograph = noise_photograph()
     nothing = torch.zeros(1, 4, 1, 1, dtype=torch.float64)
     shade = torch.ones(1, 1, 10, 10, dtype=torch.float64)
     image = compose(photograph, nothing, [(5, 5)], shade, [(10, 12)], settings)
     shaded = to_linear(image[0, :, 12:22, 10:20].numpy())
-    np.testing.assert_allclose(shaded, 0.3 * to_linear(photograph[0, :, 12:22, 10:20].numpy()), atol=1e-9)
+    open_ground = to_linear(photograph[0, :, 12:22, 10:20].numpy())
+    np.testing.assert_allclose(shaded, np.array([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-9)
 
 
 @pytest.mark.parametrize("nearness", [(1.0, 0.0), (0.0, 1.0)])

@@ -56,15 +56,15 @@ def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(azimut
     assert reach_m(shaded, azimuth_deg + 90) < 0.5 + GSD
 
 
-def test_shaded_ground_keeps_the_skys_share_of_its_linear_light():
+def test_shaded_ground_keeps_what_the_shadow_leaves_of_its_linear_light():
     place = lit_from(scene((0, 0, 0), tilt_deg=0.0), 0, 45)
-    renderer = TorchRenderer(PlainGround(None), dataclasses.replace(SHARP, sky_share=0.3))
+    renderer = TorchRenderer(PlainGround(None), dataclasses.replace(SHARP, shadow_light=(0.3, 0.2, 0.5)))
     image = renderer([place], post(side_m=2.0)).image
     photograph = photographs(renderer.backgrounds, [place], torch.device("cpu"))
     # Between 1.5 and 3.5 m west of the middle, in the middle of the shadow.
     west = slice(48 - 28, 48 - 12)
     shaded, open_ground = (srgb_to_linear(each[0, :, 44:52, west]) for each in (image, photograph))
-    torch.testing.assert_close(shaded, 0.3 * open_ground, atol=1e-5, rtol=0)
+    torch.testing.assert_close(shaded, torch.tensor([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])

@@ -172,15 +172,19 @@ def test_a_low_suns_shadow_is_as_long_as_height_over_tangent(elevation_deg):
     assert shaded_length_m(frames, 0.4) == pytest.approx(length_m, abs=2 * GSD)
 
 
-@pytest.mark.parametrize(("overcast", "remains"), [(0.0, 0.25), (0.4, 0.55), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("overcast", "remains"), [(0.0, (0.2, 0.25, 0.3)), (0.4, (0.52, 0.55, 0.58)), (1.0, (1, 1, 1))]
+)
 def test_the_sky_under_clouds_lights_the_shadow(overcast, remains):
-    # 0.25 + 0.75 * overcast of the ground's light stays in the full shadow; all of it where no sun is left.
+    # Of green light 0.25 + 0.75 * overcast stays in the full shadow; all of it where no sun is left.
     place = scene((0, 0, 0), tilt_deg=0.0)
     sun = dataclasses.replace(place.sun, azimuth_rad=0.0, elevation_rad=math.radians(45))
     place = dataclasses.replace(place, sun=sun, weather=Weather("overcast", overcast=overcast))
-    image = TorchRenderer(PlainGround(0.4), SHARP)([place], post(3.0)).image
+    settings = dataclasses.replace(SHARP, shadow_light=(0.2, 0.25, 0.3))
+    image = TorchRenderer(PlainGround(0.4), settings)([place], post(3.0)).image
     shaded = srgb_to_linear(image[0, :, 46:50, 48 - 20 : 48 - 12])
-    torch.testing.assert_close(shaded, torch.full_like(shaded, remains * to_linear(0.4)), atol=1e-5, rtol=0)
+    expected = torch.tensor(remains)[:, None, None].expand_as(shaded) * to_linear(0.4)
+    torch.testing.assert_close(shaded, expected, atol=1e-5, rtol=0)
 
 
 def test_without_sun_only_the_sky_lights_a_vehicle():

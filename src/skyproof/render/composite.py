@@ -24,11 +24,11 @@ def composite(
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
     settings: RenderSettings,
-    sky_share: Float[Tensor, " B"] | None = None,
+    shadow_light: Float[Tensor, "B 3"],
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
-    I = I_bg * (1 - (1 - sky share) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in linear light. A pixel
+    I = I_bg * (1 - (1 - shadow light) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in linear light. A pixel
     that nothing reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall on
     the ground alone.
 
@@ -43,8 +43,8 @@ def composite(
         scene: each vehicle's image.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: of the noise, per image.
-        settings: sky share, blur, noise.
-        sky_share: per image, where it is not the settings'.
+        settings: blur and noise.
+        shadow_light: per image and channel, what is left of the light in a cast shadow.
     """
     count, _, height, width = photographs.shape
     origin, size = _whole([bodies[0], shadows[0]], scene, count, settings.blur_radius_px)
@@ -61,8 +61,7 @@ def composite(
     kernel = blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
     layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
     colour, alpha = layers[:, :3], layers[:, 3:]
-    sky = settings.sky_share if sky_share is None else sky_share[:, None, None, None]
-    composed = ground * (1 - (1 - sky) * shadow) * (1 - alpha) + colour
+    composed = ground * (1 - (1 - shadow_light[:, :, None, None]) * shadow) * (1 - alpha) + colour
     reached = (alpha.detach() > 0) | (shadow.detach() > 0)
     pixels = linear_to_srgb(composed)
     if settings.noise > 0:

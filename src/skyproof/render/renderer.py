@@ -15,7 +15,7 @@ from skyproof.render.frames import Frames
 from skyproof.render.layers import draw_bodies, draw_shadows, windows_around
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
-from skyproof.render.weather import finish_images, sky_shares, wet_grounds
+from skyproof.render.weather import finish_images, shadow_lights, sky_shares, wet_grounds
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -90,7 +90,8 @@ class TorchRenderer:
             own_sky,
         )
         shadows = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)
+        left = shadow_lights(scenes, settings.shadow_light, vehicles.vertices)
         nearness, seeds = (placed.ground * placed.viewer).sum(-1), [each.seed for each in scenes]
-        image = composite(ground, (window, bodies), (cast, shadows), placed.scene, nearness, seeds, settings, sky)
+        image = composite(ground, (window, bodies), (cast, shadows), placed.scene, nearness, seeds, settings, left)
         image = finish_images(image, scenes)
         return label(image, placed, visibility, window, settings.supersampling, masks=masks)

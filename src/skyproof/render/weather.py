@@ -16,7 +16,7 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.weather import Weather
 
-__all__ = ["AIRLIGHT", "finish_images", "jpeg", "sky_shares", "wet", "wet_grounds"]
+__all__ = ["AIRLIGHT", "finish_images", "jpeg", "shadow_lights", "sky_shares", "wet", "wet_grounds"]
 
 AIRLIGHT = (0.42, 0.47, 0.54)
 """Linear red, green and blue of haze seen from above, before a ground of reflectance 0: grey with a little blue."""
@@ -34,6 +34,13 @@ def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Ten
     if not any(scene.weather.overcast for scene in scenes):
         return None
     return like.new_tensor([clear + (1 - clear) * scene.weather.overcast for scene in scenes])
+
+
+def shadow_lights(scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor) -> Float[Tensor, "B 3"]:
+    """What is left of the light in every scene's cast shadows: `clear` under a clear sky, all under clouds."""
+    left = like.new_tensor(clear).expand(len(scenes), 3)
+    overcast = like.new_tensor([scene.weather.overcast for scene in scenes])[:, None]
+    return left + (1 - left) * overcast
 
 
 def wet_grounds(photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]) -> Float[Tensor, "B 3 H W"]:
