@@ -20,13 +20,15 @@ from skyproof.attacks.objective import empty_truth_losses, frozen
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.cli.bench_cycles import bench_cycles
 from skyproof.cli.console import say
+from skyproof.cli.rendering import Rendering, cycles_settings, open_workers
 from skyproof.cli.stages import choose_device, generator_of
 from skyproof.detectors.folder import build_detector
 from skyproof.files import write_json
 from skyproof.render.dataset import placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
-from skyproof.scenes.backgrounds import write_procedural_backgrounds
+from skyproof.scenes.backgrounds import BackgroundSet, write_procedural_backgrounds
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -34,6 +36,7 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 __all__ = ["Bench"]
 
 _TILE_PX = 560
+_CYCLES_IMAGES = 64
 _ATTACKS = {
     "texture": "T-U",
     "fixed_colours": "T-Fc",
@@ -44,8 +47,10 @@ _ATTACKS = {
 
 
 @dataclass(frozen=True)
-class Bench:
+class Bench(Rendering):
     """Times the renderer and the attack step on 384 px images, and prints medians.
+
+    With --renderer cycles it times Blender instead: vehicle crops per hour, and memory per process.
 
     Attributes:
         json: file to write the figures to.
@@ -67,16 +72,16 @@ class Bench:
         """Measures, prints, writes."""
         device = choose_device(self.device)
         with tempfile.TemporaryDirectory() as folder:
-            figures = self._measure(Path(folder), device)
+            cycles = self.renderer == "cycles"
+            figures = self._cycles(Path(folder)) if cycles else self._measure(Path(folder), device)
         for name, value in figures.items():
             say(f"  {name}: {value}")
         if self.json:
             write_json(self.json, figures)
 
-    def _measure(self, folder: Path, device: torch.device) -> dict[str, Any]:
+    def _world(self, folder: Path) -> tuple[BackgroundSet, Fleet, Callable[..., list[Scene]]]:
         backgrounds = write_procedural_backgrounds(folder / "tiles", {"attack": 4}, _TILE_PX, seed=0)
         fleet = sample_fleet(FleetSettings(count=16), generator=generator_of(0, "fleet"))
-        renderer = TorchRenderer(backgrounds)
         settings = SceneSettings(size_px=self.image_px, vehicles_maximum=1)
 
         def scenes(count: int, most: int = 1) -> list[Scene]:
@@ -85,6 +90,17 @@ class Bench:
                 chosen, backgrounds, "attack", fleet.sizes_m, count, generator=generator_of(0, "scenes")
             )
 
+        return backgrounds, fleet, scenes
+
+    def _cycles(self, folder: Path) -> dict[str, Any]:
+        backgrounds, fleet, scenes = self._world(folder)
+        with open_workers(self) as workers:
+            many = scenes(_CYCLES_IMAGES + workers.count, most=5)
+            return bench_cycles(folder, many, fleet, backgrounds, workers, cycles_settings(self))
+
+    def _measure(self, folder: Path, device: torch.device) -> dict[str, Any]:
+        backgrounds, fleet, scenes = self._world(folder)
+        renderer = TorchRenderer(backgrounds)
         threads = torch.get_num_threads()
         crops = _Crops(fleet, device, scenes(self.batch_size))
         torch.set_num_threads(1)

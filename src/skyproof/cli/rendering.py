@@ -18,7 +18,7 @@ from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["Rendering", "open_renderer"]
+__all__ = ["Rendering", "cycles_settings", "open_renderer", "open_workers"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +53,18 @@ def open_renderer(rendering: Rendering, backgrounds: BackgroundSet, out: Path) -
     if rendering.renderer == "torch":
         yield TorchRenderer(backgrounds)
         return
-    settings = CyclesSettings(samples=rendering.samples, finish=rendering.finish)
-    count = len(os.sched_getaffinity(0)) if rendering.workers is None else rendering.workers
     crops = out.with_name(f".{out.name}.crops")
-    with Workers(find_blender(rendering.blender), count, crops) as workers:
-        yield CyclesRenderer(backgrounds, workers, settings)
+    with open_workers(rendering, crops) as workers:
+        yield CyclesRenderer(backgrounds, workers, cycles_settings(rendering))
     shutil.rmtree(crops, ignore_errors=True)
+
+
+def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
+    """Blender's processes, a context; one per core where their number is not given."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return Workers(find_blender(rendering.blender), cores if rendering.workers is None else rendering.workers, results)
+
+
+def cycles_settings(rendering: Rendering) -> CyclesSettings:
+    """What the path tracer is told."""
+    return CyclesSettings(samples=rendering.samples, finish=rendering.finish)

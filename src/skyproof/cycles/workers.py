@@ -61,6 +61,10 @@ class Workers:
     ) -> None:
         self.close()
 
+    def process_ids(self) -> list[int]:
+        """Of the processes that run now."""
+        return [number for process in self._all if (number := process.process_id) is not None]
+
     def close(self) -> None:
         """Ends the processes and removes their files."""
         for process in self._all:
@@ -125,6 +129,11 @@ class _Process:
         self._log = scratch / f"{number}.log"
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
+
+    @property
+    def process_id(self) -> int | None:
+        """Its number in the system while it runs."""
+        return None if self._process is None else self._process.pid
 
     def ask(self, job: Path, result: Path) -> dict[str, Any]:
         """Has one job done; the answer holds "done", or "why" it was not."""
