@@ -90,8 +90,12 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
     up = torch.tensor([[0.0, 0.0, 1.0]])
     for elevation in (0.3, 0.8, 1.5):
         sun = torch.tensor([[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]])
-        diffuse, _ = light(up, sun, up, normalize(sun + up, dim=-1), RenderSettings())
-        assert float(diffuse) == pytest.approx(1.0, abs=1e-6)
+        half = normalize(sun + up, dim=-1)
+        matt, _ = light(up, sun, up, half, RenderSettings(reflectance=0.0))
+        assert float(matt) == pytest.approx(1.0, abs=1e-6)
+        # What the coat mirrors, seen from straight above, does not reach the paint.
+        coated, _ = light(up, sun, up, half, RenderSettings(reflectance=0.04))
+        assert float(coated) == pytest.approx(0.96, abs=1e-6)
 
 
 def test_the_image_is_differentiable_in_the_texture():

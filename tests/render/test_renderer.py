@@ -124,7 +124,9 @@ def test_the_nearer_of_two_vehicles_hides_the_farther_one(order):
     )
     batch = dataclasses.replace(vehicles(2), texture=colours[:, :, None, None].expand(2, 3, 512, 512).clone())
     frames = TorchRenderer(PlainGround(0.4), dataclasses.replace(SHARP, reflectance=0.0))([place], batch, masks=True)
-    both = frames.masks[0] & frames.masks[1]
+    outside = ~(frames.masks[0] & frames.masks[1])
+    # A pixel at the border of one of them shows the other too.
+    both = torch.nn.functional.max_pool2d(outside.float()[None], 3, 1, 1)[0] == 0
     assert both.sum() > 50
     red, _, blue = frames.image[0][:, both]
     assert (red > blue).float().mean() > 0.97

@@ -155,7 +155,8 @@ def light(
     """How much light falls on a surface and how much is mirrored by its clear coat.
 
     Units: a white matt surface lying on open ground sends 1, whatever the sun's elevation, because the photograph's
-    exposure was set for its own light. Diffuse radiance is albedo * diffuse; the mirrored part is added to it.
+    exposure was set for its own light. Diffuse radiance is albedo * diffuse; the mirrored part is added to it. What the
+    coat mirrors does not reach the paint (Fresnel towards the viewer, as path tracers layer a coat).
 
     Args:
         normal: unit normals, world frame.
@@ -181,7 +182,7 @@ def light(
     surroundings = sky * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
     lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
     glint = settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
-    return diffuse, fresnel * surroundings + glint
+    return diffuse * (1 - fresnel), fresnel * surroundings + glint
 
 
 def _fifth_power(value: Tensor) -> Tensor:
