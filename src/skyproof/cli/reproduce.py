@@ -106,7 +106,7 @@ class Reproduce:
         from skyproof.cycles.blender import find_blender
 
         # Not resolved: the Python of a virtual environment is a link, and loses its packages when followed.
-        return ["cycles=1", f"blender={find_blender(self.blender).absolute()}"]
+        return ["cycles=1", f"blender={find_blender(self.blender).path.absolute()}"]
 
     def _check(self, path: Path, plan: Plan, cycles: Sequence[str]) -> None:
         more = ["--config", *cycles] if cycles else []

@@ -39,6 +39,7 @@ class Preset:
         magnitudes: PM of shapes alone and of combinations (PAPER 52, 53).
         combined_magnitudes: by texture, PM of its combinations where they are others.
         transfer: textures that are also attacked on single detectors, and on all but one.
+        cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done.
         score_batch: camouflages scored in one job.
@@ -57,6 +58,7 @@ class Preset:
     textures: tuple[str, ...]
     repeats: int
     draws: int
+    cycles_repeats: int
     magnitudes: tuple[float, ...]
     combined_magnitudes: Mapping[str, tuple[float, ...]]
     transfer: tuple[str, ...]
@@ -83,7 +85,8 @@ class Preset:
         others = values["combined_magnitudes"].items()
         given["combined_magnitudes"] = {texture: tuple(map(float, grid)) for texture, grid in others}
         preset = cls(**given)
-        counts = {name: getattr(preset, name) for name in ("repeats", "draws", "score_batch", "threads")}
+        counted = ("repeats", "draws", "cycles_repeats", "score_batch", "threads")
+        counts = {name: getattr(preset, name) for name in counted}
         if min(counts.values()) < 1 or not preset.detectors:
             raise ConfigurationError(f"A preset expects at least one detector and counts of at least 1, got {counts}.")
         for texture in (*preset.textures, *preset.combined_magnitudes):
@@ -164,9 +167,10 @@ class Plan:
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         self.attacks = {job.name: job for job in self._attacks()}
         self.controls = tuple(f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws))
-        self.batches = self._scored([folder for job in self.attacks.values() for folder in job.folders])
+        folders = [folder for job in self.attacks.values() for folder in job.folders]
+        self.batches = self._scored(self.controls, folders)
         finished = [name for name in self.attacks if "_" not in name]
-        self.cycles_batches = self._scored(finished) if cycles else {}
+        self.cycles_batches = self._scored(*map(self._first, (self.controls, finished))) if cycles else {}
 
     @property
     def measured(self) -> list[str]:
@@ -190,10 +194,14 @@ class Plan:
             jobs |= {"render_cycles": 1, "score_cycles": len(self.cycles_batches)}
         return {**jobs, "tables": 1}
 
-    def _scored(self, attacks: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    def _first(self, names: Sequence[str]) -> list[str]:
+        """The repeats and draws that the Cycles column has."""
+        return [name for name in names if int(name.rpartition("-")[2]) < self.preset.cycles_repeats]
+
+    def _scored(self, controls: Sequence[str], attacks: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """Scoring jobs by name; controls by themselves and first: they wait for no attack."""
         size = self.preset.score_batch
-        batches = [*_batched(self.controls, size), *_batched(attacks, size)]
+        batches = [*_batched(controls, size), *_batched(attacks, size)]
         return {f"{number:03d}": batch for number, batch in enumerate(batches)}
 
     def _control_bases(self) -> list[str]:
