@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -33,15 +34,22 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(tmp_path: Path, skyp
     assert not out.exists()
 
 
+@dataclass
+class Blender:
+    """As far as the command cares."""
+
+    path: Path
+
+
 def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Path | None]:
     """Blender is at `found`, or nowhere; gives where it was looked for."""
     asked: list[Path | None] = []
 
-    def find_blender(path: Path | None) -> Path:
+    def find_blender(path: Path | None) -> Blender:
         asked.append(path)
         if found is None:
             raise ConfigurationError("Cycles needs Blender; run make blender.")
-        return found
+        return Blender(found)
 
     module = ModuleType("skyproof.cycles.blender")
     module.find_blender = find_blender  # type: ignore[attr-defined]

@@ -55,6 +55,14 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     # Neither transfers nor copies kept on the way.
     wide = Plan(Preset.parse({**TINY, "detectors": ["a", "b"], "textures": ["U"], "transfer": ["T-U"]}), cycles=True)
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
+    # The first repeats and draws of each.
+    more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
+    assert Plan(Preset.parse({**TINY, **more}), cycles=True).cycles_batches == {
+        "000": ("R-U-0", "R-U-1", "R-S-O@0.4-0", "R-S-O@0.4-1"),
+        "001": ("R-C-U@0.4-0", "R-C-U@0.4-1"),
+        "002": ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0", "T-U-1"),
+        "003": ("S-O@0.4-1", "C-U-seq@0.4-1"),
+    }
 
 
 def test_repeats_seeds_transfer_and_masked():
@@ -170,6 +178,7 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
     ("changes", "word"),
     [
         ({"repeats": 0}, "repeats"),
+        ({"cycles_repeats": 0}, "cycles_repeats"),
         ({"detectors": []}, "detector"),
         ({"magnitudes": [0.2, 1.5]}, "1.5"),
         ({"magnitudes": [0]}, "above 0"),
