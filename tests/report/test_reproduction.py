@@ -140,9 +140,13 @@ def test_cycles_beside_the_renderer(folder):
     page = (folder / "tables" / "README.md").read_text()
     assert "Cycles" not in page
     assert not (folder / "tables" / "cycles.csv").exists()
+    results = json.loads((folder / "results.json").read_text())["rows"]
     add_cycles(folder)
     write_reproduction(folder)
     # What was there stays, to the last digit.
+    both = json.loads((folder / "results.json").read_text())["rows"]
+    assert [row for row in both if row["renderer"] == "torch"] == results
+    assert {row["renderer"] for row in both[len(results) :]} == {"cycles"}
     for name, rows in before.items():
         after = table(folder, name)
         assert {attack: {key: after[attack][key] for key in row} for attack, row in rows.items()} == rows, name
