@@ -7,11 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import psutil
 import pytest
 
+from skyproof.errors import ConfigurationError
 from tests.cli.conftest import Skyproof
 
 TINY = Path(__file__).parents[1] / "workflow" / "tiny.json"
@@ -28,6 +32,94 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(tmp_path: Path, skyp
     assert "-m snakemake --snakefile" in answer.out
     assert f"--configfile {TINY}" in answer.out
     assert not out.exists()
+
+
+@dataclass
+class Blender:
+    """As far as the command cares."""
+
+    path: Path
+
+
+def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Path | None]:
+    """Blender is at `found`, or nowhere; gives where it was looked for."""
+    asked: list[Path | None] = []
+
+    def find_blender(path: Path | None) -> Blender:
+        asked.append(path)
+        if found is None:
+            raise ConfigurationError("Cycles needs Blender; run make blender.")
+        return Blender(found)
+
+    module = ModuleType("skyproof.cycles.blender")
+    module.find_blender = find_blender  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "skyproof.cycles", ModuleType("skyproof.cycles"))
+    monkeypatch.setitem(sys.modules, "skyproof.cycles.blender", module)
+    return asked
+
+
+def test_the_cycles_column_is_asked_for(tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "run"
+    asked = stub_blender(monkeypatch, Path("here/python"))
+    answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run", "--cycles", "--blender", "mine")
+    assert answer.code == 0, answer.err
+    assert asked == [Path("mine")]
+    assert "18 jobs" in answer.out
+    assert "score 2, render_cycles 1, score_cycles 2, tables 1" in answer.out
+    # Jobs run in the run folder: the path must not depend on where the command was given.
+    assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
+    assert not out.exists()
+
+
+def test_cycles_without_blender_is_refused_before_anything_is_written(
+    tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    skyproof("reproduce", "--preset", TINY, "--out", out, "--blender", "mine").refused("--blender", "--cycles")
+    stub_blender(monkeypatch, None)
+    skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles").refused("make blender")
+    assert not out.exists()
+
+
+def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
+    tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "config.json").write_text(json.dumps({"preset": "tiny", **json.loads(TINY.read_text())}))
+    done = {"world/world": 3.0, "score/000": 5.0, "score/001": 6.0, "tables/tables": 2.0}
+    write_benchmarks(out, done, 1000)
+    stub_blender(monkeypatch, Path("/blender"))
+    monkeypatch.setattr("skyproof.cli.reproduce._snakemake", stub_snakemake(tmp_path, out))
+    answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 1)
+    assert answer.code == 0, answer.err
+    assert "4 jobs were finished before" in answer.out
+    said = [line.strip() for line in answer.out.splitlines() if line.startswith("  ")][1:]
+    # The tables were written again, in another time.
+    assert [line.partition(" s (")[0] for line in said] == ["score_cycles 000: 9", "tables: 4"]
+    assert "(6 of 18 jobs" not in answer.out
+    assert "(5 of 18 jobs" in said[-1]
+    assert json.loads((out / "config.json").read_text()).keys() == {"preset", *json.loads(TINY.read_text())}
+    # Without the flag the column's jobs are not counted.
+    again = skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 1)
+    assert "4 jobs were finished before" in again.out
+
+
+def write_benchmarks(out: Path, jobs: dict[str, float], start: float) -> None:
+    """As Snakemake leaves them, one second after the other."""
+    for age, (name, seconds) in enumerate(jobs.items()):
+        path = out / "benchmarks" / f"{name}.tsv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"s\th:m:s\tmax_rss\n{seconds}\t0:00:01\t-\n")
+        os.utime(path, (start + age, start + age))
+
+
+def stub_snakemake(tmp_path: Path, out: Path) -> Callable[..., list[str]]:
+    """In place of Snakemake, a script that leaves what two finished jobs would."""
+    new = tmp_path / "new"
+    write_benchmarks(new, {"score_cycles/000": 9.0, "tables/tables": 4.0}, 2000)
+    script = f"import shutil; shutil.copytree({str(new)!r}, {str(out)!r}, dirs_exist_ok=True)"
+    return lambda *_: [sys.executable, "-c", script]
 
 
 def test_bad_input_is_refused_before_anything_is_written(

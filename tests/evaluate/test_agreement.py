@@ -5,20 +5,20 @@ import pytest
 from scipy import stats
 
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.agreement import rank_agreement
+from skyproof.evaluate.agreement import rank_agreement, renderer_agreement
 from skyproof.evaluate.paper_results import PAPER_RESULTS
 from skyproof.evaluate.tiles import Series, TileCounts
 
 PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
 
 
-def counted(lost_of_hundred, rng=None, tiles=40):
+def counted(lost_of_hundred, rng=None, tiles=40, renderer="torch"):
     """Per camouflage `tiles` tiles of 100 vehicles that lose so many; with `rng` the tiles differ."""
     series = {}
     for name, lost in lost_of_hundred.items():
         gone = np.full(tiles, lost) if rng is None else rng.binomial(100, rng.beta(lost / 50, 2 - lost / 50, tiles))
         counts = np.stack([np.full(tiles, 100), 100 - gone, gone, 0 * gone], axis=1)
-        series[Series(name, "torch", "a", "centre_1m")] = counts
+        series[Series(name, renderer, "a", "centre_1m")] = counts
     return TileCounts(tuple(f"t{i:02d}" for i in range(tiles)), series)
 
 
@@ -46,6 +46,38 @@ def test_tiles_that_differ_leave_the_order_open(rng):
 def test_the_reverse_order(rng):
     found = rank_agreement(counted({"T-U": 1, "T-Ma": 2, "T-Fc": 3}), PAPER, generator=rng)
     assert (found.spearman.estimate, found.kendall.estimate) == (pytest.approx(-1), pytest.approx(-1))
+
+
+def test_two_renderers(rng):
+    ours, other = (
+        counted(OURS),
+        counted({"T-U-0": 60, "T-U-1": 40, "T-Ma": 70, "T-Fc": 20, "T-X": 5}, renderer="cycles"),
+    )
+    alone = counted({"T-U-2": 0}).series  # a repeat that only one of them has does not count
+    both = TileCounts(ours.tiles, {**ours.series, **other.series, **alone})
+    found = renderer_agreement(both, ["T-U", "T-Fc", "T-Ma", "T-X", "R-U"], generator=rng)
+    # T-X and R-U are on one of them only.
+    assert found.attacks == ["T-Ma", "T-U", "T-Fc"]
+    assert found.ours == pytest.approx([0.6, 0.98, 0.7])
+    assert found.theirs == pytest.approx([0.7, 0.5, 0.2])
+    assert found.spearman.estimate == pytest.approx(stats.spearmanr(found.ours, found.theirs).statistic)
+    assert found.kendall.estimate == pytest.approx(stats.kendalltau(found.ours, found.theirs).statistic)
+    # The paper's Blender column beside ours on Cycles alone.
+    blender = rank_agreement(both, {"T-U": 3.0, "T-Ma": 2.0, "T-Fc": 1.0}, generator=rng, renderer="cycles")
+    assert blender.ours == pytest.approx([0.5, 0.7, 0.2])
+    with pytest.raises(ConfigurationError, match="under both, got 2"):
+        renderer_agreement(both, ["T-U", "T-Fc", "T-X"], generator=rng)
+
+
+def test_two_renderers_of_unlike_tiles_leave_the_order_open(rng):
+    ours = counted(OURS, rng)
+    other = counted({"T-U-0": 55, "T-Ma": 50, "T-Fc": 45}, rng, renderer="cycles")
+    both = TileCounts(ours.tiles, {**ours.series, **other.series})
+    found = renderer_agreement(both, ["T-U", "T-Ma", "T-Fc"], generator=rng)
+    assert -1 <= found.spearman.low < found.spearman.high <= 1
+    fixed = rank_agreement(both, dict(zip(found.attacks, found.theirs, strict=True)), generator=rng, renderer="torch")
+    # Both move here, only one there.
+    assert found.spearman.high - found.spearman.low >= fixed.spearman.high - fixed.spearman.low
 
 
 def test_too_few_are_refused(rng):

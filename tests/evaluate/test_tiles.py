@@ -87,17 +87,17 @@ def test_set_scores_round_trip(tmp_path):
 
 @pytest.fixture
 def make_folder(tmp_path):
-    def make(name, counts, precision=0.9):
+    def make(name, counts, precision=0.9, renderer="torch"):
         """An evaluation folder with tiles "a" and "b" of two vehicles each: (both, lost, gained) by camouflage."""
         folder = tmp_path / name
         folder.mkdir()
         series = {
-            Series(camouflage, "torch", "yolov5", "iou_50"): np.array([[2, *row] for row in rows])
+            Series(camouflage, renderer, "yolov5", "iou_50"): np.array([[2, *row] for row in rows])
             for camouflage, rows in counts.items()
         }
         write_tiles(folder / "tiles.parquet", TileCounts(("a", "b"), series))
-        scores = [SetScore("original", "torch", "yolov5", "iou_50", precision, 3.0)]
-        scores += [SetScore(camouflage, "torch", "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts]
+        scores = [SetScore("original", renderer, "yolov5", "iou_50", precision, 3.0)]
+        scores += [SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts]
         write_sets(folder / "sets.json", scores)
         return folder
 
@@ -111,6 +111,20 @@ def test_folders_are_merged(make_folder):
     assert [key.camouflage for key in tiles.series] == ["T-U-0", "R-U-0", "T-U-1"]
     assert tiles.series[Series("T-U-1", "torch", "yolov5", "iou_50")].tolist() == [[2, 0, 2, 0], [2, 0, 2, 0]]
     assert [score.camouflage for score in sets] == ["original", "T-U-0", "R-U-0", "T-U-1"]
+
+
+def test_two_renderers_are_merged(make_folder):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
+    # The same names, other results and another precision: no contradiction.
+    other = make_folder("cycles", {"T-U-0": [[2, 0, 0], [0, 1, 0]]}, precision=0.7, renderer="cycles")
+    tiles, sets = merge_evaluations([one, other])
+    assert tiles.tiles == ("a", "b")
+    assert tiles.series[Series("T-U-0", "torch", "yolov5", "iou_50")].tolist() == [[2, 1, 1, 0], [2, 0, 2, 0]]
+    assert tiles.series[Series("T-U-0", "cycles", "yolov5", "iou_50")].tolist() == [[2, 2, 0, 0], [2, 0, 1, 0]]
+    precision = {(score.camouflage, score.renderer): score.average_precision for score in sets}
+    assert precision == {
+        ("original", "torch"): 0.9, ("T-U-0", "torch"): 0.2, ("original", "cycles"): 0.7, ("T-U-0", "cycles"): 0.2,
+    }  # fmt: skip
 
 
 def test_contradictions_are_refused(make_folder, tmp_path):

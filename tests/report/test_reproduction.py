@@ -140,9 +140,13 @@ def test_cycles_beside_the_renderer(folder):
     page = (folder / "tables" / "README.md").read_text()
     assert "Cycles" not in page
     assert not (folder / "tables" / "cycles.csv").exists()
+    results = json.loads((folder / "results.json").read_text())["rows"]
     add_cycles(folder)
     write_reproduction(folder)
     # What was there stays, to the last digit.
+    both = json.loads((folder / "results.json").read_text())["rows"]
+    assert [row for row in both if row["renderer"] == "torch"] == results
+    assert {row["renderer"] for row in both[len(results) :]} == {"cycles"}
     for name, rows in before.items():
         after = table(folder, name)
         assert {attack: {key: after[attack][key] for key in row} for attack, row in rows.items()} == rows, name
@@ -185,6 +189,16 @@ def test_how_far_success_moves_to_cycles(folder):
     close(rows["shapes"]["change"], 37.5 - 80)  # S-O@0.2 and S-O@1 were not scored on Cycles
 
 
+def test_one_repeat_of_two_on_cycles(folder):
+    write_scores(folder / "scores-cycles" / "000", {"T-U-1": 0.5, "R-U-0": 0.25}, found=0.8, renderer="cycles")
+    page = write_reproduction(folder).read_text()
+    row = table(folder, "textures")["T-U"]
+    close(row["easr"], 90)
+    close(row["cycles_easr"], 50)
+    close(row["cycles_change"], 50 - 100)  # of the second repeat alone
+    assert "Of 2 repeats of an attack or draws of a control, Cycles has 1;" in page
+
+
 def test_orders_on_cycles(folder):
     add_cycles(folder)
     write_reproduction(folder)
@@ -211,8 +225,9 @@ def test_the_page_says_what_the_cycles_column_is(folder):
     assert header.count("|") == texture.count("|")
     assert "## On Cycles" in page
     assert "Blender’s path tracer Cycles" in page
-    # All but the copies kept on the way and transfer: 7 textures and controls, 6 shapes, 3 combinations; 10 are there.
-    assert "Not scored on Cycles yet: 6 of 16 camouflages." in page
+    # Rows without copies and transfer: 4 of textures, S-O at three PM and a control, C-Fc-seq and its; 6 are there.
+    assert "Not scored on Cycles yet: 4 of 10 attacks and controls." in page
+    assert "repeats of an attack or draws" not in page  # as many on both
     # T-U 37.5, T-Fc 25 and S-O 12.5 above chance, give or take 17.
     assert "in 2 of 3 rows" in page
     assert "better than chance there: S-O." in page

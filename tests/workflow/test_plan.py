@@ -1,6 +1,7 @@
 """What a preset expands to: names by hand, and the same jobs in Snakemake's eyes."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -39,6 +40,29 @@ def test_tiny_by_hand():
     assert tiny.batches["000"] == tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
     assert list(tiny.batches) == ["000", "001"]
     assert len(tiny.batches["001"]) == 3 + 2 + 2 + 3
+
+
+def test_on_cycles_are_finished_attacks_and_controls_alone():
+    assert plan().cycles_batches == {}
+    tiny = Plan(Preset.parse(TINY), cycles=True)
+    assert tiny.cycles_batches == {
+        "000": ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0"),
+        "001": ("T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"),
+    }
+    # One more job for the original images, and one for each batch.
+    assert tiny.jobs == {**plan().jobs, "render_cycles": 1, "score_cycles": 2}
+    assert list(tiny.jobs)[-1] == "tables"
+    # Neither transfers nor copies kept on the way.
+    wide = Plan(Preset.parse({**TINY, "detectors": ["a", "b"], "textures": ["U"], "transfer": ["T-U"]}), cycles=True)
+    assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
+    # The first repeats and draws of each.
+    more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
+    assert Plan(Preset.parse({**TINY, **more}), cycles=True).cycles_batches == {
+        "000": ("R-U-0", "R-U-1", "R-S-O@0.4-0", "R-S-O@0.4-1"),
+        "001": ("R-C-U@0.4-0", "R-C-U@0.4-1"),
+        "002": ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0", "T-U-1"),
+        "003": ("S-O@0.4-1", "C-U-seq@0.4-1"),
+    }
 
 
 def test_repeats_seeds_transfer_and_masked():
@@ -84,24 +108,77 @@ def test_every_name_can_be_made_and_has_its_control(preset):
     assert full.preset.draws >= 3
 
 
+def dry_run(folder, preset, *more):
+    """Snakemake's jobs by rule, and all it says."""
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder, "--dry-run"]
+    command += ["--printshellcmds", "--cores", "2", "--rerun-triggers", "mtime", "--configfile", preset]
+    done = subprocess.run([*command, *more], capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    counts = {rule: int(count) for rule, count in re.findall(r"^(\w+) +(\d+)$", said, re.MULTILINE)}
+    return counts, said
+
+
+@pytest.mark.parametrize("cycles", [False, True])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_snakemake_sees_the_same_jobs_and_no_cycle(preset, tmp_path):
-    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", tmp_path, "--dry-run"]
-    done = subprocess.run(
-        [*command, "--quiet", "rules", "--cores", "2", "--configfile", PRESETS[preset]], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    counted = {
-        rule: int(count) for rule, count in re.findall(r"^(\w+) +(\d+)$", done.stdout + done.stderr, re.MULTILINE)
-    }
-    expected = Plan(Preset.parse(json.loads(PRESETS[preset].read_text()))).jobs
+def test_snakemake_sees_the_same_jobs_and_no_cycle(preset, cycles, tmp_path):
+    counted, _ = dry_run(tmp_path, PRESETS[preset], *(["--config", "cycles=1"] if cycles else []))
+    expected = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())), cycles=cycles).jobs
     assert counted == {**expected, "all": 1, "total": sum(expected.values()) + 1}
+
+
+def test_commands_on_cycles(tmp_path):
+    preset = Path(__file__).with_name("tiny.json")
+    _, said = dry_run(tmp_path, preset, "--config", "cycles=1", "blender=/opt/my blender/python")
+    commands = [line for line in said.splitlines() if "--renderer cycles" in line]
+    assert len(commands) == 3
+    assert all("--renderer cycles --blender '/opt/my blender/python' --workers 1 " in line for line in commands)
+    assert "--scenes scenes/test.jsonl" in commands[0]
+    assert "--out datasets/test-cycles" in commands[0]
+    attacks = next(line for line in commands if "T-Fc-0" in line)
+    assert "--original datasets/test-cycles --out scores-cycles/001" in attacks
+    assert "snapshots" not in attacks
+    _, said = dry_run(tmp_path, preset, "--config", "cycles=1")
+    assert "--renderer cycles --workers 1" in said
+
+
+def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
+    preset = Path(__file__).with_name("tiny.json")
+    tiny = plan()
+    # By age: what a finished run leaves.
+    stages = [
+        ["backgrounds", "fleets", "scenes", "palette.json"],
+        [f"datasets/{split}" for split in ("train", "validation", "test")],
+        ["detectors/retinanet/detector.json"],
+        [f"camouflages/{name}/camouflage.json" for name in (*tiny.controls, "T-Fc-0", "S-O@0.4-0", "C-Fc-par@0.4-0")],
+        ["camouflages/C-Fc-seq@0.4-0/camouflage.json"],
+        ["measures.json", *(f"scores/{batch}" for batch in tiny.batches)],
+        ["results.json", "tables/README.md"],
+    ]
+    for age, names in enumerate(stages):
+        for path in (tmp_path / name for name in names):
+            (path.parent if path.suffix else path).mkdir(parents=True, exist_ok=True)
+            if path.suffix:
+                path.touch()
+            os.utime(path, (1000 + 10 * age, 1000 + 10 * age))
+    counted, said = dry_run(tmp_path, preset, "--config", "cycles=1")
+    assert counted == {"render_cycles": 1, "score_cycles": 2, "tables": 1, "all": 1, "total": 5}, said
+    # Finished too, then stopped before the tables were written again.
+    for name in ("datasets/test-cycles", "scores-cycles/000", "scores-cycles/001"):
+        (tmp_path / name).mkdir(parents=True)
+        os.utime(tmp_path / name, (2000, 2000))
+    counted, said = dry_run(tmp_path, preset, "--config", "cycles=1")
+    assert counted == {"tables": 1, "all": 1, "total": 2}, said
+    # Without the flag nothing of it is asked for or taken away.
+    counted, said = dry_run(tmp_path, preset)
+    assert counted == {}, said
 
 
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
         ({"repeats": 0}, "repeats"),
+        ({"cycles_repeats": 0}, "cycles_repeats"),
         ({"detectors": []}, "detector"),
         ({"magnitudes": [0.2, 1.5]}, "1.5"),
         ({"magnitudes": [0]}, "above 0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -86,7 +87,7 @@ def renderer_agreement(
 ) -> Agreement:
     """Rank correlation between the EASRs under two renderers, over the attacks scored under both.
 
-    Both vary over the same resampled tiles: they show the same scenes.
+    Repeats that only one renderer has are left out. Both vary over the same resampled tiles: they show the same scenes.
 
     Args:
         tiles: counts under both.
@@ -98,7 +99,9 @@ def renderer_agreement(
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
-    one, other = (_pooled(tiles, renderer, match) for renderer in renderers)
+    both = [all(key._replace(renderer=renderer) in tiles.series for renderer in renderers) for key in tiles.series]
+    paired = TileCounts(tiles.tiles, dict(itertools.compress(tiles.series.items(), both)))
+    one, other = (_pooled(paired, renderer, match) for renderer in renderers)
     shared = [name for name in names if name in one and name in other]
     if len(shared) < _FEWEST:
         raise ConfigurationError(

@@ -74,7 +74,10 @@ def _names(run: Reproduction) -> list[str]:
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
-    """Mean EASR under either renderer and their difference, in percent, over all repeats and detectors; {} for none."""
+    """Mean EASR under either renderer and their difference, in percent, over what both have; empty for nothing.
+
+    Over repeats and detectors alike.
+    """
     shared = [
         (key, key._replace(renderer=CYCLES))
         for key in run.tiles.series
@@ -138,9 +141,20 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _missing(run: Reproduction) -> str:
-    wanted = {key.camouflage for key in run.tiles.series if key.renderer == RENDERER and "_" not in key.camouflage}
-    left = wanted - {key.camouflage for key in run.tiles.series if key.renderer == CYCLES}
-    return f"Not scored on Cycles yet: {len(left)} of {len(wanted)} camouflages." if left else ""
+    """What of the renderer's columns is not on Cycles."""
+    wanted = [name for name in run.names if "_" not in name]
+    left = [name for name in wanted if run.row(name, renderer=CYCLES) is None]
+    parts = [f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls."] if left else []
+    repeats, on_cycles = (
+        max((row["repeats"] for name in _names(run) if (row := run.row(name, renderer=renderer))), default=0)
+        for renderer in (RENDERER, CYCLES)
+    )
+    if on_cycles < repeats:
+        parts.append(
+            f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; changes and rank "
+            "correlations between the two take only those."
+        )
+    return " ".join(parts)
 
 
 def _moves(table: Table) -> str:
@@ -161,7 +175,8 @@ def _moves(table: Table) -> str:
         return ""
     text = (
         "How far EASR moves from the renderer to Cycles: means over camouflages, their repeats and the detectors, in "
-        "percent and points, on the same tiles. Beside them the paper’s means, over the attacks for which it has both."
+        "percent and points, paired by camouflage and tile. Beside them the paper’s means, over the attacks for which "
+        "it has both."
     )
     header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
     return f"{text}\n\n" + markdown([*header, "in the paper", "paper EASR", "paper Blender"], rows)
