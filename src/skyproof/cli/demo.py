@@ -24,6 +24,7 @@ from skyproof.cli.stages import (
     train_detector,
 )
 from skyproof.cli.world import GSD_M, WorldSizes, scene_settings, write_fleet, write_ground, write_scene_files
+from skyproof.cycles.blender import find_blender
 from skyproof.detectors.folder import build_detector
 from skyproof.detectors.training import TrainingSettings
 from skyproof.errors import ConfigurationError
@@ -97,13 +98,14 @@ class Demo:
         run_demo(self)
 
 
-_TORCH = Rendering()
 # Where a run is computed, or what is added to it, changes none of its results.
 _NOT_SETTINGS = ("out", "imagery", "device", "cycles", "blender")
 
 
 def run_demo(demo: Demo) -> None:
     """Runs all stages that are not finished yet, and prints where the report lies."""
+    if demo.blender is not None and not demo.cycles:
+        raise ConfigurationError("--blender says which Blender draws for --cycles; give --cycles too.")
     device = choose_device(demo.device)
     names = [str(path) for path in demo.imagery]
     config = {
@@ -116,12 +118,13 @@ def run_demo(demo: Demo) -> None:
     if report.exists() and (not demo.cycles or _shows_cycles(run.path)):
         say(f"This run is finished. Report: {report.resolve()}")
         return
-    # Asked for first: a missing Blender should show before an hour's work, not after it.
-    rendering = _find_cycles(demo)
+    if demo.cycles:
+        # Looked for first: a missing Blender should show before an hour's work, not after it.
+        find_blender(demo.blender)
     if not report.exists():
         _attack_and_compare(demo, run, device)
-    if rendering is not None:
-        _compare_on_cycles(demo, run, rendering, device)
+    if demo.cycles:
+        _compare_on_cycles(demo, run, device)
     say(f"Report: {report.resolve()}")
 
 
@@ -170,8 +173,9 @@ def _attack_and_compare(demo: Demo, run: RunFolder, device: torch.device) -> Non
     _say_answer(out / "results.json")
 
 
-def _compare_on_cycles(demo: Demo, run: RunFolder, rendering: Rendering, device: torch.device) -> None:
+def _compare_on_cycles(demo: Demo, run: RunFolder, device: torch.device) -> None:
     """The test scenes and the camouflages again, path-traced, judged by the same detectors; then the report anew."""
+    rendering = Rendering(renderer="cycles", blender=demo.blender)
     out, seed = run.path, demo.seed
     run.start(str(device))
     say(f"skyproof demo on Blender Cycles, run folder {out}")
@@ -190,18 +194,6 @@ def _compare_on_cycles(demo: Demo, run: RunFolder, rendering: Rendering, device:
     write_report(out)
     say("  On Blender Cycles images of the same scenes:")
     _say_answer(results / "results.json")
-
-
-def _find_cycles(demo: Demo) -> Rendering | None:
-    """How to draw with Blender Cycles, where that is asked for."""
-    if not demo.cycles:
-        if demo.blender is not None:
-            raise ConfigurationError("--blender says which Blender draws for --cycles; give --cycles too.")
-        return None
-    from skyproof.cycles.blender import find_blender
-
-    find_blender(demo.blender)
-    return Rendering(renderer="cycles", blender=demo.blender)
 
 
 def _shows_cycles(out: Path) -> bool:
@@ -232,7 +224,7 @@ def _render(
     place: Path,
     device: torch.device,
     camouflage: Path | None = None,
-    rendering: Rendering = _TORCH,
+    rendering: Rendering | None = None,
 ) -> None:
     scenes, fleet, ground = out / "scenes" / f"{split}.jsonl", out / "fleets" / split, out / "backgrounds"
     render_folder(scenes, ground, fleet, place, camouflage=camouflage, rendering=rendering, device=device)

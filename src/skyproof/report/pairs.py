@@ -47,9 +47,9 @@ def make_pairs(run: Run, camouflage: str, renderer: str, detector: str, count: i
         for o in run.outcomes or ()
         if (o.camouflage, o.renderer, o.detector, o.match) == (camouflage, renderer, detector, MAIN_MATCH)
     ]
-    evaluation, original = run.evaluation(renderer)
-    before = _Set.read(run.folder / "datasets" / original, evaluation, detector)
-    after = _Set.read(run.folder / "datasets" / f"{original}-{camouflage}", evaluation, detector)
+    evaluation, plain = run.evaluation(renderer)
+    before = _Set.read(run.folder / "datasets" / plain, evaluation, detector)
+    after = _Set.read(run.folder / "datasets" / f"{plain}-{camouflage}", evaluation, detector)
     threshold = run.detectors.get(detector, {}).get("threshold")
     if not rows or before is None or after is None or threshold is None:
         return []
