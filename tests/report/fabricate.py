@@ -1,17 +1,19 @@
-"""A small complete run folder of made-up images and numbers; `python tests/report/fabricate.py FOLDER` writes one."""
+"""A small run folder of made-up images and numbers; `python tests/report/fabricate.py FOLDER [--cycles]` writes one."""
 
+import dataclasses
 import json
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from skyproof.evaluate.outcomes import Outcome, write_outcomes
+from skyproof.evaluate.outcomes import Outcome, read_outcomes, write_outcomes
 from skyproof.evaluate.sets import SetScore
 from skyproof.evaluate.summary import summarise
 from skyproof.evaluate.tiles import count_tiles
-from skyproof.files import write_json, write_jsonl
+from skyproof.files import read_json, write_json, write_jsonl
 
 DETECTORS = ("retinanet", "faster_rcnn")
 HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}
@@ -140,5 +142,34 @@ def _write_rest(folder, rng):
         small.resize(size, Image.Resampling.NEAREST).save(attack / file)
 
 
+def fabricate_cycles(folder):
+    """Adds what `demo --cycles` adds: there T-U hides less, random patterns hide more, and all pictures are blue."""
+    rng = np.random.default_rng(2)
+    evaluation, cycles = folder / "evaluation", folder / "evaluation-cycles"
+    for place in sorted((folder / "datasets").iterdir()):
+        name = place.name.replace("test", "test-cycles", 1)
+        shutil.copytree(place, folder / "datasets" / name)
+        shutil.copytree(evaluation / "detections" / place.name, cycles / "detections" / name)
+        for picture in (folder / "datasets" / name / "images").iterdir():
+            Image.new("RGB", (192, 192), (30, 60, 200)).save(picture)
+    outcomes = []
+    for outcome in read_outcomes(evaluation / "outcomes.parquet"):
+        hidden = rng.random() < (0.3 if outcome.camouflage == "T-U" else 0.15)
+        found = outcome.detected_original and not hidden
+        outcomes.append(dataclasses.replace(outcome, renderer="cycles", detected_adversarial=found))
+    write_outcomes(cycles / "outcomes.parquet", outcomes)
+    sets = [
+        SetScore(camouflage, "cycles", d, match, {"original": 0.88, "T-U": 0.6}.get(camouflage, 0.8), 15.0)
+        for camouflage in ("original", *HIDES)
+        for d in DETECTORS
+        for match in ("centre_1m", "iou_50")
+    ]
+    write_json(cycles / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)})
+    clean = [row for row in read_json(evaluation / "clean.json") if row["dataset"] == "rendered test"]
+    write_json(cycles / "clean.json", [{**row, "ap_centre_1m": 0.88} for row in clean])
+    return folder
+
+
 if __name__ == "__main__":
-    print(json.dumps(str(fabricate(Path(sys.argv[1])))))
+    fabricate(Path(sys.argv[1]))
+    print(json.dumps(str(fabricate_cycles(Path(sys.argv[1])) if "--cycles" in sys.argv else sys.argv[1])))

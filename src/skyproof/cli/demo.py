@@ -12,6 +12,7 @@ import torch
 from skyproof.attacks.attack import AttackSettings
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
+from skyproof.cli.rendering import Rendering
 from skyproof.cli.run_folder import RunFolder
 from skyproof.cli.stages import (
     attack_ensemble,
@@ -23,6 +24,7 @@ from skyproof.cli.stages import (
     train_detector,
 )
 from skyproof.cli.world import GSD_M, WorldSizes, scene_settings, write_fleet, write_ground, write_scene_files
+from skyproof.cycles.blender import find_blender
 from skyproof.detectors.folder import build_detector
 from skyproof.detectors.training import TrainingSettings
 from skyproof.errors import ConfigurationError
@@ -70,6 +72,9 @@ class Demo:
         sizes: how much of everything.
         training: how every detector is trained.
         attack: how the texture is learnt.
+        cycles: judge the test scenes as Blender Cycles draws them, too; a finished demo goes on with that part alone.
+        blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not given, what
+            `make blender` made, then `blender` on the PATH.
     """
 
     out: Path = Path("runs/demo")
@@ -85,27 +90,47 @@ class Demo:
         default_factory=lambda: TrainingSettings(steps=700, batch_size=8, validate_every=175)
     )
     attack: AttackSettings = field(default_factory=lambda: AttackSettings(steps=200))
+    cycles: bool = False
+    blender: Path | None = None
 
     def run(self) -> None:
         """Runs all stages that are not finished yet."""
         run_demo(self)
 
 
+# Where a run is computed, or what is added to it, changes none of its results.
+_NOT_SETTINGS = ("out", "imagery", "device", "cycles", "blender")
+
+
 def run_demo(demo: Demo) -> None:
     """Runs all stages that are not finished yet, and prints where the report lies."""
+    if demo.blender is not None and not demo.cycles:
+        raise ConfigurationError("--blender says which Blender draws for --cycles; give --cycles too.")
     device = choose_device(demo.device)
     names = [str(path) for path in demo.imagery]
     config = {
         "title": "How robust are these vehicle detectors to camouflage?",
         "imagery": names or "procedural",
-        **{key: value for key, value in asdict(demo).items() if key not in ("out", "imagery", "device")},
+        **{key: value for key, value in asdict(demo).items() if key not in _NOT_SETTINGS},
     }
     run = RunFolder(demo.out, config)
-    out, sizes, seed = run.path, demo.sizes, demo.seed
-    report = out / "report.html"
-    if report.exists():
+    report = run.path / "report.html"
+    if report.exists() and (not demo.cycles or _shows_cycles(run.path)):
         say(f"This run is finished. Report: {report.resolve()}")
         return
+    if demo.cycles:
+        # Looked for first: a missing Blender should show before an hour's work, not after it.
+        find_blender(demo.blender)
+    if not report.exists():
+        _attack_and_compare(demo, run, device)
+    if demo.cycles:
+        _compare_on_cycles(demo, run, device)
+    say(f"Report: {report.resolve()}")
+
+
+def _attack_and_compare(demo: Demo, run: RunFolder, device: torch.device) -> None:
+    """From nothing to the report, on images of the differentiable renderer."""
+    out, sizes, seed = run.path, demo.sizes, demo.seed
     check_detectors(demo.detectors)
     # Read first: a mistake in these folders should show before an hour's work, not after it.
     clean = read_frames(demo.frames, demo.frame_classes, GSD_M)
@@ -123,14 +148,13 @@ def run_demo(demo: Demo) -> None:
     for name in demo.detectors:
         folder = out / "detectors" / name
         run.stage(f"train {name}", folder / "detector.json", partial(_train, demo, name, folder, device))
-    trained = [out / "detectors" / name for name in demo.detectors]
-    learnt = out / "camouflages" / "T-U"
+    trained, (attack, *controls) = _trained(demo), _camouflages(sizes)
+    learnt = out / "camouflages" / attack
     run.stage("attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device))
-    controls = [f"R-U-{draw}" for draw in range(sizes.random_draws)]
     for name in controls:
         folder = out / "camouflages" / name
         run.stage("random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed))
-    worn = {name: out / "datasets" / f"test-{name}" for name in ("T-U", *controls)}
+    worn = {name: out / "datasets" / f"test-{name}" for name in (attack, *controls)}
     for name, place in worn.items():
         camouflage = out / "camouflages" / name
         run.stage("render pairs", place, partial(_render, out, "test", place, device, camouflage))
@@ -145,9 +169,45 @@ def run_demo(demo: Demo) -> None:
     )
     run.finish()
     say("  report ...")
-    written = write_report(out)
-    _say_answer(out)
-    say(f"Report: {written.resolve()}")
+    write_report(out)
+    _say_answer(out / "results.json")
+
+
+def _compare_on_cycles(demo: Demo, run: RunFolder, device: torch.device) -> None:
+    """The test scenes and the camouflages again, path-traced, judged by the same detectors; then the report anew."""
+    rendering = Rendering(renderer="cycles", blender=demo.blender)
+    out, seed = run.path, demo.seed
+    run.start(str(device))
+    say(f"skyproof demo on Blender Cycles, run folder {out}")
+    original = out / "datasets" / "test-cycles"
+    worn = {name: out / "datasets" / f"test-cycles-{name}" for name in _camouflages(demo.sizes)}
+    run.stage("render Cycles", original, partial(_render, out, "test", original, device, rendering=rendering))
+    for name, place in worn.items():
+        camouflage = out / "camouflages" / name
+        work = partial(_render, out, "test", place, device, camouflage, rendering=rendering)
+        run.stage("render Cycles", place, work)
+    results = out / "evaluation-cycles"
+    compare = partial(evaluate_folders, _trained(demo), original, worn, results, seed=seed, device=device)
+    run.stage("evaluate Cycles", results, compare)
+    run.finish()
+    say("  report ...")
+    write_report(out)
+    say("  On Blender Cycles images of the same scenes:")
+    _say_answer(results / "results.json")
+
+
+def _shows_cycles(out: Path) -> bool:
+    """Whether the report was written after the evaluation of Cycles images: a stop may have come between them."""
+    results = out / "evaluation-cycles"
+    return results.exists() and (out / "report.html").stat().st_mtime_ns >= results.stat().st_mtime_ns
+
+
+def _camouflages(sizes: DemoSizes) -> list[str]:
+    return ["T-U", *(f"R-U-{draw}" for draw in range(sizes.random_draws))]
+
+
+def _trained(demo: Demo) -> list[Path]:
+    return [demo.out / "detectors" / name for name in demo.detectors]
 
 
 def check_detectors(names: Sequence[str], size: str = "slim") -> None:
@@ -158,9 +218,16 @@ def check_detectors(names: Sequence[str], size: str = "slim") -> None:
         build_detector(name, size, generator=torch.Generator())
 
 
-def _render(out: Path, split: str, place: Path, device: torch.device, camouflage: Path | None = None) -> None:
-    scenes, fleet = out / "scenes" / f"{split}.jsonl", out / "fleets" / split
-    render_folder(scenes, out / "backgrounds", fleet, place, camouflage=camouflage, device=device)
+def _render(
+    out: Path,
+    split: str,
+    place: Path,
+    device: torch.device,
+    camouflage: Path | None = None,
+    rendering: Rendering | None = None,
+) -> None:
+    scenes, fleet, ground = out / "scenes" / f"{split}.jsonl", out / "fleets" / split, out / "backgrounds"
+    render_folder(scenes, ground, fleet, place, camouflage=camouflage, rendering=rendering, device=device)
 
 
 def _train(demo: Demo, name: str, folder: Path, device: torch.device) -> None:
@@ -190,8 +257,8 @@ def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.d
     )
 
 
-def _say_answer(out: Path) -> None:
-    for row in read_json(out / "results.json")["rows"]:
+def _say_answer(results: Path) -> None:
+    for row in read_json(results)["rows"]:
         if row["camouflage"] == "T-U" and row["match"] == "centre_1m":
             say(
                 f"  {row['detector']:<12} T-U hides {percent(row['easr'])} of the vehicles found before "

@@ -37,8 +37,8 @@ class Pair:
     caption: str
 
 
-def make_pairs(run: Run, camouflage: str, renderer: str, detector: str) -> list[Pair]:
-    """The first scenes by SHA-256 of their id, then the one with most vehicles hidden and the one with fewest.
+def make_pairs(run: Run, camouflage: str, renderer: str, detector: str, count: int = PAIR_COUNT) -> list[Pair]:
+    """The first `count` scenes by SHA-256 of their id, then the one with most vehicles hidden and the one with fewest.
 
     Empty where images, labels, detections, the threshold or outcomes are missing.
     """
@@ -47,8 +47,9 @@ def make_pairs(run: Run, camouflage: str, renderer: str, detector: str) -> list[
         for o in run.outcomes or ()
         if (o.camouflage, o.renderer, o.detector, o.match) == (camouflage, renderer, detector, MAIN_MATCH)
     ]
-    before = _Set.read(run.folder, "test", detector)
-    after = _Set.read(run.folder, f"test-{camouflage}", detector)
+    evaluation, plain = run.evaluation(renderer)
+    before = _Set.read(run.folder / "datasets" / plain, evaluation, detector)
+    after = _Set.read(run.folder / "datasets" / f"{plain}-{camouflage}", evaluation, detector)
     threshold = run.detectors.get(detector, {}).get("threshold")
     if not rows or before is None or after is None or threshold is None:
         return []
@@ -56,7 +57,7 @@ def make_pairs(run: Run, camouflage: str, renderer: str, detector: str) -> list[
     for row in rows:
         scenes.setdefault(row.scene, []).append(row)
     pairs = []
-    for scene, why in _choose(scenes).items():
+    for scene, why in _choose(scenes, count).items():
         original = before.draw(scene, scenes[scene], float(threshold), False)
         adversarial = after.draw(scene, scenes[scene], float(threshold), True)
         if original and adversarial:
@@ -67,15 +68,15 @@ def make_pairs(run: Run, camouflage: str, renderer: str, detector: str) -> list[
     return pairs
 
 
-def _choose(scenes: Mapping[str, Sequence[Outcome]]) -> dict[str, str]:
+def _choose(scenes: Mapping[str, Sequence[Outcome]], count: int) -> dict[str, str]:
     order = sorted(scenes, key=lambda scene: hashlib.sha256(scene.encode()).hexdigest())
-    chosen = dict.fromkeys(order[:PAIR_COUNT], "Chosen by hash")
+    chosen = dict.fromkeys(order[:count], "Chosen by hash")
 
     def hidden(scene: str) -> int:
         return sum(int(o.detected_original) - int(o.detected_adversarial) for o in scenes[scene])
 
     # Only scenes in which something was found before can show success or failure.
-    rest = [scene for scene in order[PAIR_COUNT:] if any(o.detected_original for o in scenes[scene])]
+    rest = [scene for scene in order[count:] if any(o.detected_original for o in scenes[scene])]
     if len(rest) >= 2:
         chosen[max(rest, key=hidden)] = "Most vehicles hidden"
         rest = [scene for scene in rest if scene not in chosen]
@@ -93,9 +94,9 @@ class _Set:
     detections: Mapping[str, Mapping[str, Any]]
 
     @classmethod
-    def read(cls, folder: Path, name: str, detector: str) -> _Set | None:
-        labels = folder / "datasets" / name / "annotations.json"
-        found = folder / "evaluation" / "detections" / name / f"{detector}.jsonl"
+    def read(cls, dataset: Path, evaluation: Path, detector: str) -> _Set | None:
+        labels = dataset / "annotations.json"
+        found = evaluation / "detections" / dataset.name / f"{detector}.jsonl"
         if not (labels.exists() and found.exists()):
             return None
         coco = read_json(labels)

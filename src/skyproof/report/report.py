@@ -18,17 +18,30 @@ from skyproof.report import words
 from skyproof.report.conditions import Panel, condition_panels
 from skyproof.report.figures import condition_figure, forest_figure, loss_figure
 from skyproof.report.pairs import Pair, image_uri, make_pairs
+from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.run import MAIN_MATCH, Headline, Run, read_run
 
 __all__ = ["write_report"]
 
 _SEED = 20240
 _FEW_TILES = 20
+_PAIRS_OF_SECOND = 3
+
+
+@dataclass(frozen=True)
+class _Second:
+    """What the page shows of one camouflage under a second renderer, beside the first."""
+
+    headline: Headline
+    answer: Sequence[str]
+    rows: Sequence[Compared]
+    pairs: Sequence[Pair]
+    conditions: Markup | None
 
 
 @dataclass(frozen=True)
 class _Section:
-    """What the page shows of one camouflage under one renderer."""
+    """What the page shows of one camouflage."""
 
     headline: Headline
     answer: Sequence[str]
@@ -40,6 +53,7 @@ class _Section:
     loss: Markup | None
     conditions: Markup | None
     readings: Sequence[str]
+    second: _Second | None
 
 
 def write_report(run_folder: Path) -> Path:
@@ -59,9 +73,20 @@ def write_report(run_folder: Path) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = (words.percent, words.interval, words.number, words.probability, words.detector_name)
+    filters = (
+        words.percent,
+        words.points,
+        words.interval,
+        words.number,
+        words.probability,
+        words.detector_name,
+        words.renderer_name,
+    )
     environment.filters |= {function.__name__: function for function in filters}
-    sections = [_section(run, headline) for headline in run.headlines()]
+    by_camouflage: dict[str, list[Headline]] = {}
+    for headline in run.headlines():
+        by_camouflage.setdefault(headline.camouflage, []).append(headline)
+    sections = [_section(run, *headlines) for headlines in by_camouflage.values()]
     if not sections:
         raise StoredFileError(f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first.")
     page = environment.get_template("report.html.j2").render(
@@ -81,13 +106,9 @@ def write_report(run_folder: Path) -> Path:
     return path
 
 
-def _section(run: Run, headline: Headline) -> _Section:
-    name = headline.camouflage
-    detector = next(row["detector"] for row in headline.by_detector if row["detector"] != "mean")
-    own = [
-        o for o in run.outcomes or () if (o.camouflage, o.renderer, o.match) == (name, headline.renderer, MAIN_MATCH)
-    ]
-    panels = condition_panels(own, generator=np.random.default_rng(_SEED))
+def _section(run: Run, headline: Headline, second: Headline | None = None) -> _Section:
+    name, detector = headline.camouflage, _first_detector(headline)
+    panels = _panels(run, headline)
     return _Section(
         headline=headline,
         answer=words.answer(headline),
@@ -99,7 +120,29 @@ def _section(run: Run, headline: Headline) -> _Section:
         loss=_attack_loss(run, name),
         conditions=Markup(condition_figure(panels)) if panels else None,
         readings=_readings(panels),
+        second=_second(run, headline, second) if second else None,
     )
+
+
+def _second(run: Run, first: Headline, headline: Headline) -> _Second:
+    panels = _panels(run, headline)
+    return _Second(
+        headline=headline,
+        answer=[*words.answer(headline), survival(first, headline)],
+        rows=compare_renderers(first, headline),
+        pairs=make_pairs(run, headline.camouflage, headline.renderer, _first_detector(first), _PAIRS_OF_SECOND),
+        conditions=Markup(condition_figure(panels)) if panels else None,
+    )
+
+
+def _first_detector(headline: Headline) -> str:
+    return str(next(row["detector"] for row in headline.by_detector if row["detector"] != "mean"))
+
+
+def _panels(run: Run, headline: Headline) -> list[Panel]:
+    which = (headline.camouflage, headline.renderer, MAIN_MATCH)
+    own = [o for o in run.outcomes or () if (o.camouflage, o.renderer, o.match) == which]
+    return condition_panels(own, generator=np.random.default_rng(_SEED))
 
 
 def _picture(path: Path) -> str | None:
@@ -142,11 +185,14 @@ def _tables(run: Run) -> list[tuple[str, list[Mapping[str, Any]]]]:
     """The rows by match criterion and renderer, each with its heading; the main criterion first."""
     criteria = {MAIN_MATCH: "found = centre within 1.0 m", "iou_50": "found = boxes overlap by IoU ≥ 0.5"}
     tables = []
+    renderers = list(dict.fromkeys(row["renderer"] for row in run.rows))
     for match, meaning in criteria.items():
-        for renderer in dict.fromkeys(row["renderer"] for row in run.rows):
+        for renderer in renderers:
+            name = words.renderer_name(renderer)
+            whose = f"Renderer {renderer}" if len(renderers) == 1 else name[0].upper() + name[1:]
             rows = [row for row in run.rows if (row["match"], row["renderer"]) == (match, renderer)]
             if rows:
-                tables.append((f"Renderer {renderer}, {meaning}", rows))
+                tables.append((f"{whose}, {meaning}", rows))
     return tables
 
 
@@ -215,6 +261,11 @@ def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
     else:
         limits.append(
             "The ground is real, the vehicles are rendered. Success on painted vehicles is not measured here."
+        )
+    if any(section.second for section in sections):
+        limits.append(
+            "Blender Cycles draws the same synthetic vehicle shapes, in another light and with other materials. It "
+            "shows whether a camouflage survives a change of renderer, not whether it survives in reality."
         )
     if tiles is not None:
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""

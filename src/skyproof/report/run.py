@@ -33,6 +33,9 @@ _ROW_KEYS = {
     "match",
 }
 MAIN_MATCH = "centre_1m"
+# `clean.json` calls the rendered test images so, whoever drew them.
+_RENDERED = "rendered test"
+_RENDERED_BY_CYCLES = "Blender Cycles test"
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,10 @@ class Run:
     Attributes:
         folder: the run folder.
         config, environment: as written; environment is empty where missing.
-        rows: of `results.json`.
-        timings, clean: rows, empty where missing.
+        rows: of `results.json`, then of `evaluation-cycles/results.json` where there is one.
+        timings, clean: rows, empty where missing; those on Cycles images are called "Blender Cycles test".
         detectors, camouflages: by name, the JSON beside the weights or texture; empty where missing.
-        outcomes: None where missing.
+        outcomes: of both evaluations; None where missing.
     """
 
     folder: Path
@@ -73,6 +76,18 @@ class Run:
     def synthetic_only(self) -> bool:
         """Whether the ground is procedural, so that no pixel comes from a real camera."""
         return self.config.get("imagery", "procedural") == "procedural"
+
+    @property
+    def checked_on_real(self) -> bool:
+        """Whether the detectors were also checked on images that no renderer drew."""
+        return any(row.get("dataset") not in (_RENDERED, _RENDERED_BY_CYCLES) for row in self.clean)
+
+    def evaluation(self, renderer: str) -> tuple[Path, str]:
+        """The folder that judged a renderer's images, and the name of its dataset without camouflage."""
+        cycles = self.folder / "evaluation-cycles"
+        if renderer == "cycles" and cycles.exists():
+            return cycles, "test-cycles"
+        return self.folder / "evaluation", "test"
 
     def steps(self, kind: str, name: str) -> list[Mapping[str, Any]]:
         """The log of a training ("detectors") or an attack ("camouflages"); empty where missing."""
@@ -109,24 +124,45 @@ def read_run(folder: Path) -> Run:
         StoredFileError: results.json or config.json is missing or damaged, or an optional file is damaged.
     """
     folder = Path(folder)
-    results = read_json(folder / "results.json")
-    rows = results.get("rows") if isinstance(results, dict) else None
-    if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) and r.keys() >= _ROW_KEYS for r in rows):
-        raise StoredFileError(
-            f"{folder / 'results.json'} holds no rows of this version's form; run the evaluation again."
-        )
+    rows = _results(folder / "results.json")
     outcomes_path = folder / "evaluation" / "outcomes.parquet"
+    clean = _optional(folder / "evaluation" / "clean.json", _rows, [])
+    outcomes = read_outcomes(outcomes_path) if outcomes_path.exists() else None
+    cycles = folder / "evaluation-cycles"
+    if cycles.exists():
+        drawn = _results(cycles / "results.json")
+        # Rows of one renderer in both would stand in the tables twice.
+        if {row["renderer"] for row in drawn} != {"cycles"} or any(row["renderer"] == "cycles" for row in rows):
+            raise StoredFileError(
+                f"{cycles} should hold what the detectors find in images of Blender Cycles, and results.json what they "
+                "find in those of the differentiable renderer; remove it and run the evaluation again."
+            )
+        rows = rows + drawn
+        clean = clean + [
+            {**row, "dataset": _RENDERED_BY_CYCLES} if row.get("dataset") == _RENDERED else row
+            for row in _optional(cycles / "clean.json", _rows, [])
+        ]
+        if outcomes is not None and (cycles / "outcomes.parquet").exists():
+            outcomes += read_outcomes(cycles / "outcomes.parquet")
     return Run(
         folder=folder,
         config=_mapping(folder / "config.json"),
         environment=_optional(folder / "environment.json", _mapping, {}),
         rows=rows,
         timings=_optional(folder / "timings.json", _rows, []),
-        clean=_optional(folder / "evaluation" / "clean.json", _rows, []),
+        clean=clean,
         detectors=_folders(folder / "detectors", "detector.json"),
         camouflages=_folders(folder / "camouflages", "camouflage.json"),
-        outcomes=read_outcomes(outcomes_path) if outcomes_path.exists() else None,
+        outcomes=outcomes,
     )
+
+
+def _results(path: Path) -> list[dict[str, Any]]:
+    results = read_json(path)
+    rows = results.get("rows") if isinstance(results, dict) else None
+    if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) and r.keys() >= _ROW_KEYS for r in rows):
+        raise StoredFileError(f"{path} holds no rows of this version's form; run the evaluation again.")
+    return rows
 
 
 def _optional(path: Path, read: Callable[[Path], Any], otherwise: Any) -> Any:

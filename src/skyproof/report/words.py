@@ -7,7 +7,18 @@ from typing import Any
 
 from skyproof.report.run import Headline
 
-__all__ = ["NAMES", "answer", "body_name", "detector_name", "interval", "number", "percent", "probability"]
+__all__ = [
+    "NAMES",
+    "answer",
+    "body_name",
+    "detector_name",
+    "interval",
+    "number",
+    "percent",
+    "points",
+    "probability",
+    "renderer_name",
+]
 
 NAMES = {
     "retinanet": "RetinaNet",
@@ -16,6 +27,7 @@ NAMES = {
     "fcos": "FCOS",
     "mean": "mean",
 }
+_RENDERERS = {"torch": "differentiable renderer", "cycles": "Blender Cycles"}
 _THIN = "\u202f"
 
 
@@ -27,6 +39,11 @@ def detector_name(name: str) -> str:
 def body_name(name: str) -> str:
     """A body type's id as words."""
     return name.replace("_", " ")
+
+
+def renderer_name(name: str) -> str:
+    """A renderer in words."""
+    return _RENDERERS.get(name, name)
 
 
 def percent(fraction: float | int | None, digits: int = 0) -> str:
@@ -42,6 +59,14 @@ def interval(low: float | int | None, high: float | int | None) -> str:
     if low is None or high is None or low != low:
         return "–"
     return f"{percent(low).removesuffix(_THIN + '%')} to {percent(high)}"
+
+
+def points(fraction: float | None, digits: int = 0) -> str:
+    """A difference of two rates in percentage points, with its sign; a dash where undefined."""
+    if fraction is None or fraction != fraction:
+        return "–"
+    text = f"{100 * fraction:+.{digits}f}"
+    return "0" if float(text) == 0 else text.replace("-", "−")
 
 
 def number(value: float | int | None, digits: int = 0) -> str:
