@@ -12,6 +12,10 @@ from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.palette import fit_palette
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.cycles.blender import find_blender
+from skyproof.cycles.renderer import CyclesRenderer
+from skyproof.cycles.settings import CyclesSettings
+from skyproof.cycles.workers import Workers
 from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
 from skyproof.detectors.folder import load_detector
 from skyproof.evaluate.evaluation import Judge, evaluate_pairs
@@ -29,6 +33,8 @@ __all__ = [
     "Camouflage",
     "Candidates",
     "Combination",
+    "CyclesRenderer",
+    "CyclesSettings",
     "Detections",
     "Detector",
     "DisplacementMap",
@@ -41,8 +47,10 @@ __all__ = [
     "TorchRenderer",
     "TrainableDetector",
     "UniversalTexture",
+    "Workers",
     "attack",
     "evaluate_pairs",
+    "find_blender",
     "fit_palette",
     "load_camouflage",
     "load_detector",
