@@ -80,8 +80,6 @@ def test_without_blender_nothing_is_written(finished: Path, tmp_path: Path, skyp
     missing = tmp_path / "missing"
     skyproof(*call, "--blender", missing).refused(str(missing), "is no file")
     skyproof(*call, "--blender", sys.executable).refused(sys.executable, "neither Blender nor a Python")
-    # What other settings cannot work is said first: it takes no search.
-    skyproof(*call, "--samples", 0).refused("--samples")
     assert not (tmp_path / "out").exists()
     scored = ["score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"]
     original = tmp_path / "original"
@@ -105,8 +103,9 @@ def test_choices_that_there_are_not(finished: Path, tmp_path: Path, skyproof: Sk
 
 @pytest.mark.blender
 @pytest.mark.usefixtures("blender")
-def test_no_workers(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
-    skyproof("render", *world(finished), "--out", tmp_path / "x", *CYCLES, "--workers", 0).refused("--workers")
+def test_numbers_that_cannot_work(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    for wrong in (["--workers", 0], ["--samples", 0]):
+        skyproof("render", *world(finished), "--out", tmp_path / "x", *CYCLES, *wrong).refused(wrong[0])
     assert not list(tmp_path.iterdir())
 
 
