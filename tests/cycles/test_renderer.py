@@ -157,6 +157,16 @@ def test_one_crop_for_every_vehicle_that_may_be_seen_with_those_that_reach_into_
             assert any((vertices == placed[neighbour].numpy()).all() for vertices in shown[row]), (row, neighbour)
 
 
+def test_pairs_share_their_noise():
+    scenes, stand_in = some_scenes(), Shadows()
+    renderer, batch = CyclesRenderer(PlainGround(0.4), stand_in), batch_for(scenes)
+    renderer(scenes, batch)
+    renderer(scenes, clothed(batch))
+    seeds = [job.numbers["seed"] for job in stand_in.asked]
+    assert seeds[:4] == seeds[4:]
+    assert len(set(seeds)) == 4
+
+
 @pytest.mark.blender
 def test_scenes_without_vehicles_are_their_photographs(workers):
     renderer, scenes = CyclesRenderer(PlainGround(None), workers, COARSE), some_scenes()
