@@ -30,12 +30,12 @@ class Brightest:
 
 @pytest.fixture
 def make_dataset(tmp_path, make_scene):
-    def make(name, brightness, vehicles=1):
+    def make(name, brightness, vehicles=1, source=None):
         """One 64 px image per value of `brightness`, each on a tile of its own."""
         scenes = [make_scene(f"s{i}", f"tile-{i}", vehicles) for i in range(len(brightness))]
         mask = torch.zeros(64, 64, dtype=torch.bool)
         mask[22:42, 22:42] = True
-        with CocoWriter(tmp_path / name, gsd_m=0.125) as writer:
+        with CocoWriter(tmp_path / name, gsd_m=0.125, source=source) as writer:
             for scene, value in zip(scenes, brightness, strict=True):
                 vehicle = Annotation((22.0, 22.0, 42.0, 42.0), (32.0, 32.0), 1.0, mask, "pick-up-0000", 0)
                 image = torch.full((3, 64, 64), value, dtype=torch.uint8)
@@ -74,3 +74,28 @@ def test_a_set_without_vehicles_is_refused(make_dataset, tmp_path):
     original, hidden = make_dataset("test", [200, 200], 0), make_dataset("test-T-U", [50, 50], 0)
     with pytest.raises(ConfigurationError, match="shows no vehicles to hide"):
         evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+
+
+def test_the_renderer_is_the_datasets_own(make_dataset, tmp_path):
+    cycles = {"renderer": "cycles"}
+    original = make_dataset("test", [200, 200, 200, 50], source=cycles)
+    hidden = make_dataset("test-T-U", [50, 50, 200, 200], source=cycles)
+    rows = evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+    assert {row["renderer"] for row in rows} == {"cycles"}
+    tiles, sets = merge_evaluations([tmp_path / "evaluation"])
+    assert {key.renderer for key in tiles.series} == {score.renderer for score in sets} == {"cycles"}
+    assert {outcome.renderer for outcome in read_outcomes(tmp_path / "evaluation" / "outcomes.parquet")} == {"cycles"}
+
+
+@pytest.mark.parametrize("first", ["torch", "cycles"])
+def test_datasets_of_two_renderers_are_no_pairs(make_dataset, tmp_path, first):
+    second = {"torch": "cycles", "cycles": "torch"}[first]
+    # One that does not say it is of before there was a choice.
+    sources = {"torch": None, "cycles": {"renderer": "cycles"}}
+    original = make_dataset("test", [200, 200], source=sources[first])
+    hidden = make_dataset("test-T-U", [50, 50], source=sources[second])
+    judge = Brightest()
+    with pytest.raises(ConfigurationError, match=rf"by {first} and .*test-T-U by {second}, .* same --renderer"):
+        evaluate_pairs([Judge(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+    assert judge.images == 0
+    assert not (tmp_path / "evaluation").exists()

@@ -103,7 +103,12 @@ def test_a_dataset_reads_back_with_the_boxes_and_pixels_that_were_drawn(tmp_path
         drawn = (frames.image[index] * 255).round()
         # Batches of another size may round the last bit of a float otherwise.
         assert (stored.images[index].float() - drawn).abs().max() <= 1
-    rows = json.loads((tmp_path / "set" / "annotations.json").read_text())["annotations"]
+    document = json.loads((tmp_path / "set" / "annotations.json").read_text())
+    assert (document["info"]["renderer"], document["info"]["rendering"]) == (
+        "torch",
+        TorchRenderer(PlainGround(None)).record(),
+    )
+    rows = document["annotations"]
     assert [row["placement_index"] for row in rows] == [0, 0, 1, 0, 1]
     assert [row["vehicle"] for row in rows] == [place.vehicle for each in scenes for place in each.placements]
     assert [row["area"] for row in rows] == frames.masks.flatten(1).sum(1).tolist()

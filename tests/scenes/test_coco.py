@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_visible_fractions
+from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_renderer, read_visible_fractions
 
 
 def _image(seed, height=20, width=30):
@@ -111,3 +111,23 @@ def test_visible_fractions_follow_the_boxes(tmp_path):
         writer.add(image, "first", [cut, hidden, whole])
         writer.add(image, "second", [])
     assert [values.tolist() for values in read_visible_fractions(tmp_path)] == [[0.25, 1.0], []]
+
+
+def test_who_rendered_it(tmp_path):
+    _write(tmp_path)
+    # Datasets of before there was a choice do not say it.
+    assert read_renderer(tmp_path) == "torch"
+    source = {"renderer": "cycles", "rendering": {"samples": 32}}
+    with CocoWriter(tmp_path, gsd_m=0.125, source=source) as writer:
+        writer.add(_image(0), "scene-a", [])
+    assert read_renderer(tmp_path) == "cycles"
+    info = json.loads((tmp_path / "annotations.json").read_text())["info"]
+    assert (info["gsd_m"], info["rendering"]) == (0.125, {"samples": 32})
+    path = tmp_path / "annotations.json"
+    for damaged in ("[]", '{"info": 3}', "{}", "{"):
+        path.write_text(damaged)
+        with pytest.raises(StoredFileError, match=r"annotations\.json"):
+            read_renderer(tmp_path)
+    path.unlink()
+    with pytest.raises(StoredFileError, match=r"annotations\.json is missing"):
+        read_renderer(tmp_path)

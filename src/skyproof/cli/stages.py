@@ -32,7 +32,7 @@ from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.coco import read_coco
+from skyproof.scenes.coco import read_coco, read_renderer
 from skyproof.scenes.sampling import SceneSettings
 from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.vehicles.fleet import Fleet
@@ -253,12 +253,19 @@ def score_camouflages(
     names = [folder.name for folder in camouflages]
     if len(set(names)) != len(names):
         raise ConfigurationError("--camouflages expects folders of different names; score the others separately.")
+    rendering = rendering or Rendering()
+    # The evaluation refuses it too, but only once everything is rendered.
+    if (drawn_by := read_renderer(original)) != rendering.renderer:
+        raise ConfigurationError(
+            f"{original} was rendered by {drawn_by}, not by {rendering.renderer}; give --renderer {drawn_by}, or the "
+            f"same scenes rendered by {rendering.renderer}."
+        )
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.images.") as images:
         rendered = {folder.name: Path(images) / folder.name for folder in camouflages}
         # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering one set.
         shown, vehicles = read_scenes(scenes), Fleet.load(fleet)
-        with open_renderer(rendering or Rendering(), BackgroundSet.open(backgrounds), out) as renderer:
+        with open_renderer(rendering, BackgroundSet.open(backgrounds), out) as renderer:
             for folder in camouflages:
                 _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
         return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)

@@ -6,10 +6,12 @@ import json
 import os
 import queue
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -162,17 +164,22 @@ class _Process:
         if self._stopped:
             return False
         with open(self._log, "w", encoding="utf-8") as log:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-                errors="replace",
-                env=worker_environment(dict(os.environ)),
-                # Ctrl-C is for us; the process ends when its input does.
-                start_new_session=True,
-            )
+            try:
+                self._process = subprocess.Popen(
+                    self._command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    text=True,
+                    errors="replace",
+                    env=worker_environment(dict(os.environ)),
+                    # Ctrl-C is for us; the process ends when its input does.
+                    start_new_session=True,
+                )
+            except OSError as error:
+                # Such as no memory for one more process.
+                log.write(str(error))
+                return False
         if self._listen() is None:
             self._end()
             return False
@@ -190,12 +197,19 @@ class _Process:
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
+            # With all that it started: a launcher's child would hold the pipe open, and a thread would wait for it.
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+            if process.stdin is not None:
+                # What a dead process did not read cannot be sent any more.
+                with suppress(OSError):
+                    process.stdin.close()
 
     def _last_words(self) -> str:
-        if self._process is not None:
-            code = self._process.wait()
+        process = self._process
+        if process is not None:
+            code = process.wait()
             if code < 0:
                 return f"signal {-code}"
         lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n") if self._log.exists() else []
