@@ -173,6 +173,27 @@ def test_score_refuses_an_original_of_the_other_renderer(
     assert not list(tmp_path.iterdir())
 
 
+def test_score_refuses_before_it_renders(
+    copied: Callable[..., Path], tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def render(*arguments: object, **options: object) -> None:
+        raise AssertionError("rendered before it was refused")
+
+    monkeypatch.setattr("skyproof.cli.stages.render_dataset", render)
+    folder = copied()
+    original, there = folder / "datasets/test", tmp_path / "scores"
+    call = ["score", "--detectors", folder / "detectors/retinanet", "--camouflages", folder / "camouflages/T-U"]
+    call += [*world(folder), "--original", original, *CPU, "--out"]
+    there.mkdir()
+    skyproof(*call, there).refused(str(there), "exists")
+    path = original / "annotations.json"
+    document = json.loads(path.read_text())
+    document["info"]["rendering"]["blur_sigma_px"] = 1.0
+    path.write_text(json.dumps(document))
+    skyproof(*call, tmp_path / "new").refused(str(original), "other settings")
+    assert sorted(path.name for path in tmp_path.iterdir() if path != folder) == ["scores"]
+
+
 def test_evaluation_takes_the_renderer_from_the_datasets(
     copied: Callable[..., Path], tmp_path: Path, skyproof: Skyproof
 ) -> None:

@@ -18,7 +18,7 @@ from skyproof.render.frames import Renderer
 from skyproof.render.placed import place
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.weather import finish_images
-from skyproof.scenes.coco import read_renderer
+from skyproof.scenes.coco import read_rendering
 from skyproof.scenes.scene import Placement
 from skyproof.scenes.weather import Weather
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -229,4 +229,4 @@ def test_a_dataset_says_who_rendered_it(workers, tmp_path):
         ("torch", TorchRenderer(PlainGround())),
     ):
         render_dataset(tmp_path / name, scenes, fleet, renderer)
-        assert read_renderer(tmp_path / name) == name
+        assert read_rendering(tmp_path / name) == (name, renderer.record())

@@ -88,6 +88,18 @@ def test_results_come_in_the_order_of_the_jobs(tmp_path):
     assert ended(fake.processes)
 
 
+def test_a_damaged_result_is_drawn_again(tmp_path):
+    fake = Fake(tmp_path, [])
+    for damage in (b"", b"no array", None):
+        with Workers(fake.blender, 1, tmp_path / "results") as workers:
+            assert seeds(workers.run([job(3)])) == [3]
+        (file,) = (tmp_path / "results").iterdir()
+        file.write_bytes(file.read_bytes()[:-9] if damage is None else damage)
+    with Workers(fake.blender, 1, tmp_path / "results") as workers:
+        assert seeds(workers.run([job(3)])) == [3]
+    assert fake.requests == [3] * 4
+
+
 @pytest.mark.parametrize("how", ["die", "exit", "full", "done, then die"])
 def test_what_goes_wrong_once_is_done_again(tmp_path, how):
     fake = Fake(tmp_path, ["done", how])

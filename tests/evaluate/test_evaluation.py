@@ -99,3 +99,11 @@ def test_datasets_of_two_renderers_are_no_pairs(make_dataset, tmp_path, first):
         evaluate_pairs([Judge(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
     assert judge.images == 0
     assert not (tmp_path / "evaluation").exists()
+
+
+def test_datasets_of_one_renderer_under_other_settings_are_no_pairs(make_dataset, tmp_path):
+    sources = [{"renderer": "cycles", "rendering": {"samples": samples, "finish": "matt"}} for samples in (32, 64)]
+    original = make_dataset("test", [200, 200], source=sources[0])
+    hidden = make_dataset("test-T-U", [50, 50], source=sources[1])
+    with pytest.raises(ConfigurationError, match=r"by cycles and .* by cycles with other settings \(samples\)"):
+        evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_renderer, read_visible_fractions
+from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_rendering, read_visible_fractions
 
 
 def _image(seed, height=20, width=30):
@@ -116,18 +116,18 @@ def test_visible_fractions_follow_the_boxes(tmp_path):
 def test_who_rendered_it(tmp_path):
     _write(tmp_path)
     # Datasets of before there was a choice do not say it.
-    assert read_renderer(tmp_path) == "torch"
+    assert read_rendering(tmp_path) == ("torch", {})
     source = {"renderer": "cycles", "rendering": {"samples": 32}}
     with CocoWriter(tmp_path, gsd_m=0.125, source=source) as writer:
         writer.add(_image(0), "scene-a", [])
-    assert read_renderer(tmp_path) == "cycles"
+    assert read_rendering(tmp_path) == ("cycles", {"samples": 32})
     info = json.loads((tmp_path / "annotations.json").read_text())["info"]
     assert (info["gsd_m"], info["rendering"]) == (0.125, {"samples": 32})
     path = tmp_path / "annotations.json"
-    for damaged in ("[]", '{"info": 3}', "{}", "{"):
+    for damaged in ("[]", '{"info": 3}', "{}", "{", '{"info": {"rendering": 3}}'):
         path.write_text(damaged)
         with pytest.raises(StoredFileError, match=r"annotations\.json"):
-            read_renderer(tmp_path)
+            read_rendering(tmp_path)
     path.unlink()
     with pytest.raises(StoredFileError, match=r"annotations\.json is missing"):
-        read_renderer(tmp_path)
+        read_rendering(tmp_path)

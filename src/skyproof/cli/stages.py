@@ -24,7 +24,7 @@ from skyproof.cli.rendering import Rendering, open_renderer
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
 from skyproof.files import write_beside, write_json
 from skyproof.render.dataset import render_dataset
@@ -32,7 +32,7 @@ from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.coco import read_coco, read_renderer
+from skyproof.scenes.coco import read_coco, read_rendering
 from skyproof.scenes.sampling import SceneSettings
 from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.vehicles.fleet import Fleet
@@ -253,9 +253,12 @@ def score_camouflages(
     names = [folder.name for folder in camouflages]
     if len(set(names)) != len(names):
         raise ConfigurationError("--camouflages expects folders of different names; score the others separately.")
+    # The evaluation refuses what follows too, but only once everything is rendered.
+    if out.exists():
+        raise RunFolderError(f"{out} exists already and is not overwritten; choose another --out or remove it first.")
     rendering = rendering or Rendering()
-    # The evaluation refuses it too, but only once everything is rendered.
-    if (drawn_by := read_renderer(original)) != rendering.renderer:
+    drawn_by, settings = read_rendering(original)
+    if drawn_by != rendering.renderer:
         raise ConfigurationError(
             f"{original} was rendered by {drawn_by}, not by {rendering.renderer}; give --renderer {drawn_by}, or the "
             f"same scenes rendered by {rendering.renderer}."
@@ -266,6 +269,11 @@ def score_camouflages(
         # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering one set.
         shown, vehicles = read_scenes(scenes), Fleet.load(fleet)
         with open_renderer(rendering, BackgroundSet.open(backgrounds), out) as renderer:
+            if renderer.record() != settings:
+                raise ConfigurationError(
+                    f"{original} was rendered with other settings than are asked for here, or by another version of "
+                    "skyproof or Blender; give the same --samples and --finish, or render it anew."
+                )
             for folder in camouflages:
                 _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
         return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)

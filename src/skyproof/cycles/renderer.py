@@ -55,7 +55,9 @@ class CyclesRenderer:
 
     def record(self) -> dict[str, Any]:
         """Its settings, and Blender's version."""
-        return {**asdict(self.settings), "sensor": asdict(self.sensor), "blender": self.workers.blender.version}
+        # Of the sensor's settings those that the differentiable renderer alone has make no difference here.
+        sensor = {name: getattr(self.sensor, name) for name in ("blur_sigma_px", "noise", "sky_share")}
+        return {**asdict(self.settings), **sensor, "blender": self.workers.blender.version}
 
     @torch.no_grad()
     def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:

@@ -290,7 +290,7 @@ def main() -> None:
             rendered = stage.render(json.loads(str(arrays.pop("job"))), arrays)
             if not math.isfinite(float(rendered.sum())):
                 raise ValueError("the picture holds values that are not finite")
-            partial = result.with_name(f".{result.name}.partial")
+            partial = result.with_name(f".{result.name}.{os.getpid()}.partial")
             with open(partial, "wb") as file:
                 np.save(file, rendered)
             os.replace(partial, result)

@@ -98,12 +98,15 @@ class Workers:
 
     def _one(self, job: Job) -> np.ndarray:
         result = self.results / f"{job.digest(self.blender.version)}.npy"
-        if not result.exists():
-            process = self._idle.get()
-            try:
-                self._render(process, job, result)
-            finally:
-                self._idle.put(process)
+        if result.exists():
+            with suppress(ValueError, EOFError):
+                return np.load(result)
+            # Whole when it was written, damaged since: drawn again.
+        process = self._idle.get()
+        try:
+            self._render(process, job, result)
+        finally:
+            self._idle.put(process)
         return np.load(result)
 
     def _render(self, process: _Process, job: Job, result: Path) -> None:

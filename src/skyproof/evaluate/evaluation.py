@@ -21,7 +21,7 @@ from skyproof.evaluate.sets import ORIGINAL, SetScore, write_sets
 from skyproof.evaluate.summary import summarise
 from skyproof.evaluate.tiles import count_tiles, write_tiles
 from skyproof.files import finished_folder, write_json, write_jsonl
-from skyproof.scenes.coco import read_coco, read_renderer, read_visible_fractions
+from skyproof.scenes.coco import read_coco, read_rendering, read_visible_fractions
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import Scene, read_scenes
 
@@ -83,15 +83,21 @@ def evaluate_pairs(
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     scenes = read_scenes(Path(original) / "scenes.jsonl")
-    before, visible, renderer = read_coco(original), read_visible_fractions(original), read_renderer(original)
+    before, visible, (renderer, settings) = (
+        read_coco(original),
+        read_visible_fractions(original),
+        read_rendering(original),
+    )
     for place in camouflaged.values():
         # Ids alone do not tell: two runs number their scenes alike.
         if read_scenes(Path(place) / "scenes.jsonl") != scenes:
             raise ConfigurationError(f"{place} does not show the scenes of {original}; render it from the same scenes.")
-        if read_renderer(place) != renderer:
+        if (theirs := read_rendering(place)) != (renderer, settings):
+            changed = sorted(key for key in {*settings, *theirs[1]} if settings.get(key) != theirs[1].get(key))
             raise ConfigurationError(
-                f"{original} was rendered by {renderer} and {place} by {read_renderer(place)}, so that they differ in "
-                "more than camouflage; render both with the same --renderer."
+                f"{original} was rendered by {renderer} and {place} by {theirs[0]}"
+                f"{' with other settings (' + ', '.join(changed) + ')' if theirs[0] == renderer else ''}, so that they "
+                "differ in more than camouflage; render both with the same --renderer and settings."
             )
     _check_names(judges, [Path(original), *map(Path, camouflaged.values())])
     after = {name: read_coco(path) for name, path in camouflaged.items()}

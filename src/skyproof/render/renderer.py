@@ -61,7 +61,7 @@ class TorchRenderer:
 
     def record(self) -> dict[str, Any]:
         """Its settings."""
-        return asdict(self.settings)
+        return {**asdict(self.settings), "shadow_light": list(self.settings.shadow_light)}
 
     def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
         """Draws one image per scene.

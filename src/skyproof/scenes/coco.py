@@ -19,7 +19,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_renderer", "read_visible_fractions"]
+__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_rendering", "read_visible_fractions"]
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -160,8 +160,8 @@ def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
     return [torch.tensor(values) for values in fractions.values()]
 
 
-def read_renderer(folder: Path) -> str:
-    """Who rendered a dataset: "torch", or "cycles".
+def read_rendering(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Who rendered a dataset ("torch" or "cycles"), and with which settings; none where the dataset does not say.
 
     Raises:
         StoredFileError: the folder is missing or damaged.
@@ -170,8 +170,8 @@ def read_renderer(folder: Path) -> str:
     document = read_json(path)
     try:
         # Datasets of before there was a choice do not say it.
-        return str(document["info"].get("renderer", "torch"))
-    except (KeyError, TypeError, AttributeError) as error:
+        return str(document["info"].get("renderer", "torch")), dict(document["info"].get("rendering", {}))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
 
 
