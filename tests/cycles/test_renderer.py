@@ -1,6 +1,7 @@
 """Whole images: the photograph where nothing is, the same labels as the other renderer, the same bytes every time."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,12 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
     assert (other.name, other.differentiable) == ("torch", True)
     record = renderer.record()
     assert (record["samples"], record["finish"], record["blender"]) == (7, "matt", "4.5.0")
-    assert record["sensor"] == other.record()
+    # Of what the sensor does, all that its images depend on, and no light of the other renderer's own.
+    shared = ("blur_sigma_px", "noise", "sky_share")
+    assert {name: record[name] for name in shared} == {name: other.record()[name] for name in shared}
+    assert "shadow_light" not in record
+    assert json.loads(json.dumps(record)) == record
+    assert json.loads(json.dumps(other.record())) == other.record()
 
 
 def test_settings_that_cannot_work_are_refused():
