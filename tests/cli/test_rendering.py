@@ -216,3 +216,29 @@ def test_evaluation_takes_the_renderer_from_the_datasets(
         str(folder / "datasets/test-R-U-0"), "torch", "cycles", "same --renderer"
     )
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.blender
+@pytest.mark.usefixtures("blender")
+def test_score_stopped_in_its_evaluation_draws_nothing_again(
+    finished: Path, tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, out = tmp_path / "original", tmp_path / "scores"
+    assert skyproof("render", *world(finished), "--out", original, *CYCLES).code == 0
+    call = ["score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"]
+    call += [*world(finished), "--original", original, "--out", out, *CYCLES, "--workers", 1]
+
+    def stop(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("skyproof.cli.stages.evaluate_folders", stop)
+        assert skyproof(*call).code == 130
+
+    def render(*arguments: object) -> None:
+        raise AssertionError("drawn again")
+
+    monkeypatch.setattr("skyproof.cycles.workers.Workers._render", render)
+    answer = skyproof(*call)
+    assert answer.code == 0, answer.err
+    assert {path.name for path in tmp_path.iterdir()} == {"original", "scores"}

@@ -276,7 +276,8 @@ def score_camouflages(
                 )
             for folder in camouflages:
                 _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
-        return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
+            # Within, so that path-traced crops are kept until their images have been judged.
+            return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
 
 
 def measure_camouflages(camouflages: Sequence[Path], fleet: Path, out: Path) -> list[dict[str, Any]]:
