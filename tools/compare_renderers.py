@@ -26,8 +26,7 @@ from skyproof.files import write_beside, write_json
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.layers import draw_shadows, windows_around
-from skyproof.render.placed import label, place
-from skyproof.render.rasterise import rasterise
+from skyproof.render.placed import label, place, visible_samples
 from skyproof.render.renderer import photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -99,9 +98,9 @@ def vehicle_rows(
     vehicles = placed_vehicles(fleet, [scene])
     placed = place([scene], vehicles)
     photograph = photographs(backgrounds, [scene], torch.device("cpu"))
-    window, cast = windows_around(placed.screen), windows_around(placed.shadow_screen)
-    seen = rasterise(window.samples(placed.screen, 4), placed.depth, vehicles.template.faces, window.size * 4)
-    bodies = label(photograph, placed, seen, window, 4, masks=True).masks
+    cast = windows_around(placed.shadow_screen)
+    seen, window = visible_samples(placed, vehicles.template.faces, settings.supersampling)
+    bodies = label(photograph, placed, seen, window, settings.supersampling, masks=True).masks
     assert bodies is not None
     shades = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)[:, 0]
     shadows = (

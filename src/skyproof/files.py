@@ -18,6 +18,7 @@ __all__ = [
     "is_leftover",
     "read_json",
     "read_jsonl",
+    "refuse_existing",
     "refuse_foreign",
     "write_beside",
     "write_bytes",
@@ -60,8 +61,7 @@ def finished_folder(path: Path) -> Iterator[Path]:
         RunFolderError: `path` exists already, or the disk is full or not writable.
     """
     path = Path(path)
-    if path.exists():
-        raise RunFolderError(f"{path} exists already and is not overwritten; choose another folder or remove it first.")
+    refuse_existing(path)
     # Hidden, so that a folder of the user's is not mistaken for a leftover of ours.
     partial = path.with_name(f".{path.name}.partial")
     try:
@@ -79,6 +79,16 @@ def finished_folder(path: Path) -> Iterator[Path]:
 def is_leftover(path: Path) -> bool:
     """Whether a kill left this file or folder: it was being written and never got its final name."""
     return path.name.startswith(".") and (path.name.endswith(".partial") or path.stem.endswith(".partial"))
+
+
+def refuse_existing(path: Path) -> None:
+    """Keeps a stage from overwriting what is there.
+
+    Raises:
+        RunFolderError: `path` exists.
+    """
+    if path.exists():
+        raise RunFolderError(f"{path} exists already and is not overwritten; choose another --out or remove it first.")
 
 
 def refuse_foreign(folder: Path, ours: Collection[str]) -> None:

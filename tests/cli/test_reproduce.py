@@ -8,13 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import psutil
 import pytest
 
+from skyproof.cli import reproduce
+from skyproof.cycles.blender import Blender
 from skyproof.errors import ConfigurationError
 from tests.cli.conftest import Skyproof
 
@@ -34,13 +34,6 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(tmp_path: Path, skyp
     assert not out.exists()
 
 
-@dataclass
-class Blender:
-    """As far as the command cares."""
-
-    path: Path
-
-
 def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Path | None]:
     """Blender is at `found`, or nowhere; gives where it was looked for."""
     asked: list[Path | None] = []
@@ -49,12 +42,9 @@ def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Pa
         asked.append(path)
         if found is None:
             raise ConfigurationError("Cycles needs Blender; run make blender.")
-        return Blender(found)
+        return Blender(found, is_python=True, version="4.5.0")
 
-    module = ModuleType("skyproof.cycles.blender")
-    module.find_blender = find_blender  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "skyproof.cycles", ModuleType("skyproof.cycles"))
-    monkeypatch.setitem(sys.modules, "skyproof.cycles.blender", module)
+    monkeypatch.setattr(reproduce, "find_blender", find_blender)
     return asked
 
 

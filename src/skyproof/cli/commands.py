@@ -18,7 +18,8 @@ from skyproof.cli.stages import (
 )
 from skyproof.detectors.folder import read_card
 from skyproof.detectors.training import TRAINING_PRESETS
-from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.errors import ConfigurationError
+from skyproof.files import refuse_existing
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -60,8 +61,7 @@ class Scenes:
         """Samples and writes."""
         if self.count < 1:
             raise ConfigurationError(f"--count expects at least 1 scene, got {self.count}.")
-        if self.out.exists():
-            raise RunFolderError(f"{self.out} exists and is not overwritten; choose another --out or remove it.")
+        refuse_existing(self.out)
         backgrounds, fleet = BackgroundSet.open(self.backgrounds), Fleet.load(self.fleet)
         settings = SceneSettings(
             size_px=self.image_px,

@@ -21,6 +21,7 @@ from skyproof.cli.console import say
 from skyproof.cli.demo import check_detectors
 from skyproof.cli.run_folder import RunFolder
 from skyproof.cli.stages import choose_device
+from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import read_json
 from skyproof.workflow.plan import SNAKEFILE, Plan, Preset, read_preset
@@ -103,8 +104,6 @@ class Reproduce:
             if self.blender is not None:
                 raise ConfigurationError("--blender is for the Cycles column; give --cycles too, or leave it out.")
             return []
-        from skyproof.cycles.blender import find_blender
-
         # Not resolved: the Python of a virtual environment is a link, and loses its packages when followed.
         return ["cycles=1", f"blender={find_blender(self.blender).path.absolute()}"]
 

@@ -24,9 +24,9 @@ from skyproof.cli.rendering import Rendering, open_renderer
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
-from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.errors import ConfigurationError
 from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
-from skyproof.files import write_beside, write_json
+from skyproof.files import refuse_existing, write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
@@ -254,8 +254,7 @@ def score_camouflages(
     if len(set(names)) != len(names):
         raise ConfigurationError("--camouflages expects folders of different names; score the others separately.")
     # The evaluation refuses what follows too, but only once everything is rendered.
-    if out.exists():
-        raise RunFolderError(f"{out} exists already and is not overwritten; choose another --out or remove it first.")
+    refuse_existing(out)
     rendering = rendering or Rendering()
     drawn_by, settings = read_rendering(original)
     if drawn_by != rendering.renderer:

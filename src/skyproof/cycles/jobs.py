@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,7 @@ class Job:
 
     def digest(self, blender_version: str) -> str:
         """Names the result: another worker or Blender is another result."""
-        total = hashlib.sha256(_WORKER.read_bytes())
+        total = _worker_hash().copy()
         total.update(json.dumps([blender_version, self.numbers]).encode())
         for name, values in self.arrays.items():
             total.update(f"{name} {values.dtype} {values.shape}".encode())
@@ -100,43 +100,47 @@ def crop_jobs(
         settings: samples and finish.
         sensor: for the sky's share of the light.
     """
-    scene_of = placed.scene.tolist()
-    first: dict[int, int] = {}
     low, high = windows[:, :2], windows[:, 2:]
-    rows = _Rows(vehicles, placed)
+    rows, materials, scene_of = _Rows(vehicles, placed), material_table(settings.finish).numpy(), placed.scene.cpu()
     jobs = []
-    for row, index in enumerate(scene_of):
-        first.setdefault(index, row)
-        if not bool((high[row] > low[row]).all()):
-            continue
-        scene = scenes[index]
-        shared = (placed.scene.cpu() == index) & ((low < high[row]) & (high > low[row])).all(1)
+    for index, scene in enumerate(scenes):
         light = daylight(scene.sun, sensor.sky_share, scene.weather.overcast)
-        left, top, right, bottom = windows[row].tolist()
-        origin, patch = _patch(ground[index], (left, top, right, bottom), placed.gsd_m)
-        numbers = {
-            "window_px": [left, top, right - left, bottom - top],
-            "size_px": placed.size_px,
-            "gsd_m": placed.gsd_m,
-            "viewer": list(scene.camera.direction),
-            "sun": list(scene.sun.direction),
-            "sun_irradiance": list(light.sun_irradiance),
-            "sun_diameter_rad": SUN_DIAMETER_RAD,
-            "ground_origin_px": origin,
-            "samples": settings.samples,
-            # The same with and without camouflage, so that pairs share their noise.
-            "seed": (scene.seed * 31 + row - first[index]) % 2**31,
-        }
-        arrays = {
-            "sky": light.sky,
-            "ground": patch,
-            "materials": material_table(settings.finish).numpy(),
-            **rows.template,
-            **rows.of(shared.nonzero()[:, 0].tolist()),
-        }
-        name = f"vehicle {row - first[index] + 1} of {scene.id}"
-        jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
+        own = scene_of == index
+        for number, row in enumerate(own.nonzero()[:, 0].tolist()):
+            if not bool((high[row] > low[row]).all()):
+                continue
+            shared = own & ((low < high[row]) & (high > low[row])).all(1)
+            left, top, right, bottom = windows[row].tolist()
+            origin, patch = _patch(ground[index], (left, top, right, bottom), placed.gsd_m)
+            numbers = {
+                "window_px": [left, top, right - left, bottom - top],
+                "size_px": placed.size_px,
+                "gsd_m": placed.gsd_m,
+                "viewer": list(scene.camera.direction),
+                "sun": list(scene.sun.direction),
+                "sun_irradiance": list(light.sun_irradiance),
+                "sun_diameter_rad": SUN_DIAMETER_RAD,
+                "ground_origin_px": origin,
+                "samples": settings.samples,
+                # The same with and without camouflage, so that pairs share their noise.
+                "seed": (scene.seed * 31 + number) % 2**31,
+            }
+            arrays = {
+                "sky": light.sky,
+                "ground": patch,
+                "materials": materials,
+                **rows.template,
+                **rows.of(shared.nonzero()[:, 0].tolist()),
+            }
+            name = f"vehicle {number + 1} of {scene.id}"
+            jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
     return jobs
+
+
+@cache
+def _worker_hash() -> hashlib._Hash:
+    """Of the worker's text, read once: every job's digest begins with it."""
+    return hashlib.sha256(_WORKER.read_bytes())
 
 
 class _Rows:

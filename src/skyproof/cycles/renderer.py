@@ -17,9 +17,7 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.frames import Frames
-from skyproof.render.layers import windows_around
-from skyproof.render.placed import label, nothing_placed, place
-from skyproof.render.rasterise import rasterise
+from skyproof.render.placed import label, nothing_placed, place, visible_samples
 from skyproof.render.renderer import Backgrounds, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, wet_grounds
@@ -78,8 +76,6 @@ class CyclesRenderer:
         for index, scene in enumerate(scenes):
             crops = [(job.window_px, layers) for job, layers in zip(jobs, drawn, strict=True) if job.scene == index]
             images.append(composite_crops(ground[index], crops, scene.seed, margin_px, sensor))
-        window, factor = windows_around(placed.screen), sensor.supersampling
-        visibility = rasterise(
-            window.samples(placed.screen, factor), placed.depth, vehicles.template.faces, window.size * factor
-        )
-        return label(finish_images(torch.stack(images), scenes), placed, visibility, window, factor, masks=masks)
+        finished, factor = finish_images(torch.stack(images), scenes), sensor.supersampling
+        visibility, window = visible_samples(placed, vehicles.template.faces, factor)
+        return label(finished, placed, visibility, window, factor, masks=masks)

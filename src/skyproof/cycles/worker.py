@@ -41,7 +41,7 @@ class Stage:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.scene = bpy.context.scene
         self._set_up_rendering()
-        self.ground_material, self.ground_image = self._ground()
+        self.ground_place, self.ground_image = self._ground()
         self.sky_image = self._sky()
         self.sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
         self.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -164,9 +164,9 @@ class Stage:
         left, top = job["ground_origin_px"]
         gsd_m, half = job["gsd_m"], job["size_px"] / 2
         # Metres to the image's own coordinates, which run from its lower left corner to its upper right one.
-        self.ground_material.inputs["Scale"].default_value = (1 / (width * gsd_m), 1 / (height * gsd_m), 1.0)
+        self.ground_place.inputs["Scale"].default_value = (1 / (width * gsd_m), 1 / (height * gsd_m), 1.0)
         low = ((left - half) * gsd_m, (half - top - height) * gsd_m)
-        self.ground_material.inputs["Location"].default_value = (
+        self.ground_place.inputs["Location"].default_value = (
             -low[0] / (width * gsd_m),
             -low[1] / (height * gsd_m),
             0.0,

@@ -11,12 +11,12 @@ from torch import Tensor
 
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Frames
-from skyproof.render.layers import Windows
-from skyproof.render.rasterise import Visibility
+from skyproof.render.layers import Windows, windows_around
+from skyproof.render.rasterise import Visibility, rasterise
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Placed", "label", "nothing_placed", "place"]
+__all__ = ["Placed", "label", "nothing_placed", "place", "visible_samples"]
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,20 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
     shadow_screen, _ = project(vertices, sun, camera.gsd_m, camera.size_px)
     return Placed(scene, vertices, viewer, sun, ground, screen, depth, shadow_screen, camera.gsd_m, camera.size_px)
+
+
+@torch.no_grad()
+def visible_samples(placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int) -> tuple[Visibility, Windows]:
+    """What every sample sees of each vehicle by itself, and the windows they lie in; for `label`, without light.
+
+    Args:
+        placed: the vehicles.
+        faces: of their template.
+        supersampling: samples along a pixel's side.
+    """
+    window = windows_around(placed.screen)
+    samples = window.samples(placed.screen, supersampling)
+    return rasterise(samples, placed.depth, faces, window.size * supersampling), window
 
 
 @torch.no_grad()
