@@ -12,7 +12,7 @@ FLOORS = [
     {"geometry"},
     {"scenes", "vehicles"},
     {"camouflage", "render", "detectors"},
-    {"attacks", "cycles", "evaluate"},
+    {"attacks", "cycles", "evaluate", "imagery"},
     {"report", "workflow"},
     {"api", "cli", "__init__"},
     {"__main__"},

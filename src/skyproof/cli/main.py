@@ -41,17 +41,26 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": Bench,
 }
 
+# Commands of two words.
+_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {}
+
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Parses and runs one command; returns the exit code: 0 done, 2 bad input, 130 stopped by the user."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         # Settings check themselves while they are parsed.
-        command = tyro.extras.subcommand_cli_from_dict(
-            _COMMANDS,
-            prog="skyproof",
-            description="How robust is an overhead vehicle detector to camouflage, and how sure is that number?",
-            args=arguments,
-        )
+        if words and words[0] in _GROUPS:
+            command = tyro.extras.subcommand_cli_from_dict(
+                _GROUPS[words[0]], prog=f"skyproof {words[0]}", args=words[1:]
+            )
+        else:
+            command = tyro.extras.subcommand_cli_from_dict(
+                _COMMANDS,
+                prog="skyproof",
+                description="How robust is an overhead vehicle detector to camouflage, and how sure is that number?",
+                args=words,
+            )
         command.run()
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 0

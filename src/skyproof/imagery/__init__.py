@@ -1,0 +1,1 @@
+"""Real imagery in and out: tiling, labels, removing vehicles."""
