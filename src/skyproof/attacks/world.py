@@ -12,6 +12,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import Scene
@@ -47,7 +48,8 @@ class AttackWorld:
         """The differentiable renderer on a background set and a fleet folder; one vehicle an image, clear sky."""
         photographs = BackgroundSet.open(Path(backgrounds))
         scenes = SceneSettings(size_px=size_px, gsd_m=photographs.gsd_m, vehicles_maximum=1)
-        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
+        renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
+        return cls(renderer, photographs, Fleet.load(Path(fleet)), scenes)
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Random scenes on the attack backgrounds."""

@@ -16,6 +16,7 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 
 __all__ = ["Rendering", "cycles_settings", "open_renderer", "open_workers"]
@@ -50,12 +51,13 @@ def open_renderer(rendering: Rendering, backgrounds: BackgroundSet, out: Path) -
     Raises:
         ConfigurationError: no usable Blender, or settings that cannot work.
     """
+    sensor = RenderSettings.of(backgrounds.sensor)
     if rendering.renderer == "torch":
-        yield TorchRenderer(backgrounds)
+        yield TorchRenderer(backgrounds, sensor)
         return
     crops = out.with_name(f".{out.name}.crops")
     with open_workers(rendering, crops) as workers:
-        yield CyclesRenderer(backgrounds, workers, cycles_settings(rendering))
+        yield CyclesRenderer(backgrounds, workers, cycles_settings(rendering), sensor)
     shutil.rmtree(crops, ignore_errors=True)
 
 

@@ -31,6 +31,7 @@ from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.coco import read_coco, read_rendering
 from skyproof.scenes.sampling import SceneSettings
@@ -185,7 +186,8 @@ def attack_ensemble(
         )
     models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
     photographs = BackgroundSet.open(backgrounds)
-    world = AttackWorld(TorchRenderer(photographs), photographs, Fleet.load(fleet), scenes)
+    renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
+    world = AttackWorld(renderer, photographs, Fleet.load(fleet), scenes)
     generator = generator_of(settings.seed, "texture", name)
     camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
     signs = {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)

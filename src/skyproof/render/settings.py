@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from skyproof.scenes.sensor import Sensor
+
 __all__ = ["RenderSettings"]
 
 
@@ -28,13 +30,18 @@ class RenderSettings:
 
     supersampling: int = 4
     shadow_supersampling: int = 2
-    blur_sigma_px: float = 2.4
-    noise: float = 0.006
+    blur_sigma_px: float = Sensor.blur_sigma_px
+    noise: float = Sensor.noise
     sky_share: float = 0.25
     shadow_light: tuple[float, float, float] = (0.13, 0.156, 0.217)
     ground_reflectance: float = 0.15
     reflectance: float = 0.04
     glint_exponent: float = 40.0
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> RenderSettings:
+        """The settings for photographs that this sensor took."""
+        return cls(blur_sigma_px=sensor.blur_sigma_px, noise=sensor.noise)
 
     @property
     def blur_radius_px(self) -> int:

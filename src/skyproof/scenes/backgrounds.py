@@ -20,6 +20,7 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json, write_beside, write_json
 from skyproof.scenes.ground import draw_ground_and_sun
 from skyproof.scenes.scene import BackgroundWindow
+from skyproof.scenes.sensor import Sensor
 
 __all__ = ["SPLITS", "BackgroundSet", "BackgroundTile", "save_tile", "write_index", "write_procedural_backgrounds"]
 
@@ -65,11 +66,15 @@ class BackgroundSet:
     Attributes:
         folder: where it lies.
         gsd_m: metres per pixel of every tile.
+        sensor: what took the photographs; vehicles are drawn as it would show them.
     """
 
-    def __init__(self, folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile]) -> None:
+    def __init__(
+        self, folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None
+    ) -> None:
         self.folder = folder
         self.gsd_m = gsd_m
+        self.sensor = sensor or Sensor()
         self._tiles = {tile.id: tile for tile in tiles}
         self._decoded: OrderedDict[str, UInt8[Tensor, "3 H W"]] = OrderedDict()
 
@@ -88,8 +93,10 @@ class BackgroundSet:
             tiles = [BackgroundTile(**{**row, "offset_px": tuple(row["offset_px"])}) for row in index["tiles"]]
             if not tiles or any(tile.split not in SPLITS for tile in tiles):
                 raise ValueError("no tiles, or a split of another name")
-            return cls(Path(folder), float(index["gsd_m"]), tiles)
-        except (KeyError, TypeError, ValueError) as error:
+            # Sets of before there was a choice do not name it.
+            sensor = Sensor(**index.get("sensor", {}))
+            return cls(Path(folder), float(index["gsd_m"]), tiles, sensor)
+        except (KeyError, TypeError, ValueError, AttributeError, ConfigurationError) as error:
             message = f"{path} is not a background index of this version ({error}); prepare the backgrounds again."
             raise StoredFileError(message) from error
 
@@ -203,10 +210,15 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
         Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(temporary, compress_level=3)
 
 
-def write_index(folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile]) -> None:
+def write_index(folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None) -> None:
     """Writes the index, last of all: a folder without one is not a background set."""
-    rows = [dataclasses.asdict(tile) for tile in tiles]
-    write_json(Path(folder) / "index.json", {"format_version": FORMAT_VERSION, "gsd_m": gsd_m, "tiles": rows})
+    index = {
+        "format_version": FORMAT_VERSION,
+        "gsd_m": gsd_m,
+        "sensor": dataclasses.asdict(sensor or Sensor()),
+        "tiles": [dataclasses.asdict(tile) for tile in tiles],
+    }
+    write_json(Path(folder) / "index.json", index)
 
 
 def write_procedural_backgrounds(
@@ -216,6 +228,7 @@ def write_procedural_backgrounds(
     *,
     seed: int,
     gsd_m: float = 0.125,
+    sensor: Sensor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BackgroundSet:
     """Draws a background set.
@@ -226,6 +239,7 @@ def write_procedural_backgrounds(
         size_px: tiles are size_px x size_px.
         seed: every tile has its own generator, so that its bytes do not depend on how many others are drawn.
         gsd_m: metres per pixel.
+        sensor: how vehicles are to be drawn on it; the ground itself stays as sharp as it is.
         progress: called with (tiles done, tiles in all).
 
     Raises:
@@ -257,5 +271,5 @@ def write_procedural_backgrounds(
             tiles.append(tile)
             if progress is not None:
                 progress(len(tiles), total)
-    write_index(folder, gsd_m, tiles)
+    write_index(folder, gsd_m, tiles, sensor)
     return BackgroundSet.open(folder)
