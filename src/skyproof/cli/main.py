@@ -16,6 +16,7 @@ from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
 from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
+from skyproof.cli.sensor import SetSensor
 from skyproof.cli.tables import Tables
 from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
@@ -42,7 +43,11 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 # Commands of two words.
-_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {}
+_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "imagery": {
+        "sensor": SetSensor,
+    },
+}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -22,7 +22,15 @@ from skyproof.scenes.ground import draw_ground_and_sun
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["SPLITS", "BackgroundSet", "BackgroundTile", "save_tile", "write_index", "write_procedural_backgrounds"]
+__all__ = [
+    "SPLITS",
+    "BackgroundSet",
+    "BackgroundTile",
+    "save_tile",
+    "write_index",
+    "write_procedural_backgrounds",
+    "write_sensor",
+]
 
 SPLITS = ("train", "validation", "attack", "test")
 """Disjoint in place (PAPER 4): detectors train and choose thresholds on two, attacks train and are scored on two."""
@@ -219,6 +227,12 @@ def write_index(folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sen
         "tiles": [dataclasses.asdict(tile) for tile in tiles],
     }
     write_json(Path(folder) / "index.json", index)
+
+
+def write_sensor(folder: Path, sensor: Sensor) -> None:
+    """Gives a background set another sensor; everything else in its index stays."""
+    path = Path(folder) / "index.json"
+    write_json(path, {**read_json(path), "sensor": dataclasses.asdict(sensor)})
 
 
 def write_procedural_backgrounds(

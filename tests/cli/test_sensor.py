@@ -1,0 +1,43 @@
+"""`skyproof imagery sensor` on a small background set."""
+
+import json
+
+import pytest
+import torch
+from PIL import Image
+
+from skyproof.cli.main import run
+from skyproof.scenes.backgrounds import BackgroundSet, write_procedural_backgrounds
+from skyproof.scenes.sensor import Sensor
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_procedural_backgrounds(tmp_path / "ground", {"train": 2}, 200, seed=0)
+    return tmp_path / "ground"
+
+
+def test_measures_and_keeps_the_rest(folder):
+    before = json.loads((folder / "index.json").read_text())
+    assert run(["imagery", "sensor", str(folder)]) == 0
+    after = json.loads((folder / "index.json").read_text())
+    assert 0.4 < after["sensor"]["blur_sigma_px"] < 1.0
+    assert {**after, "sensor": before["sensor"]} == before
+
+
+def test_what_is_given_is_taken(folder):
+    assert run(["imagery", "sensor", str(folder), "--blur-sigma-px", "1.1", "--noise", "0.01"]) == 0
+    assert BackgroundSet.open(folder).sensor == Sensor(1.1, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [(["--blur-sigma-px", "-1", "--noise", "0"], "blur of 0 to 10 px"), ([], "at least 100 clear edges")],
+)
+def test_bad_input(folder, capsys, options, sentence):
+    before = (folder / "index.json").read_bytes()
+    for tile in BackgroundSet.open(folder).tiles("train"):
+        Image.fromarray(torch.full((200, 200, 3), 90, dtype=torch.uint8).numpy()).save(folder / tile.file)
+    assert run(["imagery", "sensor", str(folder), *options]) == 2
+    assert sentence in " ".join(capsys.readouterr().err.split())
+    assert (folder / "index.json").read_bytes() == before
