@@ -12,7 +12,7 @@ from PIL import Image
 from skyproof.errors import ImageryError
 from skyproof.imagery.label_files import read_labels
 from skyproof.imagery.label_text import IMAGE_SUFFIXES
-from skyproof.imagery.labels import POINT_BOX_M, GroundLabels, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels import GroundLabels, require_classes, require_inside, sort_labels
 from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
@@ -77,9 +77,8 @@ def read_frames_folder(
         own = read.images[file.stem]
         for number, label in enumerate(own, 1):
             require_inside(label, picture.size, f"{place}, label {number} of {file.stem},")
-        truths, ignored = sort_labels(
-            own, classes=classes, size_px=picture.size, border_px=border_px, point_box_px=POINT_BOX_M / gsd_m
-        )
+        # Labels in pixels have corners, never a point alone.
+        truths, ignored = sort_labels(own, classes=classes, size_px=picture.size, border_px=border_px, point_box_px=0.0)
         size = max(1, round(width * gsd_m / target_gsd_m)), max(1, round(height * gsd_m / target_gsd_m))
         # Pillow widens its kernel when it shrinks, so this does not alias.
         array = np.array(picture.resize(size, Image.Resampling.BICUBIC))

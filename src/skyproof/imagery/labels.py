@@ -12,7 +12,6 @@ from torch import Tensor
 from skyproof.errors import ImageryError
 
 __all__ = [
-    "POINT_BOX_M",
     "GroundLabels",
     "ImageLabels",
     "Label",
@@ -25,9 +24,6 @@ __all__ = [
 ]
 
 Point = tuple[float, float]
-
-POINT_BOX_M = 4.5
-"""Side of the box that stands for a vehicle of which only the place is known: about a car's length."""
 
 _SLACK = 0.005
 """Label tools round, and may let a box reach over the image's edge by a pixel."""
