@@ -7,11 +7,12 @@ import torch
 
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.evaluation import Judge, evaluate_pairs
+from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
 from skyproof.evaluate.merge import merge_evaluations
 from skyproof.evaluate.outcomes import read_outcomes
 from skyproof.evaluate.tiles import Series, count_tiles
-from skyproof.scenes.coco import Annotation, CocoWriter
+from skyproof.scenes.coco import Annotation, CocoWriter, read_coco
+from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import write_scenes
 
 
@@ -107,3 +108,44 @@ def test_datasets_of_one_renderer_under_other_settings_are_no_pairs(make_dataset
     hidden = make_dataset("test-T-U", [50, 50], source=sources[1])
     with pytest.raises(ConfigurationError, match=r"by cycles and .* by cycles with other settings \(samples\)"):
         evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+
+
+def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200, 200, 50]), make_dataset("test-T-U", [50, 50, 200, 200])
+    images = read_coco(original)
+    # A second vehicle that is never found halves recall on the real images.
+    twice = [torch.cat([boxes, boxes + 40]) for boxes in images.boxes]
+    real = LabelledImages(images.images, twice, images.ignore, images.ids, images.gsd_m)
+    clean = [
+        CleanSet("two places", real, "note", places=["a", "a", "b", "b"]),
+        CleanSet("one place", real, places=["a"] * 4),
+        CleanSet("unknown", real),
+    ]
+    evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=clean)
+    rows = {row["dataset"]: row for row in json.loads((tmp_path / "evaluation" / "clean.json").read_text())}
+    assert list(rows) == ["rendered test", "two places", "one place", "unknown"]
+    assert {name: row["real"] for name, row in rows.items()} == {name: name != "rendered test" for name in rows}
+    rests = {name: (row["clustered_by"], row["clusters"]) for name, row in rows.items()}
+    assert rests == {
+        "rendered test": ("places", 4),
+        "two places": ("places", 2),
+        "one place": ("images", 4),
+        "unknown": ("images", 4),
+    }
+    row = rows["two places"]
+    # Four of eight vehicles, three of these above the threshold; precision 1 up to a recall of 0.5.
+    assert (row["vehicles"], row["recall"], row["precision"], row["note"]) == (8, 3 / 8, 1.0, "note")
+    assert row["ap_centre_1m"] == pytest.approx(51 / 101)
+    assert row["ap_centre_1m_low"] < 51 / 101 < row["ap_centre_1m_high"]
+    # Two places leave Student's t one degree of freedom.
+    assert row["ap_centre_1m_high"] - row["ap_centre_1m_low"] > 0.3
+
+
+def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
+    empty = CleanSet("empty", read_coco(make_dataset("empty", [10, 10], vehicles=0)))
+    evaluate_pairs([Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=[empty])
+    text = (tmp_path / "evaluation" / "clean.json").read_text()
+    assert "NaN" not in text
+    row = json.loads(text)[1]
+    assert [row[key] for key in ("ap_centre_1m", "ap_centre_1m_low", "ap_iou_50", "recall")] == [None] * 4

@@ -9,7 +9,7 @@ import torch
 
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import RunFolderError
-from skyproof.render.dataset import placed_vehicles, render_dataset
+from skyproof.render.dataset import ground_corners, placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.coco import read_coco
@@ -153,3 +153,23 @@ def test_a_kill_in_the_middle_leaves_no_finished_folder_and_a_second_run_does(tm
     write(tmp_path / "other", fleet)
     assert files(tmp_path / "set") == files(tmp_path / "other")
     assert {path.name for path in tmp_path.iterdir()} == {"set", "other"}
+
+
+def test_the_ground_a_vehicle_stands_on(tmp_path, fleet):
+    write(tmp_path / "set", fleet)
+    rows = json.loads((tmp_path / "set" / "annotations.json").read_text())["annotations"]
+    placements = [place for each in some_scenes(fleet) for place in each.placements]
+    for row, placement in zip(rows, placements, strict=True):
+        length, width, _ = fleet.size_m(placement.vehicle)
+        forward = np.array([np.cos(placement.heading_rad), -np.sin(placement.heading_rad)])
+        left = np.array([-np.sin(placement.heading_rad), -np.cos(placement.heading_rad)])
+        # 96 px of 12.5 cm; rows run down, the world's y up. Bodies are centred to within some centimetres.
+        middle = np.array([48 + placement.x_m / 0.125, 48 - placement.y_m / 0.125])
+        signs = [(1, 1), (1, -1), (-1, -1), (-1, 1)]
+        expected = [middle + (a * forward * length + b * left * width) / 0.25 for a, b in signs]
+        np.testing.assert_allclose(row["corners_px"], expected, atol=0.5)
+
+
+def test_no_vehicle_stands_nowhere(fleet):
+    empty = some_scenes(fleet)[2]
+    assert ground_corners([empty], placed_vehicles(fleet, [empty])).shape == (0, 4, 2)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from skyproof.imagery.frames import read_frames_folder
 from skyproof.scenes.orthophotos import tile_orthophotos
-from skyproof.scenes.yolo_text import read_yolo_folder
 
 FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))
 pytestmark = [
@@ -18,12 +18,12 @@ pytestmark = [
 
 @pytest.mark.parametrize(("pattern", "gsd_m", "vehicles"), [("MOS*", 0.116, 509), ("MunichStreet02*", 0.121, 746)])
 def test_annotated_frames_hold_the_vehicles_their_description_says(pattern, gsd_m, vehicles):
-    frames = read_yolo_folder(
+    frames = read_frames_folder(
         FOLDER / "kit_ais_munich",
         gsd_m=gsd_m,
         target_gsd_m=0.125,
         classes=("car", "minibus"),
-        border_px=0,
+        border_px=0.0,
         pattern=pattern,
     )
     assert len(frames) == 20

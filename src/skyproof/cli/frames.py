@@ -2,42 +2,105 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.evaluation import CleanSet
-from skyproof.scenes.yolo_text import read_yolo_folder
+from skyproof.imagery.frames import BORDER_PX, read_frames_folder
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["read_frames"]
 
 
+@dataclass(frozen=True)
+class _Given:
+    """One argument of --frames, taken apart."""
+
+    name: str
+    folder: Path
+    pattern: str
+    labels: Path | None
+    gsd_m: float
+
+
 def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[CleanSet]:
-    """Reads frames given as FOLDER@GSD or FOLDER/PATTERN@GSD, e.g. `kit/MOS*@0.116`.
+    """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD`, e.g. `kit/MOS*@0.116`.
+
+    LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images. Arguments of the
+    same NAME are one set. Each argument counts as one place; in a set that `skyproof imagery tile` cut, each source.
 
     Raises:
         ConfigurationError: a text of another form.
         ImageryError: an image or label file that cannot be used.
     """
-    sets = []
+    by_name: dict[str, list[_Given]] = {}
     for text in texts:
-        place, _, resolution = text.rpartition("@")
-        try:
-            own_gsd_m = float(resolution)
-        except ValueError:
-            own_gsd_m = 0.0
-        if not place or not 0 < own_gsd_m <= 0.5:
-            raise ConfigurationError(
-                f"--frames expects FOLDER@GSD or FOLDER/PATTERN@GSD with metres per pixel up to 0.5, got {text!r}; "
-                "write it like my_frames@0.12."
-            )
-        folder, pattern = Path(place), "*"
-        if not folder.is_dir():
-            folder, pattern = folder.parent, folder.name
-            if not folder.is_dir() or not set(pattern) & set("*?["):
-                raise ConfigurationError(f"{place} is not a folder; check --frames {text}.")
-        images = read_yolo_folder(folder, gsd_m=own_gsd_m, target_gsd_m=gsd_m, classes=tuple(classes), pattern=pattern)
-        name = folder.name if pattern == "*" else f"{folder.name}/{pattern}"
-        note = f"real frames, {own_gsd_m * 100:.1f} cm/px resampled to {gsd_m * 100:.1f} cm/px; 40 px border ignored"
-        sets.append(CleanSet(name, images, note))
-    return sets
+        given = _parse(text)
+        by_name.setdefault(given.name, []).append(given)
+    return [_read(name, own, classes, gsd_m) for name, own in by_name.items()]
+
+
+def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: float) -> CleanSet:
+    parts, places = [], []
+    for number, one in enumerate(given, 1):
+        read = read_frames_folder(
+            one.folder,
+            labels=one.labels,
+            gsd_m=one.gsd_m,
+            target_gsd_m=gsd_m,
+            classes=tuple(classes),
+            pattern=one.pattern,
+        )
+        parts.append(read)
+        places += _sources(one.folder, read.ids) or [str(number)] * len(read)
+    images = LabelledImages(
+        images=[image for part in parts for image in part.images],
+        boxes=[boxes for part in parts for boxes in part.boxes],
+        ignore=[ignore for part in parts for ignore in part.ignore],
+        ids=[name for part in parts for name in part.ids],
+        gsd_m=gsd_m,
+    )
+    own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
+    rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
+    note = (
+        f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to {gsd_m * 100:.1f} cm/px; vehicles: "
+        f"{', '.join(classes)}; {BORDER_PX:.0f} px border ignored"
+    )
+    return CleanSet(name, images, note, places=tuple(places), real=not rendered)
+
+
+def _parse(text: str) -> _Given:
+    place, _, resolution = text.rpartition("@")
+    name, place = re.fullmatch(r"(?:([^/=]+)=)?(.*)", place, re.S).groups("")  # type: ignore[union-attr]
+    try:
+        own_gsd_m = float(resolution)
+    except ValueError:
+        own_gsd_m = 0.0
+    if not place or not 0 < own_gsd_m <= 0.5:
+        raise ConfigurationError(
+            "--frames expects [NAME=]FOLDER[/PATTERN][:LABELS]@GSD with metres per pixel up to 0.5, "
+            f"got {text!r}; write it like my_frames@0.12."
+        )
+    labels = None
+    if ":" in place and not Path(place).is_dir():
+        place, _, elsewhere = place.rpartition(":")
+        labels = Path(elsewhere)
+    folder, pattern = Path(place), "*"
+    if not folder.is_dir():
+        folder, pattern = folder.parent, folder.name
+        if not folder.is_dir() or not set(pattern) & set("*?["):
+            raise ConfigurationError(f"{place} is not a folder; check --frames {text}.")
+    shown = folder.resolve().name if pattern == "*" else f"{folder.resolve().name}/{pattern}"
+    return _Given(name or shown, folder, pattern, labels, own_gsd_m)
+
+
+def _sources(folder: Path, ids: Sequence[str]) -> list[str]:
+    """Per image its source, where the folder is one split of a tiled set; else nothing."""
+    if not (folder.parent / "index.json").is_file():
+        return []
+    tiles = BackgroundSet.open(folder.parent)
+    return [tiles.tile(name).source for name in ids]

@@ -14,6 +14,7 @@ from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.labels import Labels
 from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
 from skyproof.cli.sensor import SetSensor
@@ -46,6 +47,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "imagery": {
         "sensor": SetSensor,
+        "labels": Labels,
     },
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.matching import match_detections
 from skyproof.detectors.training import detect_all
 from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.evaluate.clean_intervals import ap_interval
 from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
 from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.evaluate.rates import false_alarms_per_km2
@@ -44,11 +46,15 @@ class CleanSet:
         name: as the report shows it.
         images: in memory, at the detectors' resolution.
         note: where they come from and what was done to them.
+        places: per image which place it shows: the clusters of the bootstrap (PAPER 40); empty where not known.
+        real: whether a camera took them; False for rendered ones.
     """
 
     name: str
     images: LabelledImages
     note: str = ""
+    places: Sequence[str] = ()
+    real: bool = True
 
 
 def evaluate_pairs(
@@ -105,6 +111,8 @@ def evaluate_pairs(
         if list(images.ids) != [scene.id for scene in scenes]:
             place = camouflaged.get(name, original)
             raise StoredFileError(f"{place} has other images than its scenes.jsonl says; write the dataset again.")
+    # Each check draws alike, so that adding a set does not change the interval of another.
+    rendered = CleanSet("rendered test", before, places=[scene.background.tile for scene in scenes], real=False)
     total, done = len(judges) * (1 + len(after) + len(clean)), 0
 
     def step() -> None:
@@ -123,7 +131,7 @@ def evaluate_pairs(
             name = judge.detector.name
             found = detect_all(judge.detector, before.images)
             _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
-            check = _check(judge, CleanSet("rendered test", before), found)
+            check = _check(judge, rendered, found, generator=np.random.default_rng(seed))
             if not check["recall"]:
                 raise _undefined(judge, original, check["vehicles"])
             scores.extend(_scores(ORIGINAL, renderer, judge, scenes, before, found))
@@ -151,7 +159,8 @@ def evaluate_pairs(
                     outcomes.extend(pair)
                 step()
             for each in clean:
-                checks.append(_check(judge, each, detect_all(judge.detector, each.images.images)))
+                found = detect_all(judge.detector, each.images.images)
+                checks.append(_check(judge, each, found, generator=np.random.default_rng(seed)))
                 step()
         tiles = count_tiles(outcomes)
         rows = summarise(tiles, scores, generator=np.random.default_rng(seed))
@@ -205,8 +214,13 @@ def _scores(
     return scores
 
 
-def _check(judge: Judge, clean: CleanSet, found: Sequence[Detections]) -> dict[str, Any]:
-    """Average precision, and precision and recall at the frozen threshold, on images without camouflage."""
+def _check(
+    judge: Judge, clean: CleanSet, found: Sequence[Detections], *, generator: np.random.Generator
+) -> dict[str, Any]:
+    """Average precision, and precision and recall at the frozen threshold, on images without camouflage.
+
+    The interval of the average precision is over places; over images where all show one place, or none is known.
+    """
     images = clean.images
     hits = alarms = 0
     for boxes, ignore, each in zip(images.boxes, images.ignore, found, strict=True):
@@ -218,18 +232,30 @@ def _check(judge: Judge, clean: CleanSet, found: Sequence[Detections]) -> dict[s
         hits += int(matched.sum())
         alarms += int((~matched & ~matches.ignored).sum())
     vehicles = sum(len(boxes) for boxes in images.boxes)
+    by_place = len(set(clean.places)) > 1
+    clusters = list(clean.places) if by_place else list(map(str, range(len(images))))
+    ap, low, high = ap_interval(found, images, clusters, criterion="centre_1m", generator=generator)
     return {
         "detector": judge.detector.name,
         "dataset": clean.name,
         "images": len(images),
         "vehicles": vehicles,
-        "ap_centre_1m": average_precision(found, images, criterion="centre_1m").ap,
-        "ap_iou_50": average_precision(found, images, criterion="iou_50").ap,
+        "real": clean.real,
+        "ap_centre_1m": _defined(ap),
+        "ap_centre_1m_low": _defined(low),
+        "ap_centre_1m_high": _defined(high),
+        "clustered_by": "places" if by_place else "images",
+        "clusters": len(set(clusters)),
+        "ap_iou_50": _defined(average_precision(found, images, criterion="iou_50").ap),
         "precision": hits / (hits + alarms) if hits + alarms else None,
         "recall": hits / vehicles if vehicles else None,
         "threshold": judge.threshold,
         "note": clean.note,
     }
+
+
+def _defined(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _write_detections(path: Path, ids: Sequence[str], found: Sequence[Detections]) -> None:

@@ -24,6 +24,7 @@ from scipy import special, stats
 __all__ = [
     "REPLICATES",
     "Interval",
+    "bootstrap_interval",
     "cluster_interval",
     "effective_limits",
     "holm",
@@ -85,7 +86,7 @@ def cluster_interval(
     """
     total = counts.sum(axis=1)
     replicates, left_one_out = statistic(resampled(counts, weights)), statistic(total - counts.transpose(1, 0, 2))
-    return _interval(float(statistic(total)), replicates, left_one_out, limits)
+    return bootstrap_interval(float(statistic(total)), replicates, left_one_out, limits)
 
 
 def mean_interval(
@@ -103,11 +104,11 @@ def mean_interval(
     total = counts.sum(axis=1)
     points, left_one_out = rate(total), rate(total - counts.transpose(1, 0, 2))
     replicates = rate(resampled(counts, weights))
-    whole = _interval(float(points.mean()), replicates.mean(axis=-1), left_one_out.mean(axis=-1), limits)
+    whole = bootstrap_interval(float(points.mean()), replicates.mean(axis=-1), left_one_out.mean(axis=-1), limits)
     if whole.unanimous or not any(_agree(column) for column in replicates.T):
         return whole
     columns = zip(points, replicates.T, left_one_out.T, strict=True)
-    parts = [_interval(float(point), drawn, left, limits) for point, drawn, left in columns]
+    parts = [bootstrap_interval(float(point), drawn, left, limits) for point, drawn, left in columns]
     below = float(np.mean([part.estimate - part.low for part in parts]))
     above = float(np.mean([part.high - part.estimate for part in parts]))
     low, high = min(whole.low, whole.estimate - below), max(whole.high, whole.estimate + above)
@@ -127,12 +128,13 @@ def _agree(replicates: Float[np.ndarray, " R"]) -> bool:
     return len(defined) > 0 and float(np.ptp(defined)) < 1e-12
 
 
-def _interval(
+def bootstrap_interval(
     estimate: float,
     replicates: Float[np.ndarray, " R"],
     left_one_out: Float[np.ndarray, " C"],
     limits: tuple[float, float],
 ) -> Interval:
+    """What `cluster_interval` does, from a statistic's values in the replicates and with each cluster left out."""
     clusters = len(left_one_out)
     replicates = replicates[~np.isnan(replicates)]
     if math.isnan(estimate) or clusters < 2 or len(replicates) == 0:

@@ -6,20 +6,47 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from skyproof.files import finished_folder
+from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Renderer
 from skyproof.scenes.coco import Annotation, CocoWriter
 from skyproof.scenes.scene import Scene, write_scenes
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["placed_vehicles", "render_dataset"]
+__all__ = ["ground_corners", "placed_vehicles", "render_dataset"]
 
 
 def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
     """One row per placement, scene by scene, as renderers expect."""
     return fleet.batch([placement.vehicle for scene in scenes for placement in scene.placements])
+
+
+@torch.no_grad()
+def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "N 4 2"]:
+    """Where the rectangle around each vehicle's plan lies in its image, on the ground, whatever the camera's tilt.
+
+    Args:
+        scenes: all of one image size and ground sampling distance.
+        vehicles: one row per placement, scene by scene.
+
+    Returns:
+        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left; not cut at the image border.
+    """
+    placements = [placement for scene in scenes for placement in scene.placements]
+    # On the CPU, so that a dataset has the same labels wherever it was drawn.
+    plan = vehicles.vertices[..., :2].cpu()
+    (rear, right), (front, left) = plan.amin(1).unbind(-1), plan.amax(1).unbind(-1)
+    xs, ys = torch.stack((front, front, rear, rear), 1), torch.stack((left, right, right, left), 1)
+    local = torch.stack((xs, ys, torch.zeros_like(xs)), -1)
+    heading = plan.new_tensor([placement.heading_rad for placement in placements])
+    place = plan.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements]).view(-1, 1, 3)
+    upright = plan.new_tensor([[0.0, 0.0, 1.0]]).expand(len(placements), 3)
+    camera = scenes[0].camera
+    return project(rotate_about_vertical(local, heading) + place, upright, camera.gsd_m, camera.size_px)[0]
 
 
 @torch.no_grad()
@@ -53,7 +80,9 @@ def render_dataset(
         for start in range(0, len(scenes), batch_size):
             batch = scenes[start : start + batch_size]
             vehicles = placed_vehicles(fleet, batch).to(device)
-            frames = renderer(batch, camouflage(vehicles) if camouflage else vehicles, masks=True)
+            worn = camouflage(vehicles) if camouflage else vehicles
+            frames = renderer(batch, worn, masks=True)
+            corners = ground_corners(batch, worn).tolist()
             images = (frames.image * 255).round().byte().cpu()
             for index, scene in enumerate(batch):
                 rows = torch.nonzero(frames.scene_index == index)[:, 0].tolist()
@@ -69,6 +98,7 @@ def render_dataset(
                             mask=None if frames.masks is None else frames.masks[row].cpu(),
                             vehicle=scene.placements[place].vehicle,
                             placement_index=place,
+                            corners_px=tuple((x, y) for x, y in corners[row]),
                         )
                     )
                 writer.add(images[index], scene.id, annotations)

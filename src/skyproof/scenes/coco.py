@@ -36,6 +36,8 @@ class Annotation:
         vehicle: id in the fleet, or None where not known.
         placement_index: which of the scene's placements it is, or None.
         ignore: a region where nothing is scored (PAPER 1); COCO's iscrowd.
+        corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left, front right, rear
+            right, rear left, not cut at the border; None where not known.
     """
 
     box_xyxy: tuple[float, float, float, float]
@@ -45,6 +47,7 @@ class Annotation:
     vehicle: str | None = None
     placement_index: int | None = None
     ignore: bool = False
+    corners_px: tuple[tuple[float, float], ...] | None = None
 
 
 class CocoWriter:
@@ -104,6 +107,8 @@ class CocoWriter:
                 "vehicle": annotation.vehicle,
                 "placement_index": annotation.placement_index,
             }
+            if annotation.corners_px is not None:
+                row["corners_px"] = [list(corner) for corner in annotation.corners_px]
             if annotation.mask is not None:
                 row["segmentation"] = encode_rle(annotation.mask)
                 row["area"] = float(annotation.mask.sum())

@@ -1,0 +1,275 @@
+"""A dataset's labels in the forms of other tools: COCO, YOLO text, DOTA oriented boxes, GeoJSON points."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rasterio
+from rasterio.errors import RasterioError
+from rasterio.warp import transform as transform_places
+
+from skyproof.errors import ImageryError, StoredFileError
+from skyproof.files import finished_folder, read_json, refuse_existing, write_json
+from skyproof.imagery.label_text import LABEL_FOLDERS
+from skyproof.imagery.labels import Point
+
+__all__ = ["LABEL_FORMS", "Exported", "export_labels"]
+
+
+@dataclass(frozen=True)
+class _Object:
+    """One annotation of a dataset: its box in xywh, and the vehicle's corners on the ground where they are known."""
+
+    box: tuple[float, float, float, float]
+    category: str
+    ignore: bool
+    corners: tuple[Point, ...] | None
+    row: Mapping[str, Any]
+
+    @property
+    def upright(self) -> tuple[Point, ...]:
+        left, top, width, height = self.box
+        return (left, top), (left + width, top), (left + width, top + height), (left, top + height)
+
+    @property
+    def centre(self) -> Point:
+        return self.box[0] + self.box[2] / 2, self.box[1] + self.box[3] / 2
+
+
+@dataclass(frozen=True)
+class _Image:
+    """One image of a dataset."""
+
+    name: str
+    file: Path
+    width: int
+    height: int
+    objects: tuple[_Object, ...]
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    folder: Path
+    categories: tuple[str, ...]
+    images: tuple[_Image, ...]
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export holds.
+
+    Attributes:
+        images, vehicles, ignored: as written.
+        left_out: ignore regions that the form cannot say.
+        upright: vehicles whose heading is not known, so that their oriented box is the upright one.
+    """
+
+    images: int
+    vehicles: int
+    ignored: int
+    left_out: int = 0
+    upright: int = 0
+
+
+Progress = Callable[[int, int], None]
+
+
+def export_labels(dataset: Path, form: str, out: Path, *, progress: Progress | None = None) -> Exported:
+    """Writes a dataset's labels in another form, whole or not at all.
+
+    - "coco": one JSON file of plain instances; file names are relative to the dataset.
+    - "yolo": a folder with `images/`, `labels/` and `data.yaml`, as Ultralytics trains from; ignore regions cannot be
+      said and are left out.
+    - "dota": a folder with `images/` and `labelTxt/`; a vehicle's corners are those of the ground it stands on where
+      the renderer knew them and their middle is in the image, else of its upright box. Ignore regions are `difficult`.
+    - "geojson": points of vehicles, outlines of ignore regions (property `ignore`), WGS 84; only for a split of a
+      folder that `skyproof imagery tile` wrote from georeferenced imagery.
+
+    Args:
+        dataset: folder with `annotations.json` of ours.
+        form: one of `LABEL_FORMS`.
+        out: file or folder to write.
+        progress: called with (images done, images in all).
+
+    Raises:
+        StoredFileError: the dataset is missing or damaged.
+        ImageryError: another form, no images, or images without a place on the map.
+        RunFolderError: `out` exists, or the disk cannot take it.
+    """
+    if form not in LABEL_FORMS:
+        raise ImageryError(f"There is no label form {form!r}; choose one of {', '.join(LABEL_FORMS)}.")
+    refuse_existing(Path(out))
+    return LABEL_FORMS[form](_read(Path(dataset)), Path(out), progress or (lambda done, total: None))
+
+
+def _read(folder: Path) -> _Dataset:
+    path = folder / "annotations.json"
+    document = read_json(path)
+    try:
+        categories = {row["id"]: str(row["name"]) for row in document["categories"]}
+        objects: dict[Any, list[_Object]] = {row["id"]: [] for row in document["images"]}
+        for row in document["annotations"]:
+            left, top, width, height = map(float, row["bbox"])
+            corners = tuple((float(x), float(y)) for x, y in row.get("corners_px") or ()) or None
+            one = _Object(
+                (left, top, width, height), categories[row["category_id"]], bool(row["iscrowd"]), corners, row
+            )
+            if width > 0 and height > 0:
+                objects[row["image_id"]].append(one)
+        images = tuple(
+            _Image(row["scene_id"], folder / row["file_name"], row["width"], row["height"], tuple(objects[row["id"]]))
+            for row in document["images"]
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+    if not images:
+        raise ImageryError(f"{folder} holds no images; give another dataset.")
+    return _Dataset(folder, tuple(categories.values()), images, document)
+
+
+def _count(data: _Dataset, **more: int) -> Exported:
+    objects = [one for image in data.images for one in image.objects]
+    ignored = sum(one.ignore for one in objects)
+    return Exported(len(data.images), len(objects) - ignored, ignored - more.get("left_out", 0), **more)
+
+
+def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
+    numbers = {name: index for index, name in enumerate(data.categories, 1)}
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for number, image in enumerate(data.images, 1):
+        file = image.file.relative_to(data.folder).as_posix()
+        images.append({"id": number, "file_name": file, "width": image.width, "height": image.height})
+        for one in image.objects:
+            row: dict[str, Any] = {"id": len(annotations) + 1, "image_id": number, "category_id": numbers[one.category]}
+            row |= {"bbox": list(one.box), "iscrowd": int(one.ignore)}
+            annotations.append(row | {key: one.row[key] for key in ("area", "segmentation") if key in one.row})
+        progress(number, len(data.images))
+    categories = [{"id": number, "name": name} for name, number in numbers.items()]
+    info = {"description": "skyproof dataset", "gsd_m": data.document.get("info", {}).get("gsd_m")}
+    document = {"info": info, "licenses": [], "categories": categories, "images": images, "annotations": annotations}
+    write_json(out, document)
+    return _count(data)
+
+
+def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
+    numbers = {name: index for index, name in enumerate(data.categories)}
+
+    def lines(image: _Image) -> list[str]:
+        found = []
+        for one in image.objects:
+            if not one.ignore:
+                x, y = one.centre
+                parts = (x / image.width, y / image.height, one.box[2] / image.width, one.box[3] / image.height)
+                found.append(f"{numbers[one.category]} " + " ".join(f"{part:.7f}" for part in parts))
+        return found
+
+    with finished_folder(out) as partial:
+        _write_texts(data, partial, "labels", lines, progress)
+        names = "".join(f"  {number}: {name}\n" for name, number in numbers.items())
+        # Ultralytics asks for both splits; one dataset of ours is one.
+        text = "# To validate on another export, name its images folder.\ntrain: images\nval: images\nnames:\n"
+        (partial / "data.yaml").write_text(text + names, encoding="utf-8")
+    return _count(data, left_out=sum(one.ignore for image in data.images for one in image.objects))
+
+
+def _write_dota(data: _Dataset, out: Path, progress: Progress) -> Exported:
+    upright = 0
+
+    def lines(image: _Image) -> list[str]:
+        nonlocal upright
+        found = []
+        for one in image.objects:
+            corners = one.upright
+            if one.corners and not one.ignore and _middle_inside(one.corners, image):
+                corners = one.corners
+            elif not one.ignore:
+                upright += 1
+            numbers = " ".join(f"{value:.2f}" for corner in corners for value in corner)
+            found.append(f"{numbers} {one.category.replace(' ', '-')} {int(one.ignore)}")
+        return found
+
+    with finished_folder(out) as partial:
+        _write_texts(data, partial, LABEL_FOLDERS[1], lines, progress)
+    return _count(data, upright=upright)
+
+
+def _middle_inside(corners: tuple[Point, ...], image: _Image) -> bool:
+    x, y = (sum(values) / len(corners) for values in zip(*corners, strict=True))
+    return 0 <= x <= image.width and 0 <= y <= image.height
+
+
+def _write_texts(
+    data: _Dataset, partial: Path, folder: str, lines: Callable[[_Image], list[str]], progress: Progress
+) -> None:
+    """One text per image and a copy of the image beside, in `images/`."""
+    for place in (partial / folder, partial / "images"):
+        place.mkdir()
+    for number, image in enumerate(data.images, 1):
+        text = "".join(f"{line}\n" for line in lines(image))
+        (partial / folder / f"{image.file.stem}.txt").write_text(text, encoding="utf-8")
+        if not image.file.is_file():
+            raise StoredFileError(f"{image.file} is missing; write the dataset again.")
+        shutil.copyfile(image.file, partial / "images" / image.file.name)
+        progress(number, len(data.images))
+
+
+def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
+    tiles = _tiles(data)
+    features = []
+    for number, image in enumerate(data.images, 1):
+        crs, (left, bottom, right, top) = tiles[image.name]
+        step_x, step_y = (right - left) / image.width, (top - bottom) / image.height
+        for one in image.objects:
+            # Rings of a polygon end where they began, and run anticlockwise with north up.
+            pixels = [*reversed(one.upright), one.upright[-1]] if one.ignore else [one.centre]
+            ground = [(left + x * step_x, top - y * step_y) for x, y in pixels]
+            longitudes, latitudes = transform_places(crs, "EPSG:4326", [x for x, _ in ground], [y for _, y in ground])
+            places = [[round(x, 9), round(y, 9)] for x, y in zip(longitudes, latitudes, strict=True)]
+            geometry = {"type": "Polygon", "coordinates": [places]}
+            if not one.ignore:
+                geometry = {"type": "Point", "coordinates": places[0]}
+            properties = {"class": one.category, "ignore": one.ignore, "tile": image.name}
+            features.append({"type": "Feature", "properties": properties, "geometry": geometry})
+        progress(number, len(data.images))
+    write_json(out, {"type": "FeatureCollection", "features": features})
+    return _count(data)
+
+
+def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, float]]]:
+    """Per image the reference system and the bounds (left, bottom, right, top) of its tile."""
+    path = data.folder.resolve().parent / "index.geojson"
+    if not path.is_file():
+        raise ImageryError(
+            f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of georeferenced tiles, "
+            "as `skyproof imagery tile` cuts them."
+        )
+    document, found = read_json(path), {}
+    try:
+        for feature in document["features"]:
+            properties = feature["properties"]
+            left, bottom, right, top = map(float, properties["bounds"])
+            crs = rasterio.crs.CRS.from_user_input(properties["crs"])
+            found[str(properties["id"])] = crs, (left, bottom, right, top)
+    except (KeyError, TypeError, ValueError, AttributeError, RasterioError) as error:
+        raise StoredFileError(f"{path} is not an index of ours ({error!r}); tile the imagery again.") from error
+    missing = next((image.name for image in data.images if image.name not in found), None)
+    if missing is not None:
+        raise ImageryError(
+            f"{data.folder} holds {missing}, which {path} does not place on the map; leave out imagery without "
+            "georeference when tiling, or choose another form."
+        )
+    return found
+
+
+LABEL_FORMS: Mapping[str, Callable[[_Dataset, Path, Progress], Exported]] = {
+    "coco": _write_coco,
+    "yolo": _write_yolo,
+    "dota": _write_dota,
+    "geojson": _write_geojson,
+}
