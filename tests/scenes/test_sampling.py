@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -128,3 +129,40 @@ def test_same_seed_same_scenes_and_prefixes_of_longer_sets(backgrounds):
 def test_impossible_settings_raise(backgrounds, settings, sizes, message):
     with pytest.raises(ConfigurationError, match=message):
         _sample(backgrounds, 2, sizes=sizes, **settings)
+
+
+def test_parked_vehicles_stand_in_rows_without_touching(backgrounds):
+    settings = SceneSettings(size_px=192, vehicles_minimum=4, vehicles_maximum=8, parked_share=1.0, gap_m=0.4)
+    scenes = sample_scenes(settings, backgrounds, "train", SIZES, 60, generator=torch.Generator().manual_seed(3))
+    beside = behind = 0
+    for scene in scenes:
+        places = scene.placements
+        assert 4 <= len(places) <= 8
+        assert max(max(abs(each.x_m), abs(each.y_m)) for each in places) <= settings.half_m
+        rectangles = [(each.x_m, each.y_m, each.heading_rad, *SIZES[each.vehicle][:2]) for each in places]
+        assert not any(rectangles_overlap(one, other) for i, one in enumerate(rectangles) for other in rectangles[:i])
+        axes = np.array([2 * each.heading_rad for each in places])
+        # Doubled angles: nose and tail count alike.
+        if np.abs(np.exp(1j * axes).mean()) < math.cos(math.radians(6)):
+            continue  # no room for a row of so many: placed at random instead
+        row = np.arctan2(places[-1].y_m - places[0].y_m, places[-1].x_m - places[0].x_m)
+        turned = abs(math.cos(row - places[0].heading_rad))
+        beside, behind = beside + (turned < 0.2), behind + (turned > 0.98)
+    assert beside > 10
+    assert behind > 5
+
+
+def test_scenes_without_parking_are_the_same_as_ever(backgrounds):
+    with_share = SceneSettings(size_px=192, parked_share=0.5)
+    without = sample_scenes(
+        SceneSettings(size_px=192), backgrounds, "train", SIZES, 40, generator=torch.Generator().manual_seed(3)
+    )
+    mixed = sample_scenes(with_share, backgrounds, "train", SIZES, 40, generator=torch.Generator().manual_seed(3))
+    assert [scene.background for scene in mixed] == [scene.background for scene in without]
+    assert [scene.sun for scene in mixed] == [scene.sun for scene in without]
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5])
+def test_refuses_an_impossible_share_of_parked_scenes(share):
+    with pytest.raises(ConfigurationError, match="parked_share"):
+        SceneSettings(parked_share=share)

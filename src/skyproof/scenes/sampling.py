@@ -20,6 +20,10 @@ Rectangle = tuple[float, float, float, float, float]
 
 TRIES = 2000
 
+WIDEST_GAP_M = (0.6, 1.5)
+"""Between parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
+LARGEST_SKEW_RAD = math.radians(3)
+
 
 @dataclass(frozen=True)
 class SceneSettings:
@@ -33,6 +37,8 @@ class SceneSettings:
         sun_elevation_minimum_rad, sun_elevation_maximum_rad: uniform between; the sun's azimuth is uniform.
         gap_m: the least free room between two vehicles.
         margin_m: the least distance of a vehicle's centre from the image's edge.
+        parked_share: share of the scenes whose vehicles stand in a row, bumper to bumper or side by side, as parked
+            ones do; 0 is the paper's.
         conditions: of weather, light and sensor, each equally likely in every scene (PAPER 56); see
             `skyproof.scenes.weather.CONDITIONS`. The same seed gives the same scenes under every choice of
             conditions, but for the weather and the elevation of a low sun.
@@ -47,6 +53,7 @@ class SceneSettings:
     sun_elevation_maximum_rad: float = math.radians(65)
     gap_m: float = 0.4
     margin_m: float = 2.0
+    parked_share: float = 0.0
     conditions: tuple[str, ...] = ("clear",)
 
     def __post_init__(self) -> None:
@@ -61,6 +68,8 @@ class SceneSettings:
             raise ConfigurationError(
                 "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
             )
+        if not 0 <= self.parked_share <= 1:
+            raise ConfigurationError(f"parked_share is {self.parked_share}; give a share from 0 to 1.")
         unknown = sorted(set(self.conditions) - set(CONDITIONS))
         if unknown or not self.conditions:
             raise ConfigurationError(
@@ -154,6 +163,11 @@ def _sample_placements(
         return ()
     names = sorted(vehicle_sizes_m)
     chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
+    # Nothing is drawn where nobody parks, so that such scenes stay as they always were.
+    if settings.parked_share and float(torch.rand(1, generator=generator)) < settings.parked_share:
+        parked = _park(chosen, settings, vehicle_sizes_m, generator=generator)
+        if len(parked) >= settings.vehicles_minimum:
+            return parked
     for _ in range(TRIES):
         draws = torch.rand(number, 3, dtype=torch.float64, generator=generator).tolist()
         placements = tuple(
@@ -167,6 +181,38 @@ def _sample_placements(
         f"No room was found for {number} vehicles in an image of {settings.size_px} px; "
         "place fewer vehicles or choose a larger image."
     )
+
+
+def _park(
+    names: list[str],
+    settings: SceneSettings,
+    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
+    *,
+    generator: torch.Generator,
+) -> tuple[Placement, ...]:
+    """One row around a uniform place, bumper to bumper or side by side; vehicles beyond the margin are left out."""
+    x, y, turn, kind = torch.rand(4, dtype=torch.float64, generator=generator).tolist()
+    side_by_side, row_rad = kind < 0.5, 2 * math.pi * turn
+    places, reached = [], 0.0
+    for name, draws in zip(
+        names, torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist(), strict=True
+    ):
+        length_m, width_m, _ = vehicle_sizes_m[name]
+        taken = width_m if side_by_side else length_m
+        gap_m = settings.gap_m + draws[0] * (WIDEST_GAP_M[0] if side_by_side else WIDEST_GAP_M[1])
+        heading = row_rad + (math.pi / 2 if side_by_side else 0.0) + (2 * draws[1] - 1) * LARGEST_SKEW_RAD
+        places.append((reached + taken / 2, heading + (math.pi if draws[2] < 0.5 else 0.0)))
+        reached += taken + gap_m
+    rows = (
+        Placement(
+            name,
+            (2 * x - 1) * settings.half_m + (place - reached / 2) * math.cos(row_rad),
+            (2 * y - 1) * settings.half_m + (place - reached / 2) * math.sin(row_rad),
+            heading % (2 * math.pi),
+        )
+        for name, (place, heading) in zip(names, places, strict=True)
+    )
+    return tuple(one for one in rows if max(abs(one.x_m), abs(one.y_m)) <= settings.half_m)
 
 
 def _footprint(
