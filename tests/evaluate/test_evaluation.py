@@ -7,7 +7,8 @@ import torch
 
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
+from skyproof.evaluate.clean import CleanSet, Judge
+from skyproof.evaluate.evaluation import evaluate_pairs
 from skyproof.evaluate.merge import merge_evaluations
 from skyproof.evaluate.outcomes import read_outcomes
 from skyproof.evaluate.tiles import Series, count_tiles

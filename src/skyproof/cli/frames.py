@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.evaluation import CleanSet
+from skyproof.evaluate.clean import CleanSet
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.labelled import LabelledImages

@@ -11,6 +11,7 @@ import tyro
 
 from skyproof.cli.bench import Bench
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
+from skyproof.cli.check import Check
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
@@ -35,6 +36,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "control": Control,
     "score": Score,
     "measure": Measure,
+    "check": Check,
     "evaluate": Evaluate,
     "report": Report,
     "reproduce": Reproduce,

@@ -25,7 +25,8 @@ from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
+from skyproof.evaluate.clean import CleanSet, Judge
+from skyproof.evaluate.evaluation import evaluate_pairs
 from skyproof.files import refuse_existing, write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from skyproof.detectors.average_precision import average_precision
-from skyproof.detectors.detector import Detections, Detector
-from skyproof.detectors.matching import match_detections
+from skyproof.detectors.detector import Detections
 from skyproof.detectors.training import detect_all
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.evaluate.clean_intervals import ap_interval
+from skyproof.evaluate.clean import CleanSet, Judge, check_clean
 from skyproof.evaluate.compare import Comparison, compare, count_false_alarms
 from skyproof.evaluate.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.evaluate.rates import false_alarms_per_km2
@@ -27,34 +24,7 @@ from skyproof.scenes.coco import read_coco, read_rendering, read_visible_fractio
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.scene import Scene, read_scenes
 
-__all__ = ["CleanSet", "Judge", "evaluate_pairs"]
-
-
-@dataclass(frozen=True)
-class Judge:
-    """A detector with its frozen threshold (PAPER 18)."""
-
-    detector: Detector
-    threshold: float
-
-
-@dataclass(frozen=True)
-class CleanSet:
-    """Images without camouflage that say how good the detectors are.
-
-    Attributes:
-        name: as the report shows it.
-        images: in memory, at the detectors' resolution.
-        note: where they come from and what was done to them.
-        places: per image which place it shows: the clusters of the bootstrap (PAPER 40); empty where not known.
-        real: whether a camera took them; False for rendered ones.
-    """
-
-    name: str
-    images: LabelledImages
-    note: str = ""
-    places: Sequence[str] = ()
-    real: bool = True
+__all__ = ["evaluate_pairs"]
 
 
 def evaluate_pairs(
@@ -131,7 +101,7 @@ def evaluate_pairs(
             name = judge.detector.name
             found = detect_all(judge.detector, before.images)
             _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
-            check = _check(judge, rendered, found, generator=np.random.default_rng(seed))
+            check = check_clean(judge, rendered, found, generator=np.random.default_rng(seed))
             if not check["recall"]:
                 raise _undefined(judge, original, check["vehicles"])
             scores.extend(_scores(ORIGINAL, renderer, judge, scenes, before, found))
@@ -160,7 +130,7 @@ def evaluate_pairs(
                 step()
             for each in clean:
                 found = detect_all(judge.detector, each.images.images)
-                checks.append(_check(judge, each, found, generator=np.random.default_rng(seed)))
+                checks.append(check_clean(judge, each, found, generator=np.random.default_rng(seed)))
                 step()
         tiles = count_tiles(outcomes)
         rows = summarise(tiles, scores, generator=np.random.default_rng(seed))
@@ -212,50 +182,6 @@ def _scores(
         density = false_alarms_per_km2(alarms, len(images), area_m2)
         scores.append(SetScore(camouflage, renderer, judge.detector.name, match, precision, density))
     return scores
-
-
-def _check(
-    judge: Judge, clean: CleanSet, found: Sequence[Detections], *, generator: np.random.Generator
-) -> dict[str, Any]:
-    """Average precision, and precision and recall at the frozen threshold, on images without camouflage.
-
-    The interval of the average precision is over places; over images where all show one place, or none is known.
-    """
-    images = clean.images
-    hits = alarms = 0
-    for boxes, ignore, each in zip(images.boxes, images.ignore, found, strict=True):
-        kept = each.scores >= judge.threshold
-        matches = match_detections(
-            each.boxes[kept], each.scores[kept], boxes, criterion="centre_1m", gsd_m=images.gsd_m, ignore=ignore
-        )
-        matched = matches.truth_of_detection >= 0
-        hits += int(matched.sum())
-        alarms += int((~matched & ~matches.ignored).sum())
-    vehicles = sum(len(boxes) for boxes in images.boxes)
-    by_place = len(set(clean.places)) > 1
-    clusters = list(clean.places) if by_place else list(map(str, range(len(images))))
-    ap, low, high = ap_interval(found, images, clusters, criterion="centre_1m", generator=generator)
-    return {
-        "detector": judge.detector.name,
-        "dataset": clean.name,
-        "images": len(images),
-        "vehicles": vehicles,
-        "real": clean.real,
-        "ap_centre_1m": _defined(ap),
-        "ap_centre_1m_low": _defined(low),
-        "ap_centre_1m_high": _defined(high),
-        "clustered_by": "places" if by_place else "images",
-        "clusters": len(set(clusters)),
-        "ap_iou_50": _defined(average_precision(found, images, criterion="iou_50").ap),
-        "precision": hits / (hits + alarms) if hits + alarms else None,
-        "recall": hits / vehicles if vehicles else None,
-        "threshold": judge.threshold,
-        "note": clean.note,
-    }
-
-
-def _defined(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def _write_detections(path: Path, ids: Sequence[str], found: Sequence[Detections]) -> None:

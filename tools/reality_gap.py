@@ -1,0 +1,227 @@
+"""What closes the gap between renders and photographs, measured: the figures of docs/results/reality.
+
+    python tools/reality_gap.py --data DATA --out RUN --stage tune     # a short training per trial, tuning frames
+    python tools/reality_gap.py --data DATA --out RUN --stage final    # the long trainings
+    python tools/reality_gap.py --data DATA --out RUN --stage look     # final detectors on the held-out frames
+
+DATA holds kit_ais_munich/ and minsk_drone/. What is finished in RUN is kept. Every look at the held-out frames adds a
+line to RUN/looks.jsonl.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import tyro
+
+from skyproof.cli.frames import read_frames
+from skyproof.cli.stages import generator_of
+from skyproof.detectors.folder import build_detector
+from skyproof.detectors.training import TrainingSettings, detect_all, train
+from skyproof.evaluate.clean import CleanSet, Judge, check_clean
+from skyproof.files import finished_folder, write_json
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
+from skyproof.scenes.labelled import LabelledImages
+from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+
+GSD_M, IMAGE_PX = 0.125, 192
+CLASSES = ("car", "minibus")
+TUNING = "KIT Munich, first place=kit_ais_munich/MOS*@0.116"
+HELD_OUT = (
+    "KIT Munich, second place=kit_ais_munich/MunichStreet02*@0.121",
+    "Minsk=minsk_drone/DJI_0005*@0.055",
+    "Minsk=minsk_drone/DJI_0013*@0.055",
+    "Minsk=minsk_drone/DJI_0010*@0.04",
+    "Minsk=minsk_drone/DJI_0012*@0.04",
+)
+MIXED_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One way to render training images, and how long to train on them.
+
+    Attributes:
+        ground: folders below RUN; "procedural" is made there, others are cleared imagery put there before.
+        blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
+        parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
+        vehicles: in the fleet.
+        jitter: of the training's augmentation.
+        images, steps, seed: of the training.
+    """
+
+    ground: tuple[str, ...] = ("procedural",)
+    blur_sigma_px: float = 0.7
+    noise: float = 0.006
+    sky_share: float = 0.25
+    shadow_light: tuple[float, float, float] = RenderSettings.shadow_light
+    parked_share: float = 0.0
+    vehicles_maximum: int = 7
+    tilt_maximum_deg: float = 20.0
+    conditions: tuple[str, ...] = ("clear",)
+    vehicles: int = 64
+    jitter: float = 1.0
+    images: int = 1600
+    steps: int = 700
+    seed: int = 0
+
+
+BASE = Trial()
+TRIALS: dict[str, Trial] = {
+    "base": BASE,
+    "parked rows": Trial(parked_share=0.5),
+    "blur 2.4": Trial(blur_sigma_px=2.4),
+    "blur 1.0": Trial(blur_sigma_px=1.0),
+    "second seed": Trial(seed=1),
+    "mixed weather": Trial(conditions=MIXED_WEATHER),
+    "soft shadows": Trial(sky_share=0.5, shadow_light=(0.4, 0.42, 0.47)),
+    "haze, overcast": Trial(conditions=("clear", "haze", "overcast")),
+    "cleared ground": Trial(ground=("cleared",)),
+    "both grounds": Trial(ground=("procedural", "cleared")),
+    "240 vehicles": Trial(vehicles=240),
+    "jitter 2": Trial(jitter=2.0),
+    "blur 0.4": Trial(blur_sigma_px=0.4),
+    "blur 1.3": Trial(blur_sigma_px=1.3),
+    "blur 1.8": Trial(blur_sigma_px=1.8),
+    "jitter 0": Trial(jitter=0.0),
+    "near vertical": Trial(tilt_maximum_deg=5.0),
+    "JPEG": Trial(conditions=("clear", "jpeg")),
+    "no noise": Trial(noise=0.0),
+}
+
+
+@dataclass(frozen=True)
+class RealityGap:
+    """Trains on renders, checks on photographs.
+
+    Attributes:
+        data: holds kit_ais_munich and minsk_drone.
+        out: folder for everything.
+        stage: tune (every trial, on the tuning frames), final (the long trainings) or look (the held-out frames).
+        only: of the trials, these.
+    """
+
+    data: Path
+    out: Path
+    stage: Literal["tune", "final", "look"] = "tune"
+    only: tuple[str, ...] = ()
+
+    def run(self) -> None:
+        """Does the stage's unfinished part."""
+        {"tune": self._tune}[self.stage]()
+
+    def _tune(self) -> None:
+        frames = _frames(self.data, (TUNING,))
+        for name in self.only or TRIALS:
+            place = self.out / "trials" / name.replace(" ", "-").replace(",", "")
+            if (place / "check.json").exists():
+                continue
+            started = time.time()
+            training, validation = _rendered(self.out, TRIALS[name])
+            row = _train_and_check(place, "retinanet", training, validation, TRIALS[name], frames)
+            write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
+            print(f"{name}: AP {row['ap_centre_1m']:.3f}, {time.time() - started:.0f} s", flush=True)
+
+
+def _frames(data: Path, texts: Sequence[str]) -> list[CleanSet]:
+    placed = [f"{name}={data}/{place}" for name, place in (text.split("=", 1) for text in texts)]
+    return read_frames(placed, CLASSES, GSD_M)
+
+
+def _generator(*names: str | int) -> torch.Generator:
+    return generator_of(0, *names)
+
+
+def _ground(run: Path, name: str) -> BackgroundSet:
+    folder = run / name
+    if name == "procedural" and not folder.exists():
+        with finished_folder(folder) as partial:
+            write_procedural_backgrounds(partial, dict(zip(SPLITS, (64, 12, 24, 40), strict=True)), 386, seed=0)
+    return BackgroundSet.open(folder)
+
+
+def _fleet(run: Path, split: str, count: int) -> Fleet:
+    folder = run / "fleets" / f"{split}-{count}"
+    if not folder.exists():
+        sample_fleet(FleetSettings(count=count), generator=_generator("fleet", split)).save(folder)
+    return Fleet.load(folder)
+
+
+@torch.no_grad()
+def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: int) -> LabelledImages:
+    """A split's images with vehicles, in memory; the grounds share them out."""
+    fleet = _fleet(run, split, trial.vehicles if split == "train" else 16)
+    images: list[torch.Tensor] = []
+    boxes: list[torch.Tensor] = []
+    for name in trial.ground:
+        ground = _ground(run, name)
+        settings = SceneSettings(
+            size_px=IMAGE_PX,
+            gsd_m=GSD_M,
+            vehicles_minimum=least,
+            vehicles_maximum=most,
+            tilt_maximum_rad=math.radians(trial.tilt_maximum_deg),
+            conditions=trial.conditions,
+            parked_share=trial.parked_share,
+        )
+        draws = _generator("scenes", trial.seed, split, name)
+        scenes = sample_scenes(
+            settings, ground, split, fleet.sizes_m, count // len(trial.ground), generator=draws, prefix=split
+        )
+        renderer = TorchRenderer(
+            ground,
+            RenderSettings(
+                blur_sigma_px=trial.blur_sigma_px,
+                noise=trial.noise,
+                sky_share=trial.sky_share,
+                shadow_light=trial.shadow_light,
+            ),
+        )
+        for start in range(0, len(scenes), 8):
+            batch = scenes[start : start + 8]
+            frames = renderer(batch, placed_vehicles(fleet, batch))
+            images += list((frames.image * 255).round().byte())
+            boxes += [frames.boxes[frames.scene_index == index] for index in range(len(batch))]
+    nothing = torch.zeros(0, 4)
+    ids = [f"{split}-{number}" for number in range(len(images))]
+    return LabelledImages(images=images, boxes=boxes, ignore=[nothing] * len(images), ids=ids, gsd_m=GSD_M)
+
+
+def _rendered(run: Path, trial: Trial) -> tuple[LabelledImages, LabelledImages]:
+    training = _render(run, trial, "train", trial.images, 0, trial.vehicles_maximum)
+    return training, _render(run, trial, "validation", 96, 1, 5)
+
+
+def _train_and_check(
+    place: Path,
+    detector_name: str,
+    training: LabelledImages,
+    validation: LabelledImages,
+    trial: Trial,
+    frames: Sequence[CleanSet],
+) -> dict[str, Any]:
+    """Trains a slim detector and checks it on each set of frames; the rows of `check_clean`, by set where several."""
+    detector = build_detector(detector_name, "slim", generator=_generator("weights", trial.seed, detector_name))
+    settings = TrainingSettings(steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter)
+    card = train(
+        detector, training, validation, settings, place / detector_name, generator=_generator("training", trial.seed)
+    )
+    (frame_set,) = frames
+    found = detect_all(detector, frame_set.images.images)
+    row = check_clean(Judge(detector, card.threshold), frame_set, found, generator=np.random.default_rng(0))
+    return {**row, "ap_rendered": card.validation["ap_centre_1m"]}
+
+
+if __name__ == "__main__":
+    tyro.cli(RealityGap).run()
