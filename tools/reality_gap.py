@@ -66,7 +66,7 @@ class Trial:
     noise: float = 0.006
     sky_share: float = 0.25
     shadow_light: tuple[float, float, float] = RenderSettings.shadow_light
-    parked_share: float = 0.0
+    parked_share: float = 0.5
     vehicles_maximum: int = 7
     tilt_maximum_deg: float = 20.0
     conditions: tuple[str, ...] = ("clear",)
@@ -77,27 +77,28 @@ class Trial:
     seed: int = 0
 
 
-BASE = Trial()
+# The recipe, then the recipe with one thing changed; "as the demo" has the demo's blur and places.
 TRIALS: dict[str, Trial] = {
-    "base": BASE,
-    "parked rows": Trial(parked_share=0.5),
+    "recipe": Trial(),
+    "as the demo": Trial(blur_sigma_px=2.4, parked_share=0.0),
     "blur 2.4": Trial(blur_sigma_px=2.4),
+    "uniform places": Trial(parked_share=0.0),
     "blur 1.0": Trial(blur_sigma_px=1.0),
-    "second seed": Trial(seed=1),
+    "blur 0.4": Trial(blur_sigma_px=0.4),
     "mixed weather": Trial(conditions=MIXED_WEATHER),
+    "second seed": Trial(seed=1),
     "soft shadows": Trial(sky_share=0.5, shadow_light=(0.4, 0.42, 0.47)),
-    "haze, overcast": Trial(conditions=("clear", "haze", "overcast")),
     "cleared ground": Trial(ground=("cleared",)),
     "both grounds": Trial(ground=("procedural", "cleared")),
+    "blur 1.4": Trial(blur_sigma_px=1.4),
     "240 vehicles": Trial(vehicles=240),
-    "jitter 2": Trial(jitter=2.0),
-    "blur 0.4": Trial(blur_sigma_px=0.4),
-    "blur 1.3": Trial(blur_sigma_px=1.3),
-    "blur 1.8": Trial(blur_sigma_px=1.8),
     "jitter 0": Trial(jitter=0.0),
+    "blur 1.8": Trial(blur_sigma_px=1.8),
+    "jitter 2": Trial(jitter=2.0),
     "near vertical": Trial(tilt_maximum_deg=5.0),
     "JPEG": Trial(conditions=("clear", "jpeg")),
     "no noise": Trial(noise=0.0),
+    "16 vehicles": Trial(vehicles=16),
 }
 
 
