@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,14 +23,16 @@ import tyro
 
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import generator_of
-from skyproof.detectors.folder import build_detector
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.folder import DetectorCard, build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, detect_all, train
 from skyproof.evaluate.clean import CleanSet, Judge, check_clean
-from skyproof.files import finished_folder, write_json
+from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
+from skyproof.scenes.coco import read_coco
 from skyproof.scenes.labelled import LabelledImages
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -101,6 +103,14 @@ TRIALS: dict[str, Trial] = {
     "16 vehicles": Trial(vehicles=16),
 }
 
+DETECTORS = ("retinanet", "faster_rcnn", "yolov5")
+PHOTOGRAPHS = "photographs"
+FINAL: dict[str, Trial] = {
+    "before": TRIALS["as the demo"],
+    "renders": Trial(images=3000, steps=2400),
+    PHOTOGRAPHS: Trial(steps=1000),
+}
+
 
 @dataclass(frozen=True)
 class RealityGap:
@@ -120,19 +130,62 @@ class RealityGap:
 
     def run(self) -> None:
         """Does the stage's unfinished part."""
-        {"tune": self._tune}[self.stage]()
+        {"tune": self._tune, "final": self._final, "look": self._look}[self.stage]()
 
     def _tune(self) -> None:
-        frames = _frames(self.data, (TUNING,))
+        (frames,) = _frames(self.data, (TUNING,))
         for name in self.only or TRIALS:
             place = self.out / "trials" / name.replace(" ", "-").replace(",", "")
             if (place / "check.json").exists():
                 continue
             started = time.time()
             training, validation = _rendered(self.out, TRIALS[name])
-            row = _train_and_check(place, "retinanet", training, validation, TRIALS[name], frames)
+            detector, card = _train(place, "retinanet", training, validation, TRIALS[name])
+            found = detect_all(detector, frames.images.images)
+            row = check_clean(Judge(detector, card.threshold), frames, found, generator=np.random.default_rng(0))
+            row["ap_rendered"] = card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
             print(f"{name}: AP {row['ap_centre_1m']:.3f}, {time.time() - started:.0f} s", flush=True)
+
+    def _final(self) -> None:
+        for name, trial in FINAL.items():
+            if self.only and name not in self.only:
+                continue
+            folder = self.out / "final" / name
+            if all((folder / detector / "detector.json").exists() for detector in DETECTORS):
+                continue
+            training, validation = self._photographs() if name == PHOTOGRAPHS else _rendered(self.out, trial)
+            for detector in DETECTORS:
+                started = time.time()
+                card = _train(folder, detector, training, validation, trial)[1]
+                print(f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s", flush=True)
+
+    def _photographs(self) -> tuple[LabelledImages, LabelledImages]:
+        """The tuning frames' tiles, by `skyproof imagery tile` (docs/results/reality/README.md)."""
+        return read_coco(self.out / "tiles" / "train"), read_coco(self.out / "tiles" / "validation")
+
+    def _look(self) -> None:
+        """Every final detector on the held-out frames, and on the rendered test images that are there."""
+        sets = _frames(self.data, HELD_OUT)
+        for name, dataset in (("rendered", "test"), ("Cycles", "test-cycles")):
+            if (folder := self.out / "datasets" / dataset).exists():
+                sets += read_frames([f"{name}={folder}@{GSD_M}"], ("vehicle",), GSD_M)
+        folders = [self.out / "final" / name / detector for name in FINAL for detector in DETECTORS]
+        looks = self.out / "looks.jsonl"
+        past = list(read_jsonl(looks)) if looks.exists() else []
+        write_jsonl(looks, [*past, {"time": time.strftime("%Y-%m-%d %H:%M"), "detectors": len(folders)}])
+        rows = []
+        for folder in folders:
+            detector, card = load_detector(folder)
+            for each in sets:
+                found = detect_all(detector, each.images.images)
+                row = check_clean(Judge(detector, card.threshold), each, found, generator=np.random.default_rng(0))
+                rows.append({"trained_on": folder.parent.name, **row})
+                print(
+                    f"{folder.parent.name:<12} {detector.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
+                    flush=True,
+                )
+        write_json(self.out / "final.json", {"looks": len(past) + 1, "rows": rows})
 
 
 def _frames(data: Path, texts: Sequence[str]) -> list[CleanSet]:
@@ -204,24 +257,13 @@ def _rendered(run: Path, trial: Trial) -> tuple[LabelledImages, LabelledImages]:
     return training, _render(run, trial, "validation", 96, 1, 5)
 
 
-def _train_and_check(
-    place: Path,
-    detector_name: str,
-    training: LabelledImages,
-    validation: LabelledImages,
-    trial: Trial,
-    frames: Sequence[CleanSet],
-) -> dict[str, Any]:
-    """Trains a slim detector and checks it on each set of frames; the rows of `check_clean`, by set where several."""
-    detector = build_detector(detector_name, "slim", generator=_generator("weights", trial.seed, detector_name))
+def _train(
+    folder: Path, name: str, training: LabelledImages, validation: LabelledImages, trial: Trial
+) -> tuple[TrainableDetector, DetectorCard]:
+    detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
     settings = TrainingSettings(steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter)
-    card = train(
-        detector, training, validation, settings, place / detector_name, generator=_generator("training", trial.seed)
-    )
-    (frame_set,) = frames
-    found = detect_all(detector, frame_set.images.images)
-    row = check_clean(Judge(detector, card.threshold), frame_set, found, generator=np.random.default_rng(0))
-    return {**row, "ap_rendered": card.validation["ap_centre_1m"]}
+    draws = _generator("training", trial.seed)
+    return detector, train(detector, training, validation, settings, folder / name, generator=draws)
 
 
 if __name__ == "__main__":
