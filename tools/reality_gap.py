@@ -13,9 +13,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -55,7 +57,9 @@ class Trial:
     """One way to render training images, and how long to train on them.
 
     Attributes:
-        ground: folders below RUN; "procedural" is made there, others are cleared imagery put there before.
+        ground: folders below RUN; "procedural" and "without-clutter" (no bins, sheds, containers ...) are made there,
+            "cleared" is imagery that was cleared of vehicles and put there before.
+        match_colours: the rendered images' mean and spread per channel become those of the tuning frames.
         blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
@@ -64,6 +68,7 @@ class Trial:
     """
 
     ground: tuple[str, ...] = ("procedural",)
+    match_colours: bool = False
     blur_sigma_px: float = 0.7
     noise: float = 0.006
     sky_share: float = 0.25
@@ -101,6 +106,8 @@ TRIALS: dict[str, Trial] = {
     "JPEG": Trial(conditions=("clear", "jpeg")),
     "no noise": Trial(noise=0.0),
     "16 vehicles": Trial(vehicles=16),
+    "colours of the tuning frames": Trial(match_colours=True),
+    "ground without clutter": Trial(ground=("without-clutter",)),
 }
 
 DETECTORS = ("retinanet", "faster_rcnn", "yolov5")
@@ -140,6 +147,8 @@ class RealityGap:
                 continue
             started = time.time()
             training, validation = _rendered(self.out, TRIALS[name])
+            if TRIALS[name].match_colours:
+                training, validation = (_recoloured(each, frames.images) for each in (training, validation))
             detector, card = _train(place, "retinanet", training, validation, TRIALS[name])
             found = detect_all(detector, frames.images.images)
             row = check_clean(Judge(detector, card.threshold), frames, found, generator=np.random.default_rng(0))
@@ -199,8 +208,9 @@ def _generator(*names: str | int) -> torch.Generator:
 
 def _ground(run: Path, name: str) -> BackgroundSet:
     folder = run / name
-    if name == "procedural" and not folder.exists():
-        with finished_folder(folder) as partial:
+    if name in ("procedural", "without-clutter") and not folder.exists():
+        spared = patch("skyproof.scenes.ground.add_clutter") if name == "without-clutter" else nullcontext()
+        with finished_folder(folder) as partial, spared:
             write_procedural_backgrounds(partial, dict(zip(SPLITS, (64, 12, 24, 40), strict=True)), 386, seed=0)
     return BackgroundSet.open(folder)
 
@@ -250,6 +260,17 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
     nothing = torch.zeros(0, 4)
     ids = [f"{split}-{number}" for number in range(len(images))]
     return LabelledImages(images=images, boxes=boxes, ignore=[nothing] * len(images), ids=ids, gsd_m=GSD_M)
+
+
+def _recoloured(images: LabelledImages, like: LabelledImages) -> LabelledImages:
+    """The images with the mean and the standard deviation that each channel has over all of `like`."""
+    own, wanted = (
+        torch.cat([image.flatten(1)[:, ::7].double() for image in each.images], 1) for each in (images, like)
+    )
+    scale = (wanted.std(1) / own.std(1))[:, None, None]
+    shift = wanted.mean(1)[:, None, None] - scale * own.mean(1)[:, None, None]
+    changed = [(image * scale + shift).round().clamp(0, 255).byte() for image in images.images]
+    return replace(images, images=changed)
 
 
 def _rendered(run: Path, trial: Trial) -> tuple[LabelledImages, LabelledImages]:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from skyproof.scenes.ground_canvas import Array, Canvas, Colour, Patch, Sensor, reflectance
+from skyproof.scenes.ground_canvas import Array, Canvas, Colour, Patch, GroundSensor, reflectance
 from skyproof.scenes.ground_objects import add_building, add_bush, add_clutter, add_hedge, add_lamp_post, add_tree, pick
 from skyproof.scenes.ground_surfaces import (
     CONCRETE,
@@ -62,7 +62,7 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     kind = str(rng.choice(list(GROUND_KINDS), p=[KIND_SHARES[name] for name in GROUND_KINDS]))
     canvas = Canvas(size_px, gsd_m, rng, frame_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
-    image = torch.from_numpy(canvas.photograph(Sensor.draw(rng)))
+    image = torch.from_numpy(canvas.photograph(GroundSensor.draw(rng)))
     return Ground(image, kind, canvas.sun_azimuth_rad, canvas.sun_elevation_rad)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["Canvas", "Patch", "Sensor", "reflectance"]
+__all__ = ["Canvas", "Patch", "GroundSensor", "reflectance"]
 
 Array = NDArray[np.floating[Any]]
 Colour = tuple[int, int, int]
@@ -49,7 +49,7 @@ class Patch:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class GroundSensor:
     """How the lit ground becomes a picture; drawn anew for every tile so that a detector cannot lean on one look."""
 
     exposure: float
@@ -60,7 +60,7 @@ class Sensor:
     noise: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> Sensor:
+    def draw(cls, rng: np.random.Generator) -> GroundSensor:
         tint = rng.normal(1.0, 0.025, 3)
         return cls(
             exposure=float(rng.uniform(0.9, 1.8)),
@@ -235,7 +235,7 @@ class Canvas:
         )
         return (lit * np.clip(cosine, 0, None)).astype(np.float32)
 
-    def photograph(self, sensor: Sensor) -> NDArray[np.uint8]:
+    def photograph(self, sensor: GroundSensor) -> NDArray[np.uint8]:
         """Lights the canvas and takes its picture, `[3, size, size]` sRGB bytes."""
         rng = self.rng
         overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
