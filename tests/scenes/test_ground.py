@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skyproof.scenes.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_ground_and_sun
-from skyproof.scenes.ground_canvas import Canvas, Sensor
+from skyproof.scenes.ground_canvas import Canvas, GroundSensor
 
 
 def _flat_canvas(azimuth_rad):
@@ -24,7 +24,7 @@ def test_every_kind_draws(kind):
     assert np.isfinite(canvas.reflectance).all()
     assert np.isfinite(canvas.height).all()
     assert canvas.reflectance.max(2).min() > 0, "some ground was left undrawn"
-    image = canvas.photograph(Sensor.draw(canvas.rng))
+    image = canvas.photograph(GroundSensor.draw(canvas.rng))
     assert image.shape == (3, 128, 128)
     assert image.std() > 4
     assert np.abs(np.diff(image.astype(float), axis=2)).mean() > 0.5

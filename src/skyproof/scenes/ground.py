@@ -12,7 +12,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from skyproof.scenes.ground_canvas import Array, Canvas, Colour, Patch, GroundSensor, reflectance
+from skyproof.scenes.ground_canvas import Array, Canvas, Colour, GroundSensor, Patch, reflectance
 from skyproof.scenes.ground_objects import add_building, add_bush, add_clutter, add_hedge, add_lamp_post, add_tree, pick
 from skyproof.scenes.ground_surfaces import (
     CONCRETE,

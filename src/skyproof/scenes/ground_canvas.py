@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["Canvas", "Patch", "GroundSensor", "reflectance"]
+__all__ = ["Canvas", "GroundSensor", "Patch", "reflectance"]
 
 Array = NDArray[np.floating[Any]]
 Colour = tuple[int, int, int]
