@@ -11,6 +11,7 @@ import tyro
 
 from skyproof.cli.bench import Bench
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
+from skyproof.cli.clear import Clear, Drop
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
@@ -42,7 +43,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 # Commands of two words.
-_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {}
+_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {"imagery": {"clear": Clear, "drop": Drop}}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
