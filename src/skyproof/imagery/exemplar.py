@@ -39,7 +39,7 @@ class ExemplarSettings:
     ring_px: int = 7
     piece_px: int = 72
     shifts: int = 4
-    plainness: float = 0.15
+    plainness: float = 0.5
     brightness_freedom: float = 0.7
 
 
