@@ -32,6 +32,7 @@ class ExemplarSettings:
         shifts: most places one piece may be put together from; each serves the side of the hole it suits.
         plainness: weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred to
             ground with things on it.
+        hold: weight of the copied ground's own values, brightened as a whole, against a stepless joint.
         brightness_freedom: 0 to 1, how much of an even difference in brightness is no mismatch, because it is levelled.
     """
 
@@ -39,7 +40,8 @@ class ExemplarSettings:
     ring_px: int = 7
     piece_px: int = 72
     shifts: int = 4
-    plainness: float = 0.5
+    plainness: float = 0.3
+    hold: float = 0.02
     brightness_freedom: float = 0.7
 
 
@@ -58,8 +60,8 @@ def fill_by_exemplar(
     """Fills `mask` with ground of the same picture.
 
     For every piece of a hole all shifts within `search_px` are compared (exactly, by Fourier transform): the known ring
-    around the piece against the same ring shifted. The best shifts each serve the side they suit best, and a Poisson
-    equation joins them to the ring, so that texture and noise are the picture's own and no step is left.
+    around the piece against the same ring shifted. The best shifts each serve the side they suit best, and a screened
+    Poisson equation joins them to the ring, so that texture and noise are the picture's own and no step is left.
 
     Args:
         image: `[H, W, 3]`.
@@ -124,7 +126,11 @@ def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | 
     shifts = _best_shifts(window, ring, sound, settings)
     if not shifts:
         return None
-    return _join(window, _serve_sides(window, ring, sound, shifts), shifts)
+    levels = []
+    for shift in shifts:
+        seen = ring & _shifted(sound, shift)
+        levels.append(np.median((window.values - _shifted(window.values, shift))[seen], axis=0))
+    return _join(window, _serve_sides(window, ring, sound, shifts), shifts, levels, settings.hold)
 
 
 def _best_shifts(window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings) -> list[Shift]:
@@ -197,9 +203,15 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
-def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift]) -> Array:
-    """Solves the Poisson equation in the hole: the copies' differences between neighbours, the ring's values."""
-    copies = np.stack([_shifted(window.values, shift) for shift in shifts])
+def _join(
+    window: _Window, choice: NDArray[np.int64], shifts: list[Shift], levels: list[Array], hold: float
+) -> Array:
+    """Solves a screened Poisson equation in the hole.
+
+    Wanted are the copies' differences between neighbours, the ring's values next to it and, with weight `hold`, the
+    copies levelled to the ring's brightness: what differs at one place of the ring does not bleed through the hole.
+    """
+    copies = np.stack([_shifted(window.values, shift) + level for shift, level in zip(shifts, levels, strict=True)])
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
     number[rows, columns] = np.arange(len(rows))
@@ -224,11 +236,9 @@ def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift]) -> Ar
         linked = np.nonzero(asked & in_hole)[0]
         links.append((linked, number[to_row[linked], to_column[linked]]))
     start, end = (np.concatenate([link[side] for link in links]) for side in (0, 1))
-    # A trace of the copies themselves keeps a hole without any known neighbour solvable.
-    trace = 1e-6
     matrix = sparse.csc_array((-np.ones(len(start)), (start, end)), shape=(len(rows), len(rows)))
-    matrix = matrix + sparse.diags_array(count + trace)
-    solved = splu(matrix.tocsc()).solve(right + trace * copies[own, rows, columns])
+    matrix = matrix + sparse.diags_array(count + hold)
+    solved = splu(matrix.tocsc()).solve(right + hold * copies[own, rows, columns])
     filled = window.values.copy()
     filled[rows, columns] = solved
     return filled

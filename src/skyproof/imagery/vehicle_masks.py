@@ -23,8 +23,11 @@ LAYER_M = 0.25
 NEAR_M = 1.0
 SAMPLE_LIMIT = 300
 FEWEST_VEHICLES = 3
-FAINTEST_SHADOW = 0.1
+FAINTEST_SHADOW = 0.05
 """Of the ground's brightness: the least by which the shadow side is darker than the side across."""
+END_SHARE = 0.25
+STRETCH, PENUMBRA_M = 1.25, 0.25
+"""The shadow is taken longer than measured: vehicles higher than the median one, and soft edges."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     """The shadow all vehicles of one picture share.
 
     The direction is the sum of all directions weighted by how dark the ground is there within 1 m of the boxes (the
-    median over vehicles): what is dark further away is not theirs, such as the trees they park under. The length is where the darkness falls below a third of its largest value.
+    median over vehicles): what is dark further away is not theirs, such as the trees they park under. The length is where the darkness, less that of the side across, falls below
+    a quarter of its largest value, stretched by a quarter and a soft edge for higher vehicles.
 
     Returns:
         None with fewer than 3 vehicles; without direction and length where no side is darker than the one across, as
@@ -115,18 +119,20 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     if len(found) < FEWEST_VEHICLES:
         return None
     stacked = np.stack(found[:SAMPLE_LIMIT])
-    near = _median(stacked[:, :, : round(NEAR_M / LAYER_M)].reshape(len(stacked), -1)).reshape(DIRECTIONS, -1).mean(1)
+    near_layers = round(NEAR_M / LAYER_M)
+    near = _median(stacked[:, :, :near_layers].reshape(len(stacked), -1)).reshape(DIRECTIONS, -1).mean(1)
     units = np.array([_unit(number) for number in range(DIRECTIONS)])
     x, y = (near[:, None] * units).sum(0)
     length = math.hypot(x, y)
     best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
     contrast = float(near[best] - near[(best + DIRECTIONS // 2) % DIRECTIONS])
-    if contrast < FAINTEST_SHADOW:
+    profile = _median(stacked[:, best]) - _median(stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS])
+    peak = int(profile[:near_layers].argmax())
+    ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
+    # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along it.
+    if contrast < FAINTEST_SHADOW or not len(ends):
         return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
-    profile = _median(stacked[:, best]) - _median(stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS]).clip(min=0)
-    peak = int(profile[: round(2 * NEAR_M / LAYER_M)].argmax())
-    ends = np.nonzero(profile[peak:] < profile[peak] / 3)[0]
-    reach_m = (peak + (int(ends[0]) if len(ends) else len(profile) - peak)) * LAYER_M
+    reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
     return Shadow((float(x / length), float(y / length)), min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
 
 
