@@ -12,22 +12,17 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
-from torchvision import ops
 
-from skyproof.detectors.detector import Detector
-from skyproof.detectors.training import detect_all
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.imagery.inpainting import Inpainting, apply_inpainting, inpainting_record
 from skyproof.imagery.sheet import ContactSheet, SheetRow
+from skyproof.imagery.vehicle_finder import VehicleFinder, check_resolution, other_vehicles, read_boxes
 from skyproof.imagery.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
 
-__all__ = ["ClearSettings", "Cleared", "VehicleFinder", "clear_backgrounds", "drop_tiles", "read_boxes"]
+__all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]
 
-WINDOW_PX = 768
-WINDOW_OVERLAP_PX = 128
-SAME_VEHICLE_IOU = 0.3
 RECORD = "clearing.json"
 
 
@@ -55,35 +50,6 @@ class ClearSettings:
                 "Clearing expects a score and a masked share between 0 and 1, and a margin and a number of rounds of "
                 f"at least 0, but got {self}."
             )
-
-
-@dataclass(frozen=True)
-class VehicleFinder:
-    """A detector with what its card says of it.
-
-    Attributes:
-        detector: anything with `detect`.
-        threshold: its frozen score threshold.
-        gsd_m: metres per pixel it was trained at.
-        name: for the record, such as its folder and the digest of its weights.
-    """
-
-    detector: Detector
-    threshold: float
-    gsd_m: float
-    name: str
-
-    def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
-        """What it finds in a tile of any size: large ones are looked at in windows that overlap by 16 m."""
-        windows, found = _windows(image.shape[1], image.shape[2]), []
-        for top, left, height, width in windows:
-            part = image[:, top : top + height, left : left + width]
-            detections = detect_all(self.detector, [part])[0]
-            shift = torch.tensor([left, top, left, top], dtype=torch.float32)
-            keep = detections.scores.cpu() >= lowest_score
-            found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
-        boxes, scores = torch.cat([f[0] for f in found]), torch.cat([f[1] for f in found])
-        return boxes[ops.nms(boxes, scores, 0.5)].reshape(-1, 4)
 
 
 @dataclass
@@ -165,7 +131,7 @@ def clear_backgrounds(
             "found; give --detector, or tile the imagery with its labels."
         )
     for used in (finder, checker):
-        _same_resolution(used, backgrounds.gsd_m)
+        check_resolution(used, backgrounds.gsd_m)
     found = {}
     for done, tile in enumerate(tiles, start=1):
         found[tile.id] = _find(backgrounds, tile, (labels or {}).get(tile.id), finder, settings)
@@ -196,27 +162,6 @@ def clear_backgrounds(
     _copy_places(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept)
     return record
-
-
-def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
-    """Per tile id its labelled boxes, vehicles and ignore regions alike; None where the folder has no labels.
-
-    Raises:
-        StoredFileError: an annotation file is damaged.
-    """
-    paths = [path for split in SPLITS if (path := Path(folder) / split / "annotations.json").is_file()]
-    boxes: dict[str, list[list[float]]] = {}
-    for path in paths:
-        document = read_json(path)
-        try:
-            names = {image["id"]: str(image["scene_id"]) for image in document["images"]}
-            boxes.update({name: [] for name in names.values()})
-            for row in document["annotations"]:
-                left, top, width, height = map(float, row["bbox"])
-                boxes[names[row["image_id"]]].append([left, top, left + width, top + height])
-        except (KeyError, TypeError, ValueError) as error:
-            raise StoredFileError(f"{path} is not a label file of ours ({error!r}); tile the imagery again.") from error
-    return {name: torch.tensor(rows).reshape(-1, 4) for name, rows in boxes.items()} if paths else None
 
 
 def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
@@ -257,18 +202,11 @@ def _find(
     detected = torch.zeros(0, 4)
     image = backgrounds.pixels(tile.id)
     if finder is not None:
-        detected = _others(finder.boxes(image, settings.finding_score), labelled)
+        detected = other_vehicles(finder.boxes(image, settings.finding_score), labelled)
     found = _Found(labelled, detected)
     if len(found.boxes):
         found.profiles = darkness_profiles(image, found.boxes, gsd_m=backgrounds.gsd_m)
     return found
-
-
-def _others(boxes: Tensor, known: Tensor) -> Tensor:
-    """Boxes of vehicles that are not among the known ones."""
-    if not len(known) or not len(boxes):
-        return boxes
-    return boxes[ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU]
 
 
 def _light(tile: BackgroundTile) -> str:
@@ -277,7 +215,7 @@ def _light(tile: BackgroundTile) -> str:
 
 
 def _shadows(tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]) -> dict[str, Shadow | None]:
-    profiles = defaultdict(list)
+    profiles: dict[str, list[Tensor]] = defaultdict(list)
     for tile in tiles:
         own = found[tile.id].profiles
         profiles[_light(tile)] += [own] if len(own) else []
@@ -354,12 +292,13 @@ def _record(
     left_out = Counter(row.left_out for row in rows if row.left_out)
     kept = [row for row in rows if row.left_out is None]
     emptied = [s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)]
+    checked_by = {"name": checker.name, "threshold": checker.threshold} if checker else "not checked by a detector"
     return {
         "format_version": 1,
         "settings": asdict(settings),
         "inpainting": inpainting_record(inpainting),
         "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
-        "checked_by": {"name": checker.name, "threshold": checker.threshold} if checker else "not checked by a detector",
+        "checked_by": checked_by,
         "shadows": {light: None if shadow is None else asdict(shadow) for light, shadow in shadows.items()},
         "totals": {
             "tiles": len(rows),
@@ -385,21 +324,3 @@ def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
     except (KeyError, TypeError) as error:
         raise StoredFileError(f"{path} is not an index of tiles ({error!r}); tile the imagery again.") from error
     write_json(Path(out) / "index.geojson", json.loads(json.dumps(document)))
-
-
-def _same_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
-    if finder is not None and abs(finder.gsd_m - gsd_m) > 0.02 * gsd_m:
-        raise ConfigurationError(
-            f"The detector {finder.name} was trained at {finder.gsd_m} m per pixel but the tiles have {gsd_m} m; "
-            "give one of this resolution, or tile the imagery at the detector's."
-        )
-
-
-def _windows(height_px: int, width_px: int) -> list[tuple[int, int, int, int]]:
-    """Top, left, height and width of equal windows that cover the picture."""
-    parts = []
-    for side in (height_px, width_px):
-        length = min(side, WINDOW_PX)
-        count = 1 if side == length else -(-(side - WINDOW_OVERLAP_PX) // (length - WINDOW_OVERLAP_PX))
-        parts.append([(round(i * (side - length) / max(count - 1, 1)), length) for i in range(count)])
-    return [(top, left, height, width) for top, height in parts[0] for left, width in parts[1]]

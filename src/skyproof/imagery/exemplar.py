@@ -90,7 +90,7 @@ def fill_by_exemplar(
 
 def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
     """Connected holes, the large ones divided into about square pieces."""
-    labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
+    labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
     for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
         own = labels == number
@@ -203,9 +203,7 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
-def _join(
-    window: _Window, choice: NDArray[np.int64], shifts: list[Shift], levels: list[Array], hold: float
-) -> Array:
+def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift], levels: list[Array], hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
     Wanted are the copies' differences between neighbours, the ring's values next to it and, with weight `hold`, the

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -94,8 +94,8 @@ class Exemplar:
         otherwise: used where no place nearby is large enough and free of vehicles.
     """
 
-    settings: ExemplarSettings = ExemplarSettings()
-    otherwise: Diffusion = Diffusion()
+    settings: ExemplarSettings = field(default_factory=ExemplarSettings)
+    otherwise: Diffusion = field(default_factory=Diffusion)
 
     def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
         """Fills the mask."""
@@ -148,7 +148,7 @@ class LearntInpainting:
 
 
 def _load_module(path: Path) -> Any:
-    """TorchScript first, then torch.export; neither runs pickled code of the file's."""
+    """TorchScript first, then torch.export."""
     reasons = []
     for load in (lambda: torch.jit.load(path, map_location="cpu").eval(), lambda: torch.export.load(path).module()):
         try:

@@ -77,7 +77,8 @@ def darkness_profiles(
     """How dark the ground beside each box is, direction by direction and layer by layer outwards.
 
     A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness of the ground
-    around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other boxes or the picture's edge leave nothing.
+    around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other boxes or the
+    picture's edge leave nothing.
     """
     grey = image.double().mean(0).numpy()
     taken = np.zeros(grey.shape, dtype=bool)
@@ -108,8 +109,9 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     """The shadow all vehicles of one picture share.
 
     The direction is the sum of all directions weighted by how dark the ground is there within 1 m of the boxes (the
-    median over vehicles): what is dark further away is not theirs, such as the trees they park under. The length is where the darkness, less that of the side across, falls below
-    a quarter of its largest value, stretched by a quarter and a soft edge for higher vehicles.
+    median over vehicles). The length is where the darkness, less that of the side across, falls below a quarter of its
+    largest value, stretched by a quarter and a soft edge for higher vehicles. What never ends within 6 m is not theirs,
+    such as the trees they park under.
 
     Returns:
         None with fewer than 3 vehicles; without direction and length where no side is darker than the one across, as
