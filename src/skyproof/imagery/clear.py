@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
@@ -246,7 +245,7 @@ def _clear_tile(
             row.left_out = "too much to remove"
             break
         if own.any():
-            image = _filled(inpainting, image, own)
+            image = apply_inpainting(inpainting, image, own)
         if checker is None:
             break
         remaining = checker.boxes(image, checker.threshold)
@@ -264,13 +263,6 @@ def _clear_tile(
     if not mask.any() and row.left_out is None:
         return row, None
     return row, SheetRow(tile.id, _caption(row), before, image, mask, remaining)
-
-
-def _filled(inpainting: Inpainting, image: UInt8[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Tensor:
-    filled = apply_inpainting(inpainting, image, mask)
-    # Whatever fills the mask, the ground around it is the photograph's, byte for byte.
-    assert torch.equal(filled[:, ~mask], image[:, ~mask])
-    return filled
 
 
 def _caption(row: Cleared) -> str:
@@ -299,7 +291,10 @@ def _record(
         "inpainting": inpainting_record(inpainting),
         "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
         "checked_by": checked_by,
-        "shadows": {light: None if shadow is None else asdict(shadow) for light, shadow in shadows.items()},
+        "shadows": {
+            light: None if shadow is None else {**asdict(shadow), "direction": list(shadow.direction)}
+            for light, shadow in shadows.items()
+        },
         "totals": {
             "tiles": len(rows),
             "kept": len(kept),
@@ -323,4 +318,4 @@ def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
         document["features"] = [f for f in document["features"] if f["properties"]["id"] in kept]
     except (KeyError, TypeError) as error:
         raise StoredFileError(f"{path} is not an index of tiles ({error!r}); tile the imagery again.") from error
-    write_json(Path(out) / "index.geojson", json.loads(json.dumps(document)))
+    write_json(Path(out) / "index.geojson", document)

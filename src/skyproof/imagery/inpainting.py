@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import logging
+import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -18,6 +20,7 @@ from skyproof.imagery.exemplar import ExemplarSettings, fill_by_exemplar
 __all__ = ["Diffusion", "Exemplar", "Inpainting", "LearntInpainting", "apply_inpainting", "inpainting_record"]
 
 
+@runtime_checkable
 class Inpainting(Protocol):
     """Any function of this form fills masks; what it returns outside the mask is not used."""
 
@@ -130,8 +133,8 @@ class LearntInpainting:
         self._digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
 
     @torch.no_grad()
-    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
-        """Fills the mask."""
+    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Any:
+        """Fills the mask; what the network returns is checked by `apply_inpainting`."""
         height, width = mask.shape
         pad = (0, -width % self.STRIDE_PX, 0, -height % self.STRIDE_PX)
         padded = torch.nn.functional.pad(image[None], pad, mode="replicate")
@@ -148,17 +151,21 @@ class LearntInpainting:
 
 
 def _load_module(path: Path) -> Any:
-    """TorchScript first, then torch.export."""
-    reasons = []
-    for load in (lambda: torch.jit.load(path, map_location="cpu").eval(), lambda: torch.export.load(path).module()):
-        try:
-            return load()
-        except Exception as error:  # both loaders raise whatever their parsers meet
-            reasons.append(" ".join(str(error).split())[:120])
-    raise ImageryError(
-        f"{path} is neither a TorchScript module ({reasons[0]}) nor an exported program ({reasons[1]}); "
-        "save the network with torch.jit.save or torch.export.save."
-    )
+    """TorchScript or torch.export, told apart by what is in the archive."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            scripted = any("/code/" in name for name in archive.namelist())
+        # torch.export logs what it then raises.
+        logging.disable(logging.ERROR)
+        return torch.jit.load(path, map_location="cpu").eval() if scripted else torch.export.load(path).module()
+    except Exception as error:  # the loaders raise whatever their parsers meet
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(
+            f"{path} is neither a TorchScript module nor an exported program ({reason}); "
+            "save the network with torch.jit.save or torch.export.save."
+        ) from error
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _opencv() -> Any:

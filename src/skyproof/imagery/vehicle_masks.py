@@ -26,7 +26,7 @@ FEWEST_VEHICLES = 3
 FAINTEST_SHADOW = 0.05
 """Of the ground's brightness: the least by which the shadow side is darker than the side across."""
 END_SHARE = 0.25
-STRETCH, PENUMBRA_M = 1.25, 0.25
+STRETCH, PENUMBRA_M = 1.25, 0.5
 """The shadow is taken longer than measured: vehicles higher than the median one, and soft edges."""
 
 
