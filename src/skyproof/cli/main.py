@@ -12,6 +12,7 @@ import tyro
 from skyproof.cli.bench import Bench
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.check import Check
+from skyproof.cli.clear import Clear, Drop
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
@@ -50,6 +51,8 @@ _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "imagery": {
         "sensor": SetSensor,
         "labels": Labels,
+        "clear": Clear,
+        "drop": Drop,
     },
 }
 

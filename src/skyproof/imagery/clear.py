@@ -1,0 +1,321 @@
+"""Removing vehicles from a tiled folder: find, mask with shadows, fill, check, repair or leave out (PAPER 2)."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
+from skyproof.files import read_json, write_json
+from skyproof.imagery.inpainting import Inpainting, apply_inpainting, inpainting_record
+from skyproof.imagery.sheet import ContactSheet, SheetRow
+from skyproof.imagery.vehicle_finder import VehicleFinder, check_resolution, other_vehicles, read_boxes
+from skyproof.imagery.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
+
+__all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]
+
+RECORD = "clearing.json"
+
+
+@dataclass(frozen=True)
+class ClearSettings:
+    """How vehicles are removed.
+
+    Attributes:
+        finding_score: every detection with at least this score is removed; low, because ground removed in vain costs
+            less than a vehicle left.
+        margin_m: by which vehicles' boxes are grown on all sides; doubled where the shadow is unknown.
+        largest_masked_share: of a tile; one with more to remove is left out.
+        rounds: how often a tile is repaired in which the check still finds something.
+    """
+
+    finding_score: float = 0.1
+    margin_m: float = 0.4
+    largest_masked_share: float = 0.35
+    rounds: int = 2
+
+    def __post_init__(self) -> None:
+        shares = 0 < self.finding_score <= 1 and 0 < self.largest_masked_share < 1
+        if not shares or self.margin_m < 0 or self.rounds < 0:
+            raise ConfigurationError(
+                "Clearing expects a score and a masked share between 0 and 1, and a margin and a number of rounds of "
+                f"at least 0, but got {self}."
+            )
+
+
+@dataclass
+class Cleared:
+    """What became of one tile; one row of the record.
+
+    Attributes:
+        id, split: of the tile.
+        labelled: vehicles removed because of a label, ignore regions included.
+        detected: vehicles removed because only the detector found them, repairs included.
+        masked_share: of the tile's pixels, after the last round.
+        rounds: repairs after the first filling.
+        remaining: what the check found in the end; None without a check.
+        left_out: why the tile is not in the result, or None.
+    """
+
+    id: str
+    split: str
+    labelled: int
+    detected: int
+    masked_share: float = 0.0
+    rounds: int = 0
+    remaining: int | None = None
+    left_out: str | None = None
+
+
+@dataclass
+class _Found:
+    labelled: Float[Tensor, "n 4"]
+    detected: Float[Tensor, "m 4"]
+    profiles: Float[Tensor, "k directions layers"] = field(default_factory=lambda: torch.zeros(0, 1, 1))
+
+    @property
+    def boxes(self) -> Tensor:
+        return torch.cat([self.labelled, self.detected])
+
+
+def clear_backgrounds(
+    folder: Path,
+    out: Path,
+    inpainting: Inpainting,
+    settings: ClearSettings | None = None,
+    *,
+    finder: VehicleFinder | None = None,
+    checker: VehicleFinder | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Writes a tiled folder of the same tiles without their vehicles.
+
+    Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where `checker` still finds
+    something are repaired, and left out if that does not help. A contact sheet shows every tile that was changed or
+    left out.
+
+    Args:
+        folder: a tiled folder, with or without `<split>/annotations.json`.
+        out: gets the tiles, `index.json`, `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around
+            it.
+        inpainting: fills masks; bytes outside the mask are never changed.
+        settings: margins and limits.
+        finder: finds vehicles that are not labelled.
+        checker: looks at the result, at its own threshold.
+        progress: called with ("find" or "clear", tiles done, tiles in all).
+
+    Returns:
+        The record, as written to `clearing.json`.
+
+    Raises:
+        ConfigurationError: neither labels nor a finder, or a detector of another resolution.
+        ImageryError: no tile is left, or the inpainting returned something unusable.
+        StoredFileError: the folder is not a tiled folder.
+    """
+    settings = settings or ClearSettings()
+    backgrounds = BackgroundSet.open(folder)
+    tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+    labels = read_boxes(folder)
+    if labels is None and finder is None:
+        raise ConfigurationError(
+            f"{folder} holds no labels (<split>/annotations.json) and no detector was given, so no vehicle can be "
+            "found; give --detector, or tile the imagery with its labels."
+        )
+    for used in (finder, checker):
+        check_resolution(used, backgrounds.gsd_m)
+    found = {}
+    for done, tile in enumerate(tiles, start=1):
+        found[tile.id] = _find(backgrounds, tile, (labels or {}).get(tile.id), finder, settings)
+        if progress is not None:
+            progress("find", done, len(tiles))
+    shadows = _shadows(tiles, found)
+    rows, kept = [], []
+    with ContactSheet(out / "sheets") as sheet:
+        for done, tile in enumerate(tiles, start=1):
+            row, sheet_row = _clear_tile(
+                backgrounds, tile, found[tile.id], shadows[_light(tile)], inpainting, settings, checker, out
+            )
+            rows.append(row)
+            if row.left_out is None:
+                kept.append(tile)
+            if sheet_row is not None:
+                sheet.add(sheet_row)
+            if progress is not None:
+                progress("clear", done, len(tiles))
+    record = _record(rows, shadows, inpainting, settings, finder, checker, labels is not None)
+    if not kept:
+        reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
+        raise ImageryError(
+            f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a larger "
+            "--largest-masked-share."
+        )
+    write_json(out / RECORD, record)
+    _copy_places(folder, out, {tile.id for tile in kept})
+    write_index(out, backgrounds.gsd_m, kept)
+    return record
+
+
+def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
+    """Takes tiles a person rejected out of the index; their pictures stay where they are.
+
+    Returns:
+        Splits that have no tile any more.
+
+    Raises:
+        ConfigurationError: an id is not in the index, or none would stay.
+        StoredFileError: the folder is not a background set.
+    """
+    backgrounds = BackgroundSet.open(folder)
+    tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+    unknown = sorted(set(ids) - {tile.id for tile in tiles})
+    if unknown:
+        raise ConfigurationError(f"{folder} has no tile {unknown[0]!r}; the ids are on the sheets.")
+    kept = [tile for tile in tiles if tile.id not in set(ids)]
+    if not kept:
+        raise ConfigurationError(f"Every tile of {folder} would be dropped; clear the imagery again instead.")
+    if (folder / RECORD).is_file():
+        record = read_json(folder / RECORD)
+        record["rejected"] = sorted({*record.get("rejected", []), *ids})
+        write_json(folder / RECORD, record)
+    _copy_places(folder, folder, {tile.id for tile in kept})
+    write_index(folder, backgrounds.gsd_m, kept)
+    return [split for split in SPLITS if any(t.split == split for t in tiles) and all(t.split != split for t in kept)]
+
+
+def _find(
+    backgrounds: BackgroundSet,
+    tile: BackgroundTile,
+    labelled: Tensor | None,
+    finder: VehicleFinder | None,
+    settings: ClearSettings,
+) -> _Found:
+    labelled = torch.zeros(0, 4) if labelled is None else labelled
+    detected = torch.zeros(0, 4)
+    image = backgrounds.pixels(tile.id)
+    if finder is not None:
+        detected = other_vehicles(finder.boxes(image, settings.finding_score), labelled)
+    found = _Found(labelled, detected)
+    if len(found.boxes):
+        found.profiles = darkness_profiles(image, found.boxes, gsd_m=backgrounds.gsd_m)
+    return found
+
+
+def _light(tile: BackgroundTile) -> str:
+    """Tiles under the same sun: those of one source image; a procedural tile has a sun of its own."""
+    return tile.source if tile.sun_azimuth_rad is None else tile.id
+
+
+def _shadows(tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]) -> dict[str, Shadow | None]:
+    profiles: dict[str, list[Tensor]] = defaultdict(list)
+    for tile in tiles:
+        own = found[tile.id].profiles
+        profiles[_light(tile)] += [own] if len(own) else []
+    return {light: estimate_shadow(own) for light, own in ((_light(t), profiles[_light(t)]) for t in tiles)}
+
+
+def _clear_tile(
+    backgrounds: BackgroundSet,
+    tile: BackgroundTile,
+    found: _Found,
+    shadow: Shadow | None,
+    inpainting: Inpainting,
+    settings: ClearSettings,
+    checker: VehicleFinder | None,
+    out: Path,
+) -> tuple[Cleared, SheetRow | None]:
+    """Fills one tile, checks it and stores it."""
+    row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected))
+    before = backgrounds.pixels(tile.id)
+    size = (tile.height_px, tile.width_px)
+    image, mask, boxes = before, torch.zeros(size, dtype=torch.bool), found.boxes
+    remaining = torch.zeros(0, 4)
+    while True:
+        own = vehicle_mask(size, boxes, shadow, gsd_m=backgrounds.gsd_m, margin_m=settings.margin_m)
+        mask |= own
+        row.masked_share = round(float(mask.float().mean()), 4)
+        if row.masked_share > settings.largest_masked_share:
+            row.left_out = "too much to remove"
+            break
+        if own.any():
+            image = apply_inpainting(inpainting, image, own)
+        if checker is None:
+            break
+        remaining = checker.boxes(image, checker.threshold)
+        row.remaining = len(remaining)
+        if not len(remaining):
+            break
+        if row.rounds == settings.rounds:
+            row.left_out = "a vehicle is still found"
+            break
+        row.rounds += 1
+        row.detected += len(remaining)
+        boxes = remaining
+    if row.left_out is None:
+        save_tile(out, tile, image)
+    if not mask.any() and row.left_out is None:
+        return row, None
+    return row, SheetRow(tile.id, _caption(row), before, image, mask, remaining)
+
+
+def _caption(row: Cleared) -> str:
+    state = f"LEFT OUT: {row.left_out}" if row.left_out else "kept"
+    check = "not checked by a detector" if row.remaining is None else f"check finds {row.remaining}"
+    vehicles = f"{row.labelled} labelled + {row.detected} detected removed"
+    return f"{row.split}, {vehicles}, {row.masked_share:.1%} masked, {row.rounds} repairs, {check}, {state}"
+
+
+def _record(
+    rows: Sequence[Cleared],
+    shadows: Mapping[str, Shadow | None],
+    inpainting: Inpainting,
+    settings: ClearSettings,
+    finder: VehicleFinder | None,
+    checker: VehicleFinder | None,
+    labels: bool,
+) -> dict[str, Any]:
+    left_out = Counter(row.left_out for row in rows if row.left_out)
+    kept = [row for row in rows if row.left_out is None]
+    emptied = [s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)]
+    checked_by = {"name": checker.name, "threshold": checker.threshold} if checker else "not checked by a detector"
+    return {
+        "format_version": 1,
+        "settings": asdict(settings),
+        "inpainting": inpainting_record(inpainting),
+        "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
+        "checked_by": checked_by,
+        "shadows": {
+            light: None if shadow is None else {**asdict(shadow), "direction": list(shadow.direction)}
+            for light, shadow in shadows.items()
+        },
+        "totals": {
+            "tiles": len(rows),
+            "kept": len(kept),
+            "left_out": dict(left_out),
+            "splits_without_tiles": emptied,
+            "labelled_removed": sum(row.labelled for row in kept),
+            "detected_removed": sum(row.detected for row in kept),
+            "masked_share": round(sum(row.masked_share for row in kept) / max(len(kept), 1), 4),
+        },
+        "tiles": [asdict(row) for row in rows],
+    }
+
+
+def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
+    """The kept tiles' polygons."""
+    path = Path(folder) / "index.geojson"
+    if not path.is_file():
+        return
+    document = read_json(path)
+    try:
+        document["features"] = [f for f in document["features"] if f["properties"]["id"] in kept]
+    except (KeyError, TypeError) as error:
+        raise StoredFileError(f"{path} is not an index of tiles ({error!r}); tile the imagery again.") from error
+    write_json(Path(out) / "index.geojson", document)

@@ -1,0 +1,242 @@
+"""Filling holes with ground from nearby: whole patches are shifted in and their colours joined without a seam."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, sparse
+from scipy.sparse.linalg import splu
+
+__all__ = ["ExemplarSettings", "fill_by_exemplar"]
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Shift = tuple[int, int]
+
+SEEN_SHARE = 0.6
+"""Of a shifted ring, how much must lie on ground that may be compared."""
+
+
+@dataclass(frozen=True)
+class ExemplarSettings:
+    """How a hole finds the ground it is filled with; the pixel figures suit 10 to 15 cm per pixel.
+
+    Attributes:
+        search_px: how far away the copied ground may lie, rows and columns.
+        ring_px: width of the known ring around a hole that the copied ground's own ring must look like.
+        piece_px: larger holes are filled piece by piece, each about this wide.
+        shifts: most places one piece may be put together from; each serves the side of the hole it suits.
+        plainness: weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred to
+            ground with things on it.
+        hold: weight of the copied ground's own values, brightened as a whole, against a stepless joint.
+        brightness_freedom: 0 to 1, how much of an even difference in brightness is no mismatch, because it is levelled.
+    """
+
+    search_px: int = 112
+    ring_px: int = 7
+    piece_px: int = 72
+    shifts: int = 4
+    plainness: float = 0.3
+    hold: float = 0.02
+    brightness_freedom: float = 0.7
+
+
+@dataclass(frozen=True)
+class _Window:
+    """A part of the picture around one piece: values `[H, W, 3]`, what is known, and the hole to fill."""
+
+    values: Array
+    known: Flags
+    hole: Flags
+
+
+def fill_by_exemplar(
+    image: Array, mask: Flags, settings: ExemplarSettings | None = None, *, start: Array | None = None
+) -> Array:
+    """Fills `mask` with ground of the same picture.
+
+    For every piece of a hole all shifts within `search_px` are compared (exactly, by Fourier transform): the known ring
+    around the piece against the same ring shifted. The best shifts each serve the side they suit best, and a screened
+    Poisson equation joins them to the ring, so that texture and noise are the picture's own and no step is left.
+
+    Args:
+        image: `[H, W, 3]`.
+        mask: `[H, W]` True where to fill.
+        settings: sizes and weights.
+        start: `[H, W, 3]` what stays where no place fits, such as a diffused filling; the image itself by default.
+
+    Returns:
+        A new image; equal to `image` outside `mask`.
+    """
+    settings = settings or ExemplarSettings()
+    filled, unknown = image.copy(), mask.copy()
+    if start is not None:
+        filled[mask] = start[mask]
+    # Small holes first: once filled they may serve the large ones' rings, but are never copied from.
+    pieces = sorted(_pieces(mask, settings.piece_px), key=lambda piece: int(piece.sum()))
+    for piece in pieces:
+        rows, columns = _reach(piece, settings.search_px + settings.ring_px + 1)
+        window = _Window(filled[rows, columns], ~unknown[rows, columns], piece[rows, columns])
+        result = _fill(window, ~mask[rows, columns], settings)
+        if result is not None:
+            filled[rows, columns] = result
+        unknown &= ~piece
+    return filled
+
+
+def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
+    """Connected holes, the large ones divided into about square pieces."""
+    labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
+    pieces = []
+    for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
+        own = labels == number
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        down, across = math.ceil(height / piece_px), math.ceil(width / piece_px)
+        for row in range(down):
+            for column in range(across):
+                part = np.zeros_like(mask)
+                place = (
+                    slice(rows.start + height * row // down, rows.start + height * (row + 1) // down),
+                    slice(columns.start + width * column // across, columns.start + width * (column + 1) // across),
+                )
+                part[place] = own[place]
+                if part.any():
+                    pieces.append(part)
+    return pieces
+
+
+def _reach(piece: Flags, margin_px: int) -> tuple[slice, slice]:
+    rows, columns = ndimage.find_objects(piece.astype(np.int8))[0]
+    return (
+        slice(max(0, rows.start - margin_px), min(piece.shape[0], rows.stop + margin_px)),
+        slice(max(0, columns.start - margin_px), min(piece.shape[1], columns.stop + margin_px)),
+    )
+
+
+def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | None:
+    """The window with its hole filled; None where no shift keeps the whole copy on sound ground."""
+    near = ndimage.binary_dilation(window.hole, iterations=settings.ring_px)
+    ring = near & ~window.hole & window.known
+    if not ring.any():
+        return None
+    shifts = _best_shifts(window, ring, sound, settings)
+    if not shifts:
+        return None
+    levels = []
+    for shift in shifts:
+        seen = ring & _shifted(sound, shift)
+        levels.append(np.median((window.values - _shifted(window.values, shift))[seen], axis=0))
+    return _join(window, _serve_sides(window, ring, sound, shifts), shifts, levels, settings.hold)
+
+
+def _best_shifts(window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings) -> list[Shift]:
+    """Places to copy from, best first: shifts (down, across) at which the ring looks the same."""
+    # Room for the largest shift, so that none wraps around.
+    size = tuple(fft.next_fast_len(side + settings.search_px, real=True) for side in ring.shape)
+
+    def spectrum(values: NDArray[Any]) -> NDArray[np.complex64]:
+        return fft.rfft2(values.astype(np.float32), size)
+
+    def correlate(template: NDArray[np.complex64], field: NDArray[np.complex64]) -> NDArray[np.float32]:
+        return fft.irfft2(np.conj(template) * field, size)
+
+    ground = spectrum(sound)
+    ring_spectrum, hole_spectrum = spectrum(ring), spectrum(window.hole)
+    copied = ndimage.binary_dilation(window.hole)
+    seen = correlate(ring_spectrum, ground).round()
+    valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (seen >= SEEN_SHARE * ring.sum())
+    seen = np.maximum(seen, 1)
+    mismatch, contrast = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    for channel in np.moveaxis(window.values, 2, 0):
+        # Around the ring's mean the sums of squares stay small and exact.
+        values = np.where(sound | ring, channel - channel[ring].mean(), 0.0)
+        theirs, ours = np.where(sound, values, 0.0), np.where(ring, values, 0.0)
+        field, squares, own = spectrum(theirs), spectrum(theirs**2), spectrum(ours)
+        # Sums over the part of the shifted ring that lies on sound ground.
+        squared = correlate(spectrum(ours**2), ground) + correlate(ring_spectrum, squares) - 2 * correlate(own, field)
+        even = correlate(own, ground) - correlate(ring_spectrum, field)
+        mismatch += squared / seen - settings.brightness_freedom * (even / seen) ** 2
+        inside = correlate(hole_spectrum, field) / window.hole.sum()
+        contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
+    cost = np.where(valid, np.maximum(mismatch, 0) + settings.plainness * np.maximum(contrast, 0), np.inf)
+    down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
+    far = np.maximum(abs(down), abs(across)) > settings.search_px
+    cost[far] = np.inf
+    chosen: list[Shift] = []
+    best = math.inf
+    while len(chosen) < settings.shifts:
+        at = int(cost.argmin())
+        lowest = float(cost.flat[at])
+        best = min(best, lowest)
+        # A place much worse than the best one would only bring in strange ground.
+        if not math.isfinite(lowest) or lowest > 2 * best + 1e-4:
+            break
+        shift = int(down.flat[at]), int(across.flat[at])
+        chosen.append(shift)
+        cost[(abs(down - shift[0]) <= 3) & (abs(across - shift[1]) <= 3)] = np.inf
+    return chosen
+
+
+def _signed(size: int) -> NDArray[np.int64]:
+    """Shifts in the order of a Fourier transform."""
+    return np.fft.fftfreq(size, 1 / size).round().astype(np.int64)
+
+
+def _serve_sides(window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]) -> NDArray[np.int64]:
+    """Per pixel the number of the shift whose mismatch on the nearby ring is smallest."""
+    reach_px = 0.15 * math.sqrt(window.hole.sum()) + 2
+    costs = []
+    for shift in shifts:
+        seen = ring & _shifted(sound, shift)
+        weight = ndimage.gaussian_filter(seen.astype(float), reach_px, truncate=8) + 1e-12
+        difference = np.where(seen, ((window.values - _shifted(window.values, shift)) ** 2).sum(2), 0.0)
+        costs.append(ndimage.gaussian_filter(difference, reach_px, truncate=8) / weight)
+    return np.argmin(costs, axis=0)
+
+
+def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
+    """What lies `shift` away from each pixel; wraps, so that only places known to be inside may be read."""
+    return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
+
+
+def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift], levels: list[Array], hold: float) -> Array:
+    """Solves a screened Poisson equation in the hole.
+
+    Wanted are the copies' differences between neighbours, the ring's values next to it and, with weight `hold`, the
+    copies levelled to the ring's brightness: what differs at one place of the ring does not bleed through the hole.
+    """
+    copies = np.stack([_shifted(window.values, shift) + level for shift, level in zip(shifts, levels, strict=True)])
+    rows, columns = np.nonzero(window.hole)
+    number = np.full(window.hole.shape, -1)
+    number[rows, columns] = np.arange(len(rows))
+    own = choice[rows, columns]
+    count = np.zeros(len(rows))
+    right = np.zeros((len(rows), 3))
+    links: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    for down, across in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        to_row, to_column = rows + down, columns + across
+        inside = (to_row >= 0) & (to_row < window.hole.shape[0]) & (to_column >= 0) & (to_column < window.hole.shape[1])
+        to_row, to_column = to_row.clip(0, window.hole.shape[0] - 1), to_column.clip(0, window.hole.shape[1] - 1)
+        in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
+        # Towards the picture's edge and towards pieces still to be filled nothing is asked.
+        asked = inside & (in_hole | fixed)
+        theirs = np.where(in_hole, choice[to_row, to_column], own)
+        step = copies[own, rows, columns] - copies[own, to_row, to_column]
+        step = (step + copies[theirs, rows, columns] - copies[theirs, to_row, to_column]) / 2
+        count += asked
+        right += np.where(asked[:, None], step, 0.0)
+        on_ring = asked & ~in_hole
+        right[on_ring] += window.values[to_row[on_ring], to_column[on_ring]]
+        linked = np.nonzero(asked & in_hole)[0]
+        links.append((linked, number[to_row[linked], to_column[linked]]))
+    start, end = (np.concatenate([link[side] for link in links]) for side in (0, 1))
+    matrix = sparse.csc_array((-np.ones(len(start)), (start, end)), shape=(len(rows), len(rows)))
+    matrix = matrix + sparse.diags_array(count + hold)
+    solved = splu(matrix.tocsc()).solve(right + hold * copies[own, rows, columns])
+    filled = window.values.copy()
+    filled[rows, columns] = solved
+    return filled

@@ -1,0 +1,179 @@
+"""Filling masked ground: OpenCV, ground from nearby on top of it, or a learnt model from a file."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import zipfile
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.exemplar import ExemplarSettings, fill_by_exemplar
+
+__all__ = ["Diffusion", "Exemplar", "Inpainting", "LearntInpainting", "apply_inpainting", "inpainting_record"]
+
+
+@runtime_checkable
+class Inpainting(Protocol):
+    """Any function of this form fills masks; what it returns outside the mask is not used."""
+
+    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+        """Fills an sRGB image in [0, 1] where the mask is True."""
+        ...
+
+
+def apply_inpainting(
+    inpainting: Inpainting, image: UInt8[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]
+) -> UInt8[Tensor, "3 H W"]:
+    """Fills the mask; every byte outside it stays as it was.
+
+    Raises:
+        ImageryError: the inpainting failed, or returned another shape, type or values that are not finite.
+    """
+    name = inpainting_record(inpainting)["name"]
+    try:
+        filled = inpainting(image.float() / 255, mask.clone())
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[-300:]
+        raise ImageryError(f"The inpainting {name} failed on a tile of {tuple(image.shape)} ({reason}).") from error
+    if not isinstance(filled, Tensor) or filled.shape != image.shape or not filled.is_floating_point():
+        came = f"{filled.dtype} {tuple(filled.shape)}" if isinstance(filled, Tensor) else type(filled).__name__
+        raise ImageryError(
+            f"The inpainting {name} is to return a float image of shape {tuple(image.shape)} but returned {came}; "
+            "use one that keeps the size."
+        )
+    if not torch.isfinite(filled[:, mask]).all():
+        raise ImageryError(f"The inpainting {name} returned values that are not finite; use another one.")
+    values = (filled.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8)
+    return torch.where(mask, values, image)
+
+
+def inpainting_record(inpainting: Inpainting) -> dict[str, Any]:
+    """What the record of a clearing says of it: what its own `record` says, or its name alone."""
+    own = getattr(inpainting, "record", None)
+    if callable(own):
+        return dict(own())
+    return {"name": str(getattr(inpainting, "__name__", type(inpainting).__name__))}
+
+
+@dataclass(frozen=True)
+class Diffusion:
+    """OpenCV's inpainting: colours are carried on from the mask's edge; smooth, without texture.
+
+    Attributes:
+        method: "telea" (fast marching) or "navier-stokes".
+        radius_px: neighbourhood OpenCV looks at.
+    """
+
+    method: Literal["telea", "navier-stokes"] = "telea"
+    radius_px: float = 5.0
+
+    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+        """Fills the mask."""
+        cv2 = _opencv()
+        flag = cv2.INPAINT_TELEA if self.method == "telea" else cv2.INPAINT_NS
+        pixels = np.ascontiguousarray((image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8))
+        filled = cv2.inpaint(pixels, mask.numpy().astype(np.uint8) * 255, self.radius_px, flag)
+        return torch.from_numpy(filled).permute(2, 0, 1).float() / 255
+
+    def record(self) -> dict[str, Any]:
+        """Method and OpenCV's version."""
+        return {"name": f"opencv {self.method}", "radius_px": self.radius_px, "opencv": _opencv().__version__}
+
+
+@dataclass(frozen=True)
+class Exemplar:
+    """Ground copied from nearby (see `fill_by_exemplar`); where no place fits, what `otherwise` fills in.
+
+    Attributes:
+        settings: of the search.
+        otherwise: used where no place nearby is large enough and free of vehicles.
+    """
+
+    settings: ExemplarSettings = field(default_factory=ExemplarSettings)
+    otherwise: Diffusion = field(default_factory=Diffusion)
+
+    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+        """Fills the mask."""
+        pixels, start = (i.permute(1, 2, 0).double().numpy() for i in (image, self.otherwise(image, mask)))
+        filled = fill_by_exemplar(pixels, mask.numpy(), self.settings, start=start)
+        return torch.from_numpy(filled).permute(2, 0, 1).float()
+
+    def record(self) -> dict[str, Any]:
+        """Settings, and those of the fallback."""
+        return {"name": "exemplar", **asdict(self.settings), "otherwise": self.otherwise.record()}
+
+
+class LearntInpainting:
+    """A TorchScript module or an exported program that takes (image [1, 3, H, W], mask [1, 1, H, W]) floats.
+
+    LaMa is distributed in this form. Sides are padded to a multiple of 8, as such networks need.
+
+    Args:
+        path: the file.
+
+    Raises:
+        ImageryError: it is missing or neither of the two.
+    """
+
+    STRIDE_PX = 8
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise ImageryError(f"{self.path} is missing; give --inpainting a TorchScript or torch.export file.")
+        self._module = _load_module(self.path)
+        self._digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+    @torch.no_grad()
+    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Any:
+        """Fills the mask; what the network returns is checked by `apply_inpainting`."""
+        height, width = mask.shape
+        pad = (0, -width % self.STRIDE_PX, 0, -height % self.STRIDE_PX)
+        padded = torch.nn.functional.pad(image[None], pad, mode="replicate")
+        flags = torch.nn.functional.pad(mask[None, None].float(), pad)
+        filled = self._module(padded, flags)
+        if not isinstance(filled, Tensor) or filled.ndim != 4 or len(filled) != 1:
+            return filled
+        # A network that changed the size is to be refused, not cut to size.
+        return filled[0, :, :height, :width] if filled.shape[2:] == padded.shape[2:] else filled[0]
+
+    def record(self) -> dict[str, Any]:
+        """File name and SHA-256."""
+        return {"name": self.path.name, "sha256": self._digest}
+
+
+def _load_module(path: Path) -> Any:
+    """TorchScript or torch.export, told apart by what is in the archive."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            scripted = any("/code/" in name for name in archive.namelist())
+        # torch.export logs what it then raises.
+        logging.disable(logging.ERROR)
+        return torch.jit.load(path, map_location="cpu").eval() if scripted else torch.export.load(path).module()
+    except Exception as error:  # the loaders raise whatever their parsers meet
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(
+            f"{path} is neither a TorchScript module nor an exported program ({reason}); "
+            "save the network with torch.jit.save or torch.export.save."
+        ) from error
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError as error:
+        raise ConfigurationError(
+            "Inpainting needs OpenCV, which is not installed; install skyproof with the extra 'imagery' "
+            "(pip install 'skyproof[imagery]'), or give --inpainting a file."
+        ) from error
+    return cv2

@@ -1,0 +1,103 @@
+"""Vehicles in tiles of any size: from labels, and from a detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torchvision import ops
+
+from skyproof.detectors.detector import Detector
+from skyproof.detectors.training import detect_all
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import read_json
+from skyproof.scenes.backgrounds import SPLITS
+
+__all__ = ["VehicleFinder", "check_resolution", "other_vehicles", "read_boxes"]
+
+WINDOW_PX, WINDOW_OVERLAP_PX = 384, 96
+"""The paper's tile: a window of 48 m holds no more than the 100 vehicles a detector returns at most."""
+SAME_VEHICLE_IOU = 0.3
+
+
+@dataclass(frozen=True)
+class VehicleFinder:
+    """A detector with what its card says of it.
+
+    Attributes:
+        detector: anything with `detect`.
+        threshold: its frozen score threshold.
+        gsd_m: metres per pixel it was trained at.
+        name: for the record, such as its folder and the digest of its weights.
+    """
+
+    detector: Detector
+    threshold: float
+    gsd_m: float
+    name: str
+
+    def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
+        """What it finds in a tile of any size: large ones are looked at in windows that overlap."""
+        windows, found = _windows(image.shape[1], image.shape[2]), []
+        for top, left, height, width in windows:
+            part = image[:, top : top + height, left : left + width]
+            detections = detect_all(self.detector, [part])[0]
+            shift = torch.tensor([left, top, left, top], dtype=torch.float32)
+            keep = detections.scores.cpu() >= lowest_score
+            found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
+        boxes, scores = torch.cat([f[0] for f in found]), torch.cat([f[1] for f in found])
+        return boxes[ops.nms(boxes, scores, 0.5)].reshape(-1, 4)
+
+
+def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
+    """Per tile id its labelled boxes, vehicles and ignore regions alike; None where the folder has no labels.
+
+    Raises:
+        StoredFileError: an annotation file is damaged.
+    """
+    paths = [path for split in SPLITS if (path := Path(folder) / split / "annotations.json").is_file()]
+    boxes: dict[str, list[list[float]]] = {}
+    for path in paths:
+        document = read_json(path)
+        try:
+            names = {image["id"]: str(image["scene_id"]) for image in document["images"]}
+            boxes.update({name: [] for name in names.values()})
+            for row in document["annotations"]:
+                left, top, width, height = map(float, row["bbox"])
+                boxes[names[row["image_id"]]].append([left, top, left + width, top + height])
+        except (KeyError, TypeError, ValueError) as error:
+            raise StoredFileError(f"{path} is not a label file of ours ({error!r}); tile the imagery again.") from error
+    return {name: torch.tensor(rows).reshape(-1, 4) for name, rows in boxes.items()} if paths else None
+
+
+def other_vehicles(boxes: Tensor, known: Tensor) -> Tensor:
+    """Boxes of vehicles that are not among the known ones: IoU below 0.3 with each."""
+    if not len(known) or not len(boxes):
+        return boxes
+    return boxes[ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU]
+
+
+def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
+    """Refuses a detector that was trained at another resolution.
+
+    Raises:
+        ConfigurationError: more than 2 % apart.
+    """
+    if finder is not None and abs(finder.gsd_m - gsd_m) > 0.02 * gsd_m:
+        raise ConfigurationError(
+            f"The detector {finder.name} was trained at {finder.gsd_m} m per pixel but the tiles have {gsd_m} m; "
+            "give one of this resolution, or tile the imagery at the detector's."
+        )
+
+
+def _windows(height_px: int, width_px: int) -> list[tuple[int, int, int, int]]:
+    """Top, left, height and width of equal windows that cover the picture."""
+    parts = []
+    for side in (height_px, width_px):
+        length = min(side, WINDOW_PX)
+        count = 1 if side == length else -(-(side - WINDOW_OVERLAP_PX) // (length - WINDOW_OVERLAP_PX))
+        parts.append([(round(i * (side - length) / max(count - 1, 1)), length) for i in range(count)])
+    return [(top, left, height, width) for top, height in parts[0] for left, width in parts[1]]

@@ -1,0 +1,174 @@
+"""Where vehicles and their cast shadows hide the ground: shadows are found in the pictures themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from numpy.typing import NDArray
+from torch import Tensor
+
+__all__ = ["Shadow", "darkness_profiles", "estimate_shadow", "vehicle_mask"]
+
+Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+
+DIRECTIONS = 24
+LONGEST_SHADOW_M = 6.0
+LAYER_M = 0.25
+NEAR_M = 1.0
+SAMPLE_LIMIT = 300
+FEWEST_VEHICLES = 3
+FAINTEST_SHADOW = 0.05
+"""Of the ground's brightness: the least by which the shadow side is darker than the side across."""
+END_SHARE = 0.25
+STRETCH, PENUMBRA_M = 1.25, 0.5
+"""The shadow is taken longer than measured: vehicles higher than the median one, and soft edges."""
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """The shadow that vehicles of one picture cast on the ground.
+
+    Attributes:
+        direction: unit vector (x right, y down) it falls in; (0, 0) where vehicles cast no directed shadow.
+        length_m: how far it reaches beyond a vehicle's box.
+        contrast: how much darker the ground is on that side than on the other, as a part of its brightness.
+        vehicles: how many it was measured on.
+    """
+
+    direction: tuple[float, float]
+    length_m: float
+    contrast: float
+    vehicles: int
+
+
+def vehicle_mask(
+    size_px: tuple[int, int], boxes: Float[Tensor, "n 4"], shadow: Shadow | None, *, gsd_m: float, margin_m: float
+) -> Bool[Tensor, "H W"]:
+    """Boxes grown by a margin and drawn along the shadow: every place the moving box touches.
+
+    Args:
+        size_px: height and width.
+        boxes: pixel xyxy, half-open.
+        shadow: as `estimate_shadow` found it; None where it is unknown: the margin is then doubled.
+        gsd_m: metres per pixel.
+        margin_m: by which boxes are grown on all sides.
+    """
+    mask = np.zeros(size_px, dtype=bool)
+    margin_px = margin_m / gsd_m * (1 if shadow is not None else 2)
+    direction = shadow.direction if shadow is not None else (0.0, 0.0)
+    length_px = shadow.length_m / gsd_m if shadow is not None else 0.0
+    for left, top, right, bottom in boxes.tolist():
+        grown = (left - margin_px, top - margin_px, right + margin_px, bottom + margin_px)
+        rows, columns = _around(grown, length_px + 1, size_px)
+        if rows.stop > rows.start and columns.stop > columns.start:
+            mask[rows, columns] |= _arrival(grown, direction, rows, columns) <= length_px
+    return torch.from_numpy(mask)
+
+
+def darkness_profiles(
+    image: UInt8[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, gsd_m: float
+) -> Float[Tensor, "n directions layers"]:
+    """How dark the ground beside each box is, direction by direction and layer by layer outwards.
+
+    A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness of the ground
+    around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other boxes or the
+    picture's edge leave nothing.
+    """
+    grey = image.double().mean(0).numpy()
+    taken = np.zeros(grey.shape, dtype=bool)
+    for left, top, right, bottom in boxes.tolist():
+        taken[max(0, int(top)) : math.ceil(bottom), max(0, int(left)) : math.ceil(right)] = True
+    layers = round(LONGEST_SHADOW_M / LAYER_M)
+    profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
+    for profile, box in zip(profiles, boxes.tolist(), strict=True):
+        rows, columns = _around(box, LONGEST_SHADOW_M / gsd_m, grey.shape)
+        free, values = ~taken[rows, columns], grey[rows, columns]
+        near = _around(box, 4 / gsd_m, grey.shape)
+        around = grey[near][~taken[near]]
+        if around.size < 50:
+            continue
+        ground = max(float(np.median(around)), 1.0)
+        darkness = np.clip(1 - values / ground, -0.5, 1)
+        for number in range(DIRECTIONS):
+            arrival_m = _arrival(box, _unit(number), rows, columns) * gsd_m
+            counted = free & (arrival_m > 0) & (arrival_m < LONGEST_SHADOW_M)
+            layer = (arrival_m[counted] / LAYER_M).astype(int)
+            number_in = np.bincount(layer, minlength=layers)
+            sums = np.bincount(layer, weights=darkness[counted], minlength=layers)
+            profile[number] = np.where(number_in >= 3, sums / np.maximum(number_in, 1), np.nan)
+    return torch.from_numpy(profiles).float()
+
+
+def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
+    """The shadow all vehicles of one picture share.
+
+    The direction is the sum of all directions weighted by how dark the ground is there within 1 m of the boxes (the
+    median over vehicles). The length is where the darkness, less that of the side across, falls below a quarter of its
+    largest value, stretched by a quarter and a soft edge for higher vehicles. What never ends within 6 m is not theirs,
+    such as the trees they park under.
+
+    Returns:
+        None with fewer than 3 vehicles; without direction and length where no side is darker than the one across, as
+        under an overcast sky.
+    """
+    found = [one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()]
+    if len(found) < FEWEST_VEHICLES:
+        return None
+    stacked = np.stack(found[:SAMPLE_LIMIT])
+    near_layers = round(NEAR_M / LAYER_M)
+    near = _median(stacked[:, :, :near_layers].reshape(len(stacked), -1)).reshape(DIRECTIONS, -1).mean(1)
+    units = np.array([_unit(number) for number in range(DIRECTIONS)])
+    x, y = (near[:, None] * units).sum(0)
+    length = math.hypot(x, y)
+    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
+    contrast = float(near[best] - near[(best + DIRECTIONS // 2) % DIRECTIONS])
+    profile = _median(stacked[:, best]) - _median(stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS])
+    peak = int(profile[:near_layers].argmax())
+    ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
+    # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along it.
+    if contrast < FAINTEST_SHADOW or not len(ends):
+        return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
+    reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
+    return Shadow((float(x / length), float(y / length)), min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
+
+
+def _median(values: Array) -> Array:
+    """Over the first axis, without nan; 0 where there is nothing else."""
+    masked = np.ma.masked_invalid(values)
+    return np.ma.median(masked, axis=0).filled(0.0)
+
+
+def _unit(number: int) -> tuple[float, float]:
+    angle = 2 * math.pi * number / DIRECTIONS
+    return math.cos(angle), math.sin(angle)
+
+
+def _around(box: Box | list[float], margin_px: float, size_px: tuple[int, ...]) -> tuple[slice, slice]:
+    left, top, right, bottom = box
+    return (
+        slice(max(0, math.floor(top - margin_px)), max(0, min(size_px[0], math.ceil(bottom + margin_px)))),
+        slice(max(0, math.floor(left - margin_px)), max(0, min(size_px[1], math.ceil(right + margin_px)))),
+    )
+
+
+def _arrival(box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice) -> Array:
+    """Per pixel centre, how far the box must move in the direction until it covers it; 0 inside, inf where it never."""
+    left, top, right, bottom = box
+    first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
+    last = np.full_like(first, np.inf)
+    xs, ys = np.arange(columns.start, columns.stop)[None, :] + 0.5, np.arange(rows.start, rows.stop)[:, None] + 0.5
+    for places, low, high, speed in ((xs, left, right, direction[0]), (ys, top, bottom, direction[1])):
+        if abs(speed) < 1e-9:
+            outside = (places < low) | (places > high)
+            first, last = np.where(outside, np.inf, first), np.where(outside, -np.inf, last)
+            continue
+        one, other = (places - high) / speed, (places - low) / speed
+        first = np.maximum(first, np.minimum(one, other))
+        last = np.minimum(last, np.maximum(one, other))
+    return np.where(first <= last, first, np.inf)

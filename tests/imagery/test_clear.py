@@ -1,0 +1,264 @@
+"""Clearing a tiled folder: who finds what, what is repaired, what is left out, and what the record says."""
+
+import json
+
+import pytest
+import torch
+from PIL import Image
+
+from skyproof.detectors.detector import Detections
+from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
+from skyproof.files import finished_folder
+from skyproof.imagery.clear import ClearSettings, clear_backgrounds, drop_tiles
+from skyproof.imagery.vehicle_finder import VehicleFinder
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, write_index
+from skyproof.scenes.coco import Annotation, CocoWriter
+
+SIZE_PX = 120
+GROUND, RED = (100, 110, 120), (250, 0, 0)
+
+
+def box(left, top):
+    return (float(left), float(top), left + 30.0, top + 14.0)
+
+
+VEHICLES = {
+    "a": [box(20, 20), box(60, 80)],
+    "b": [],
+    "c": [box(40, 40)],
+    "d": [box(10, 90)],
+    "e": [box(70, 20)],
+}
+SPLIT_OF = {"a": "train", "b": "train", "c": "validation", "d": "attack", "e": "test"}
+
+
+def tiled(folder, labelled=(), ignored=()):
+    """Five tiles with red vehicles; labels for some of them."""
+    tiles = []
+    for split in SPLITS:
+        with CocoWriter(folder / split, gsd_m=0.125) as writer:
+            for name in (name for name, own in SPLIT_OF.items() if own == split):
+                image = torch.tensor(GROUND, dtype=torch.uint8)[:, None, None].repeat(1, SIZE_PX, SIZE_PX)
+                for left, top, right, bottom in VEHICLES[name]:
+                    image[:, int(top) : int(bottom), int(left) : int(right)] = torch.tensor(RED)[:, None, None]
+                rows = [
+                    Annotation(b, ((b[0] + b[2]) / 2, (b[1] + b[3]) / 2), ignore=b in ignored)
+                    for b in VEHICLES[name]
+                    if name in labelled or b in ignored
+                ]
+                writer.add(image, name, rows)
+                path = f"{split}/images/{name}.png"
+                tiles.append(BackgroundTile(name, path, split, SIZE_PX, SIZE_PX, "photo.tif", (1, 2), licence="CC0"))
+        if not labelled:
+            (folder / split / "annotations.json").unlink()
+    features = [{"type": "Feature", "geometry": None, "properties": {"id": name}} for name in SPLIT_OF]
+    (folder / "index.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    write_index(folder, 0.125, tiles)
+    return folder
+
+
+class Reds:
+    """Finds red vehicles by their colour: pixels above a strength, one box around each."""
+
+    name = "reds"
+
+    def __init__(self, blind_to=()):
+        self.blind_to = blind_to
+
+    def detect(self, images):
+        found = []
+        for image in images:
+            boxes = []
+            for own in {b for boxes in VEHICLES.values() for b in boxes if b not in self.blind_to}:
+                part = image[:, int(own[1]) : int(own[3]), int(own[0]) : int(own[2])]
+                if (part[0] - part[1]).mean() > 0.3:
+                    boxes.append(own)
+            found.append(Detections(torch.tensor(boxes).reshape(-1, 4), torch.full((len(boxes),), 0.9)))
+        return found
+
+
+def finder(detector=None, gsd_m=0.125):
+    return VehicleFinder(detector or Reds(), 0.5, gsd_m, "reds")
+
+
+def ground(image, mask):
+    return torch.tensor(GROUND)[:, None, None].expand_as(image) / 255
+
+
+def cleared(folder, tmp_path, inpainting=ground, **options):
+    with finished_folder(tmp_path / "cleared") as partial:
+        record = clear_backgrounds(folder, partial, inpainting, **options)
+    return BackgroundSet.open(tmp_path / "cleared"), record
+
+
+def reds(backgrounds, name):
+    image = backgrounds.pixels(name).int()
+    return int((image[0] - image[1] > 60).sum())
+
+
+def test_labelled_vehicles_and_ignore_regions_are_removed(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde", ignored=[box(60, 80)])
+    result, record = cleared(folder, tmp_path)
+    assert all(reds(BackgroundSet.open(folder), name) for name in "acde")
+    assert not any(reds(result, name) for name in SPLIT_OF)
+    before = BackgroundSet.open(folder)
+    assert [result.tile(name) for name in SPLIT_OF] == [before.tile(name) for name in SPLIT_OF]
+    assert result.gsd_m == 0.125
+    totals = record["totals"]
+    assert (totals["labelled_removed"], totals["detected_removed"], totals["kept"]) == (5, 0, 5)
+    assert record["checked_by"] == "not checked by a detector"
+    assert record["vehicles_from"] == ["labels"]
+    assert record["inpainting"] == {"name": "ground"}
+    assert json.loads((tmp_path / "cleared" / "clearing.json").read_text()) == record
+    assert len(json.loads((tmp_path / "cleared" / "index.geojson").read_text())["features"]) == 5
+
+
+def test_bytes_beside_the_vehicles_stay(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="c")
+    result, _ = cleared(folder, tmp_path, inpainting=lambda image, mask: torch.zeros_like(image))
+    changed = (result.pixels("c") != BackgroundSet.open(folder).pixels("c")).any(0)
+    # One label of this source: the shadow is unknown, so that the margin is twice 0.4 m.
+    expected = torch.zeros_like(changed)
+    expected[40 - 6 : 54 + 6, 40 - 6 : 70 + 6] = True
+    assert torch.equal(changed, expected)
+
+
+def test_the_detector_finds_what_is_not_labelled(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="a")
+    result, record = cleared(folder, tmp_path, finder=finder())
+    assert not any(reds(result, name) for name in SPLIT_OF)
+    rows = {row["id"]: (row["labelled"], row["detected"]) for row in record["tiles"]}
+    assert rows == {"a": (2, 0), "b": (0, 0), "c": (0, 1), "d": (0, 1), "e": (0, 1)}
+    assert record["vehicles_from"] == ["labels", "reds"]
+
+
+def test_without_labels_and_detector_nothing_can_be_found(tmp_path):
+    with pytest.raises(ConfigurationError, match="no detector was given"):
+        cleared(tiled(tmp_path / "tiled"), tmp_path, checker=finder())
+
+
+def test_what_the_check_still_finds_is_repaired(tmp_path):
+    folder = tiled(tmp_path / "tiled")
+    blind = finder(Reds(blind_to=[box(40, 40)]))
+    result, record = cleared(folder, tmp_path, finder=blind, checker=finder())
+    rows = {row["id"]: row for row in record["tiles"]}
+    assert not reds(result, "c")
+    assert (rows["c"]["rounds"], rows["c"]["detected"], rows["c"]["remaining"]) == (1, 1, 0)
+    assert (rows["a"]["rounds"], rows["a"]["remaining"]) == (0, 0)
+    assert record["checked_by"] == {"name": "reds", "threshold": 0.5}
+
+
+def test_what_cannot_be_repaired_is_left_out(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+
+    def not_in_d(image, mask):
+        return image if mask[95, 20] else ground(image, mask)
+
+    result, record = cleared(folder, tmp_path, inpainting=not_in_d, checker=finder())
+    rows = {row["id"]: row for row in record["tiles"]}
+    assert rows["d"]["left_out"] == "a vehicle is still found"
+    assert (rows["d"]["rounds"], rows["d"]["remaining"]) == (2, 1)
+    assert result.tiles("attack") == []
+    assert not (tmp_path / "cleared" / "attack" / "images" / "d.png").exists()
+    assert record["totals"]["splits_without_tiles"] == ["attack"]
+    assert record["totals"]["left_out"] == {"a vehicle is still found": 1}
+    places = json.loads((tmp_path / "cleared" / "index.geojson").read_text())["features"]
+    assert {place["properties"]["id"] for place in places} == {"a", "b", "c", "e"}
+
+
+def test_a_tile_with_too_much_to_remove_is_left_out(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+    result, record = cleared(folder, tmp_path, settings=ClearSettings(largest_masked_share=0.08))
+    assert {row["id"]: row["left_out"] for row in record["tiles"]}["a"] == "too much to remove"
+    assert [tile.id for tile in result.tiles("train")] == ["b"]
+
+
+def test_nothing_left_is_one_sentence(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+
+    class Everywhere:
+        name = "everywhere"
+
+        def detect(self, images):
+            return [Detections(torch.tensor([[5.0, 5, 15, 15]]), torch.tensor([0.9])) for _ in images]
+
+    with pytest.raises(ImageryError, match=r"No tile of .* \(5 a vehicle is still found\)"):
+        cleared(folder, tmp_path, checker=finder(Everywhere()))
+    assert not (tmp_path / "cleared").exists()
+
+
+def test_a_detector_of_another_resolution_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"trained at 0.25 m per pixel but the tiles have 0.125 m"):
+        cleared(tiled(tmp_path / "tiled"), tmp_path, finder=finder(gsd_m=0.25))
+
+
+def test_damaged_labels_are_named(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="a")
+    (folder / "train" / "annotations.json").write_text('{"images": [{}], "annotations": []}')
+    with pytest.raises(StoredFileError, match=r"annotations.json is not a label file"):
+        cleared(folder, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"finding_score": 0.0}, {"largest_masked_share": 1.0}, {"margin_m": -1.0}, {"rounds": -1}]
+)
+def test_settings_check_themselves(bad):
+    with pytest.raises(ConfigurationError, match="Clearing expects"):
+        ClearSettings(**bad)
+
+
+def test_large_tiles_are_looked_at_in_windows():
+    class Corner:
+        """Finds a red spot wherever it is, and notes how large its pictures were."""
+
+        name = "corner"
+        sizes = ()
+
+        def detect(self, images):
+            self.sizes = (*self.sizes, tuple(images.shape[2:]))
+            found = []
+            for image in images:
+                rows, columns = torch.nonzero(image[0] > 0.9, as_tuple=True)
+                boxes = [[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]] if len(rows) else []
+                scores = torch.full((len(boxes),), 0.9)
+                found.append(Detections(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), scores))
+            return found
+
+    detector = Corner()
+    image = torch.zeros(3, 500, 1900, dtype=torch.uint8)
+    image[0, 300:310, 1100:1120] = 255
+    boxes = finder(detector).boxes(image, 0.5)
+    assert boxes.tolist() == [[1100, 300, 1120, 310]]
+    assert detector.sizes == ((384, 384),) * 14
+
+
+def test_the_sheet_shows_changed_tiles_before_and_after(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+    cleared(folder, tmp_path)
+    sheets = tmp_path / "cleared" / "sheets"
+    # The empty tile is not on it: four rows, one page.
+    assert [path.name for path in sorted(sheets.iterdir())] == ["index.html", "page-0001.png"]
+    with Image.open(sheets / "page-0001.png") as page:
+        assert page.height == 4 * (SIZE_PX + 26)
+        caption, row = 26, SIZE_PX + 26
+        assert page.getpixel((30, caption + 27)) == RED
+        assert page.getpixel((SIZE_PX + 8 + 30, caption + 27)) == GROUND
+        # The mask's outline: the box at (40, 40) of tile c, grown by 0.4 m.
+        assert page.getpixel((50, row + caption + 40 - 3)) == (240, 228, 66)
+        assert page.getpixel((SIZE_PX + 8 + 50, row + caption + 40 - 3)) == GROUND
+    text = (sheets / "index.html").read_text()
+    assert "http" not in text
+    assert "not checked by a detector" in text
+
+
+def test_rejected_tiles_are_dropped(tmp_path):
+    cleared(tiled(tmp_path / "tiled", labelled="acde"), tmp_path)
+    folder = tmp_path / "cleared"
+    assert drop_tiles(folder, ["a", "c"]) == ["validation"]
+    assert [tile.id for split in SPLITS for tile in BackgroundSet.open(folder).tiles(split)] == ["b", "d", "e"]
+    assert json.loads((folder / "clearing.json").read_text())["rejected"] == ["a", "c"]
+    assert len(json.loads((folder / "index.geojson").read_text())["features"]) == 3
+    with pytest.raises(ConfigurationError, match="has no tile 'a'"):
+        drop_tiles(folder, ["a"])
+    with pytest.raises(ConfigurationError, match="Every tile"):
+        drop_tiles(folder, ["b", "d", "e"])
