@@ -159,7 +159,7 @@ def clear_backgrounds(
         )
     write_json(out / RECORD, record)
     _copy_places(folder, out, {tile.id for tile in kept})
-    write_index(out, backgrounds.gsd_m, kept)
+    write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor)
     return record
 
 
@@ -186,7 +186,7 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         record["rejected"] = sorted({*record.get("rejected", []), *ids})
         write_json(folder / RECORD, record)
     _copy_places(folder, folder, {tile.id for tile in kept})
-    write_index(folder, backgrounds.gsd_m, kept)
+    write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor)
     return [split for split in SPLITS if any(t.split == split for t in tiles) and all(t.split != split for t in kept)]
 
 
