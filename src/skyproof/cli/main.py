@@ -10,6 +10,7 @@ import torch
 import tyro
 
 from skyproof.cli.bench import Bench
+from skyproof.cli.bring import Bring
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
@@ -28,6 +29,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "scenes": Scenes,
     "render": Render,
     "train": Train,
+    "bring": Bring,
     "palette": Palette,
     "attack": Attack,
     "control": Control,

@@ -26,7 +26,7 @@ from skyproof.detectors.folder import build_detector, load_detector
 from skyproof.detectors.training import TrainingSettings, train
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.evaluation import CleanSet, Judge, evaluate_pairs
-from skyproof.files import refuse_existing, write_beside, write_json
+from skyproof.files import read_json, refuse_existing, write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
@@ -135,8 +135,21 @@ def train_detector(
             settings,
             out,
             generator=generator_of(seed, "train", name),
+            trained_on=_origin(training),
             on_step=show,
         )
+
+
+def _origin(dataset: Path) -> str:
+    """A dataset folder's images in a few words: its name, and who rendered them or which imagery they are cut from."""
+    info = read_json(dataset / "annotations.json").get("info", {})
+    sources = info.get("imagery", [])
+    if sources:
+        names = [sources] if isinstance(sources, str) else [str(source) for source in sources]
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f"{dataset.resolve().name}: tiles of real imagery ({', '.join(names[:3])}{more})"
+    renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(info.get("renderer"))
+    return f"{dataset.resolve().name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
 
 
 def load_ensemble(

@@ -1,4 +1,4 @@
-"""YOLOv5 through Ultralytics: the only file that imports it.
+"""YOLO through Ultralytics, ours and brought in: the only file that imports it.
 
 NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it;
 installing the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network
@@ -10,11 +10,13 @@ the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the pape
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
+import re
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -22,16 +24,30 @@ import torch
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
+from torch.nn import functional
 
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["YoloV5Detector"]
+__all__ = ["YoloNetwork", "YoloV5Detector", "check_layers"]
 
 MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many (PAPER 22).
 POINTS_PER_VEHICLE = 10.0
+# Ultralytics' weight of the class loss.
+CLASS_GAIN = 0.5
+# Ultralytics looks a layer's name up among all it imports, functions that open files included, and evaluates the text
+# of an activation: only names of plain layers pass.
+HEADS = {"Detect": False, "OBB": True, "v10Detect": False}
+_LAYER_NAMES = """
+A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x CBFuse CBLinear Concat
+Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck GhostConv HGBlock HGStem PSA RepC3
+RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity
+nn.MaxPool2d nn.Upsample nn.ZeroPad2d
+"""
+LAYERS = frozenset(_LAYER_NAMES.split())
+_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
 
 
 class YoloV5Detector(TrainableDetector):
@@ -115,6 +131,113 @@ class YoloV5Detector(TrainableDetector):
 
             self._criterion = v8DetectionLoss(self.model)
         return self._criterion
+
+
+def check_layers(architecture: Mapping[str, Any]) -> None:
+    """Refuses an architecture that names anything but plain layers and a detection head.
+
+    Args:
+        architecture: as Ultralytics' YAML files have it: "backbone" and "head", rows of [from, count, layer, arguments].
+
+    Raises:
+        ConfigurationError: another layer or head, another activation, or images of other than three channels.
+    """
+    try:
+        rows = [(str(row[2]), row[3]) for row in [*architecture["backbone"], *architecture["head"]]]
+        *names, head = [name for name, _ in rows]
+        activation = architecture.get("activation")
+        channels = architecture.get("channels", 3)
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise ConfigurationError("expected an Ultralytics architecture with rows of backbone and head.") from error
+    unknown = next((name for name in names if name not in LAYERS), None)
+    if unknown is not None:
+        raise ConfigurationError(f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers.")
+    if head not in HEADS:
+        raise ConfigurationError(f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes.")
+    if activation is not None and not _ACTIVATION.fullmatch(str(activation)):
+        raise ConfigurationError(f"the network's activation {activation!r} is not that of a plain layer.")
+    if channels != 3:
+        raise ConfigurationError(f"the network takes images of {channels} channels; red, green and blue are expected.")
+
+
+class YoloNetwork(TrainableDetector):
+    """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
+
+    Of oriented boxes the upright hull counts. Of networks with a head that needs no suppression (YOLOv10, YOLO26) that
+    head is read.
+
+    Args:
+        architecture: as `check_layers` has passed it.
+        vehicle_classes: whose best score is the vehicle's.
+
+    Raises:
+        ConfigurationError: ultralytics is not installed, or it cannot build the network.
+    """
+
+    name = "yolo"
+    size = "brought"
+    model: Any
+
+    def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
+        super().__init__()
+        check_layers(architecture)
+        self.vehicle_classes = list(vehicle_classes)
+        with _quiet_import():
+            from ultralytics.nn.tasks import DetectionModel, OBBModel
+
+            kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
+            try:
+                self.model = kind(copy.deepcopy(dict(architecture)), ch=3, verbose=False)
+            except Exception as error:
+                # Whatever a row of numbers can bring about in another library.
+                raise ConfigurationError(
+                    f"the installed Ultralytics cannot build the network ({str(error)[:200]}); install the version "
+                    "that trained it."
+                ) from error
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """Ultralytics' class loss of the vehicle classes against an empty truth, by the points a vehicle gets.
+
+        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent (PAPER 21, 22).
+        """
+        check_targets(images, targets)
+        logits = self._outputs(images)["scores"][:, self.vehicle_classes]
+        return CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor point's box and best sigmoid score."""
+        from ultralytics.utils.tal import dist2bbox, dist2rbox, make_anchors
+
+        outputs = self._outputs(images)
+        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
+        distances = outputs["boxes"].permute(0, 2, 1)
+        levels = self.model.model[-1].reg_max
+        if levels > 1:
+            steps = torch.arange(levels, dtype=distances.dtype, device=distances.device)
+            distances = distances.reshape(*distances.shape[:2], 4, levels).softmax(-1) @ steps
+        if "angle" in outputs:
+            angles = outputs["angle"].permute(0, 2, 1)
+            centred = dist2rbox(distances, angles, points)
+            half = _upright(centred[..., 2:] / 2, angles)
+            boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
+        else:
+            boxes = dist2bbox(distances, points, xywh=False)
+        scores = outputs["scores"][:, self.vehicle_classes].amax(dim=1).sigmoid()
+        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    def _outputs(self, images: Tensor) -> dict[str, Any]:
+        check_images(images)
+        stride_px = int(self.model.stride.max())
+        _, raw = self.model(pad_to_stride(images, value=114 / 255, stride_px=max(32, stride_px)))
+        return raw.get("one2one", raw)
+
+
+def _upright(half: Tensor, angles: Tensor) -> Tensor:
+    """Half sides `[..., 2]` of turned boxes to half sides of the upright boxes around them."""
+    cosine, sine = angles.cos().abs(), angles.sin().abs()
+    return torch.cat(
+        [half[..., :1] * cosine + half[..., 1:] * sine, half[..., :1] * sine + half[..., 1:] * cosine], dim=-1
+    )
 
 
 @contextmanager
