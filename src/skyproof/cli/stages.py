@@ -142,14 +142,20 @@ def train_detector(
 
 def _origin(dataset: Path) -> str:
     """A dataset folder's images in a few words: its name, and who rendered them or which imagery they are cut from."""
+    dataset = dataset.resolve()
     info = read_json(dataset / "annotations.json").get("info", {})
-    sources = info.get("imagery", [])
+    sources = list(info.get("imagery", ()))
+    if not sources and "renderer" not in info and (dataset.parent / "index.json").exists():
+        # A split of a tiled folder.
+        sources = [tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)]
     if sources:
-        names = [sources] if isinstance(sources, str) else [str(source) for source in sources]
+        names = list(dict.fromkeys(map(str, sources)))
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        return f"{dataset.resolve().name}: tiles of real imagery ({', '.join(names[:3])}{more})"
-    renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(info.get("renderer"))
-    return f"{dataset.resolve().name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
+        return f"{dataset.name}: tiles of real imagery ({', '.join(names[:3])}{more})"
+    # Datasets of before there was a choice of renderer say only that they are scenes.
+    drawn = info.get("renderer", "torch" if info.get("description") == "skyproof scenes" else None)
+    renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(drawn)
+    return f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
 
 
 def load_ensemble(

@@ -105,6 +105,8 @@ class BroughtRetinaNet(_Brought, RetinaNetDetector):
 class BroughtFcos(_Brought):
     """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
 
+    name = "fcos"
+
     def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
         """torchvision's focal loss of the vehicle classes against an empty truth, by the points one vehicle gets.
 

@@ -1,8 +1,9 @@
 """Checkpoint files of other programs, opened without running anything that stands in them.
 
 NOTICE: a checkpoint as `torch.save` writes it is a pickle, and opening a pickle in the usual way runs whatever its
-author put into it. Here every class and function that a file names, but for tensors and plain containers, is replaced by
-an inert stand-in, and what is left is read as data: nothing of the file runs, and no library of its author is needed.
+author put into it. Here every class and function that a file names, but for tensors and plain containers, is replaced
+by an inert stand-in, and what is left is read as data: nothing of the file runs, and no library of its author is
+needed.
 """
 
 from __future__ import annotations

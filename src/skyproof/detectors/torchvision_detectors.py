@@ -13,6 +13,7 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 from torchvision import ops
 from torchvision.models.detection import (
+    FCOS,
     FasterRCNN,
     RetinaNet,
     fasterrcnn_resnet50_fpn_v2,
@@ -50,7 +51,7 @@ PROPOSALS = {"slim": 100, "full": 300}
 class TorchvisionDetector(TrainableDetector):
     """Normalising, padding and anchors without torchvision's transform, which would resize the images silently."""
 
-    def __init__(self, size: str, model: RetinaNet | FasterRCNN) -> None:
+    def __init__(self, size: str, model: RetinaNet | FasterRCNN | FCOS) -> None:
         super().__init__()
         self.size = size
         self.model = model
@@ -166,7 +167,8 @@ class FasterRcnnDetector(TorchvisionDetector):
         counts = [len(own) for own in proposals]
         scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
         columns = torch.tensor(self.vehicle_classes, device=best.device)[best]
-        decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals)
+        # Of no region at all torchvision leaves the classes' boxes in one row.
+        decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(len(best), logits.shape[1], 4)
         boxes = decoded[torch.arange(len(columns), device=best.device), columns]
         return Candidates(
             pad_sequence(boxes.split(counts), batch_first=True),

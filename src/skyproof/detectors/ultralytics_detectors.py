@@ -39,7 +39,8 @@ POINTS_PER_VEHICLE = 10.0
 CLASS_GAIN = 0.5
 # Ultralytics looks a layer's name up among all it imports, functions that open files included, and evaluates the text
 # of an activation: only names of plain layers pass.
-HEADS = {"Detect": False, "OBB": True, "v10Detect": False}
+# Whether their boxes are turned.
+HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
 _LAYER_NAMES = """
 A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x CBFuse CBLinear Concat
 Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck GhostConv HGBlock HGStem PSA RepC3
@@ -137,7 +138,7 @@ def check_layers(architecture: Mapping[str, Any]) -> None:
     """Refuses an architecture that names anything but plain layers and a detection head.
 
     Args:
-        architecture: as Ultralytics' YAML files have it: "backbone" and "head", rows of [from, count, layer, arguments].
+        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count, layer, arguments].
 
     Raises:
         ConfigurationError: another layer or head, another activation, or images of other than three channels.
@@ -163,8 +164,8 @@ def check_layers(architecture: Mapping[str, Any]) -> None:
 class YoloNetwork(TrainableDetector):
     """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
 
-    Of oriented boxes the upright hull counts. Of networks with a head that needs no suppression (YOLOv10, YOLO26) that
-    head is read.
+    Of oriented boxes the upright hull counts. Of the two heads of YOLOv10 and YOLO26 that one is read which the
+    installed Ultralytics reads.
 
     Args:
         architecture: as `check_layers` has passed it.
@@ -229,7 +230,9 @@ class YoloNetwork(TrainableDetector):
         check_images(images)
         stride_px = int(self.model.stride.max())
         _, raw = self.model(pad_to_stride(images, value=114 / 255, stride_px=max(32, stride_px)))
-        return raw.get("one2one", raw)
+        if "one2one" in raw:
+            return raw["one2one" if self.model.model[-1].end2end else "one2many"]
+        return raw
 
 
 def _upright(half: Tensor, angles: Tensor) -> Tensor:
