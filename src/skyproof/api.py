@@ -16,12 +16,17 @@ from skyproof.cycles.blender import find_blender
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
+from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
 from skyproof.detectors.folder import load_detector
-from skyproof.evaluate.evaluation import Judge, evaluate_pairs
+from skyproof.detectors.training import validate
+from skyproof.evaluate.clean import CleanSet, Judge
+from skyproof.evaluate.evaluation import evaluate_pairs
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
+from skyproof.report.report import write_report
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.coco import read_coco
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import read_scenes
 from skyproof.vehicles.fleet import Fleet
@@ -32,6 +37,8 @@ __all__ = [
     "BackgroundSet",
     "Camouflage",
     "Candidates",
+    "Checkpoint",
+    "CleanSet",
     "Combination",
     "CyclesRenderer",
     "CyclesSettings",
@@ -49,6 +56,7 @@ __all__ = [
     "UniversalTexture",
     "Workers",
     "attack",
+    "bring_detector",
     "evaluate_pairs",
     "find_blender",
     "fit_palette",
@@ -56,10 +64,13 @@ __all__ = [
     "load_detector",
     "make_camouflage",
     "practicality_account",
+    "read_coco",
     "read_recipe",
     "read_scenes",
     "render_dataset",
     "sample_scenes",
     "save_camouflage",
     "sign_test",
+    "validate",
+    "write_report",
 ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -16,6 +18,15 @@ YOLO = pytest.param(
         pytest.mark.skipif(importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"),
     ],
 )
+
+
+def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
+    """Marks a test that Ultralytics is needed for; it is not imported here, as that would patch other libraries."""
+    for mark in YOLO.marks:
+        test = mark(test)
+    return test
+
+
 NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 

@@ -10,6 +10,7 @@ import torch
 import tyro
 
 from skyproof.cli.bench import Bench
+from skyproof.cli.bring import Bring
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear, Drop
@@ -32,6 +33,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "scenes": Scenes,
     "render": Render,
     "train": Train,
+    "bring": Bring,
     "palette": Palette,
     "attack": Attack,
     "control": Control,

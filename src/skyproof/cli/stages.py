@@ -27,7 +27,7 @@ from skyproof.detectors.training import TrainingSettings, train
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.clean import CleanSet, Judge
 from skyproof.evaluate.evaluation import evaluate_pairs
-from skyproof.files import refuse_existing, write_beside, write_json
+from skyproof.files import read_json, refuse_existing, write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
@@ -137,8 +137,27 @@ def train_detector(
             settings,
             out,
             generator=generator_of(seed, "train", name),
+            trained_on=_origin(training),
             on_step=show,
         )
+
+
+def _origin(dataset: Path) -> str:
+    """A dataset folder's images in a few words: its name, and who rendered them or which imagery they are cut from."""
+    dataset = dataset.resolve()
+    info = read_json(dataset / "annotations.json").get("info", {})
+    sources = list(info.get("imagery", ()))
+    if not sources and "renderer" not in info and (dataset.parent / "index.json").exists():
+        # A split of a tiled folder.
+        sources = [tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)]
+    if sources:
+        names = list(dict.fromkeys(map(str, sources)))
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f"{dataset.name}: tiles of real imagery ({', '.join(names[:3])}{more})"
+    # Datasets of before there was a choice of renderer say only that they are scenes.
+    drawn = info.get("renderer", "torch" if info.get("description") == "skyproof scenes" else None)
+    renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(drawn)
+    return f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
 
 
 def load_ensemble(

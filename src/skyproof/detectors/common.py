@@ -16,6 +16,7 @@ from skyproof.errors import ConfigurationError
 __all__ = [
     "LOWEST_SCORE",
     "MOST_DETECTIONS",
+    "PADDING_GREY",
     "SMALLEST_IMAGE_PX",
     "as_targets",
     "check_images",
@@ -27,6 +28,7 @@ __all__ = [
 LOWEST_SCORE = 0.01
 MOST_DETECTIONS = 100
 SMALLEST_IMAGE_PX = 96
+PADDING_GREY = 0.45
 SUPPRESSION_IOU = 0.5
 # As in torchvision: an attacked image may have many thousand candidates above the lowest score.
 MOST_CANDIDATES = 1000

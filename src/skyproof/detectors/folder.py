@@ -36,15 +36,18 @@ class DetectorCard:
     """What `detector.json` says.
 
     Attributes:
-        name: "retinanet", "faster_rcnn" or "yolov5".
-        size: "slim" or "full".
+        name: "retinanet", "faster_rcnn" or "yolov5"; of a brought-in detector the name it was given.
+        size: "slim" or "full"; "brought" of a brought-in detector.
         threshold: frozen score threshold, largest F1 on clean validation images (PAPER 18).
-        gsd_m: metres per pixel it was trained at.
-        image_size_px: height and width of the first training image.
+        gsd_m: metres per pixel of the images it takes.
+        image_size_px: height and width of the first training image, at most those of a training window; of a
+            brought-in detector, of the first validation image.
         parameters: number of trained numbers.
-        training: settings and what was reached, as written by `train`.
+        training: settings and what was reached, as written by `train`; empty of a brought-in detector.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
         skyproof_version: that wrote it.
+        trained_on: what its training images were, in a few words; empty where not known.
+        brought: of a brought-in detector what builds its network (`brought.Blueprint`); None of ours.
     """
 
     name: str
@@ -56,6 +59,8 @@ class DetectorCard:
     training: dict[str, Any]
     validation: dict[str, float]
     skyproof_version: str
+    trained_on: str = ""
+    brought: dict[str, Any] | None = None
 
 
 def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
@@ -79,7 +84,7 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
 def _build(name: str, size: str) -> TrainableDetector:
     # Imported here, so that matching and average precision do not pay for the networks.
     if name == "yolov5":
-        from skyproof.detectors.yolov5 import YoloV5Detector
+        from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 
         return YoloV5Detector(size)
     if name not in DETECTOR_NAMES:
@@ -138,9 +143,9 @@ def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
     if not path.is_file():
         raise StoredFileError(f"{path} is missing; train the detector again or copy the whole folder.")
     try:
-        detector = build_detector(card.name, card.size, generator=torch.Generator())
+        detector = _of_card(card)
     except ConfigurationError as error:
-        if card.name in DETECTOR_NAMES and card.size in ("slim", "full"):
+        if card.brought is None and card.name in DETECTOR_NAMES and card.size in ("slim", "full"):
             raise
         raise StoredFileError(f"{folder / 'detector.json'} names an unknown detector: {error}") from error
     try:
@@ -153,13 +158,25 @@ def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
         raise StoredFileError(f"{path} is damaged ({error}); train the detector again.") from error
     except RuntimeError as error:
         raise StoredFileError(
-            f"{path} does not fit a {card.size} {card.name} of this version; train the detector again."
+            f"{path} does not fit a {card.size} {card.name} of this version; train the detector, or bring it in, again."
         ) from error
     if weights_digest(detector) != stored_digest:
         raise StoredFileError(
             f"{path} is not the file that detector.json was written for; copy the whole folder again."
         )
     return detector.eval(), card
+
+
+def _of_card(card: DetectorCard) -> TrainableDetector:
+    if card.brought is None:
+        return build_detector(card.name, card.size, generator=torch.Generator())
+    from skyproof.detectors.brought import Blueprint, BroughtDetector
+
+    try:
+        blueprint = Blueprint(**card.brought)
+    except (TypeError, ConfigurationError) as error:
+        raise StoredFileError(f"detector.json garbles how {card.name} is built: {error}") from error
+    return BroughtDetector(card.name, blueprint)
 
 
 def installed_version() -> str:
@@ -179,6 +196,8 @@ def _card(path: Path) -> tuple[DetectorCard, str]:
             "train the detector again or use the version that wrote it."
         )
     try:
+        # Folders of before these fields were there stay readable.
+        record = {"trained_on": "", "brought": None, **record}
         fields = {key: record[key] for key in DetectorCard.__dataclass_fields__}
         fields["image_size_px"] = (int(fields["image_size_px"][0]), int(fields["image_size_px"][1]))
         fields["threshold"], fields["gsd_m"] = float(fields["threshold"]), float(fields["gsd_m"])

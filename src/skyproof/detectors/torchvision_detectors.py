@@ -13,6 +13,7 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 from torchvision import ops
 from torchvision.models.detection import (
+    FCOS,
     FasterRCNN,
     RetinaNet,
     fasterrcnn_resnet50_fpn_v2,
@@ -29,7 +30,7 @@ from skyproof.detectors.detector import Candidates, Detections, TrainableDetecto
 from skyproof.detectors.slim import FEATURE_CHANNELS, SlimBackbone
 from skyproof.errors import ConfigurationError
 
-__all__ = ["FasterRcnnDetector", "RetinaNetDetector"]
+__all__ = ["POSITIVES_PER_VEHICLE", "FasterRcnnDetector", "RetinaNetDetector", "TorchvisionDetector"]
 
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the diagonal.
 SLIM_SIDES_PX = ((20.0, 30.0), (28.0, 42.0))
@@ -47,10 +48,10 @@ PRIOR_PROBABILITY = 0.01
 PROPOSALS = {"slim": 100, "full": 300}
 
 
-class _TorchvisionDetector(TrainableDetector):
+class TorchvisionDetector(TrainableDetector):
     """Normalising, padding and anchors without torchvision's transform, which would resize the images silently."""
 
-    def __init__(self, size: str, model: RetinaNet | FasterRCNN) -> None:
+    def __init__(self, size: str, model: RetinaNet | FasterRCNN | FCOS) -> None:
         super().__init__()
         self.size = size
         self.model = model
@@ -60,9 +61,12 @@ class _TorchvisionDetector(TrainableDetector):
     def _features(self, images: Tensor) -> tuple[list[Tensor], ImageList]:
         check_images(images)
         # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the image.
-        padded = pad_to_stride((images - 0.45) / 0.25, value=0.0)
+        padded = pad_to_stride(self._normalise(images), value=0.0)
         sizes = [(images.shape[-2], images.shape[-1])] * len(images)
         return list(self.model.backbone(padded).values()), ImageList(padded, sizes)
+
+    def _normalise(self, images: Tensor) -> Tensor:
+        return (images - 0.45) / 0.25
 
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
@@ -70,7 +74,7 @@ class _TorchvisionDetector(TrainableDetector):
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
 
-class RetinaNetDetector(_TorchvisionDetector):
+class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (PAPER 15).
 
     Args:
@@ -106,11 +110,11 @@ class RetinaNetDetector(_TorchvisionDetector):
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every anchor's decoded box and sigmoid score."""
+        """Every anchor's decoded box and sigmoid score, the best of its classes."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
         boxes = self.model.box_coder.decode_single(deltas.flatten(0, 1), anchors.repeat(len(images), 1))
-        scores = outputs["cls_logits"][..., 0].sigmoid()
+        scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -119,7 +123,7 @@ class RetinaNetDetector(_TorchvisionDetector):
         return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
 
 
-class FasterRcnnDetector(_TorchvisionDetector):
+class FasterRcnnDetector(TorchvisionDetector):
     """torchvision's Faster R-CNN for one class, never resizing, nothing drawn at random (PAPER 15, 22).
 
     Differences from torchvision: instead of a random sample of anchors and regions all of them count. The proposal
@@ -131,6 +135,8 @@ class FasterRcnnDetector(_TorchvisionDetector):
     """
 
     name = "faster_rcnn"
+    # Columns of the region scores that are vehicles; 0 is the background.
+    vehicle_classes: tuple[int, ...] = (1,)
 
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_faster_rcnn(size))
@@ -154,13 +160,16 @@ class FasterRcnnDetector(_TorchvisionDetector):
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every proposal's refined box and its class score; rows beyond an image's proposals are not valid."""
+        """Every proposal's box and score, both of its best vehicle class; rows beyond an image's are not valid."""
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
         counts = [len(own) for own in proposals]
-        boxes = self.model.roi_heads.box_coder.decode(region_deltas, proposals)[:, 1]
-        scores = logits.softmax(dim=1)[:, 1]
+        scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
+        columns = torch.tensor(self.vehicle_classes, device=best.device)[best]
+        # Of no region at all torchvision leaves the classes' boxes in one row.
+        decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(len(best), logits.shape[1], 4)
+        boxes = decoded[torch.arange(len(columns), device=best.device), columns]
         return Candidates(
             pad_sequence(boxes.split(counts), batch_first=True),
             pad_sequence(scores.split(counts), batch_first=True),
@@ -202,6 +211,9 @@ class FasterRcnnDetector(_TorchvisionDetector):
         return (entropy + functional.smooth_l1_loss(deltas[positive], wanted, beta=1 / 9, reduction="sum")) / divisor
 
     def _region_loss(self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor) -> Tensor:
+        if not len(regions):
+            # Nothing was proposed: a mean over no region would not be finite.
+            return logits.sum()
         heads = self.model.roi_heads
         target = as_targets(truth)
         matched, labels = heads.assign_targets_to_proposals([regions], [truth], [target["labels"]])

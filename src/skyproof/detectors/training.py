@@ -12,23 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.average_precision import average_precision, best_f1_threshold
+from skyproof.detectors.batches import WINDOW_PX, training_batch
 from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.detectors.folder import DetectorCard, installed_version, load_detector, plain_state, save_detector
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_jsonl, refuse_foreign, write_bytes, write_jsonl
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["TRAINING_PRESETS", "TrainingSettings", "detect_all", "train", "validate"]
+__all__ = ["TRAINING_PRESETS", "TrainingSettings", "check_validation", "detect_all", "train", "validate"]
 
 CHECKPOINT = "checkpoint.safetensors"
-PADDING_GREY = 0.45
 
 
 @dataclass(frozen=True)
@@ -98,6 +96,7 @@ def train(
     folder: Path,
     *,
     generator: torch.Generator,
+    trained_on: str = "",
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> DetectorCard:
     """Trains `detector` where it lies, and leaves the best averaged weights in it and in `folder`.
@@ -108,11 +107,13 @@ def train(
 
     Args:
         detector: fresh from `build_detector`, on the device to train on.
-        training: images with or without vehicles; ignore regions are painted over with the image's mean colour.
+        training: images of any sizes, with or without vehicles; ignore regions are painted over with the mean colour,
+            and of images larger than 384 px random windows are shown (see `batches.window`).
         validation: chooses the best weights (centre AP, then F1) and freezes the threshold (PAPER 18).
         settings: see `TRAINING_PRESETS`.
         folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors` until finished.
         generator: one number is drawn from it: the seed of order and augmentation.
+        trained_on: what the training images are, in a few words, for `detector.json`.
         on_step: called with each row of `steps.jsonl`, for progress display.
 
     Returns:
@@ -154,7 +155,7 @@ def train(
         for each in rows:
             if on_step is not None:
                 on_step(each)
-    return _finish(run, training, folder)
+    return _finish(run, training, folder, trained_on)
 
 
 def validate(detector: Detector, validation: LabelledImages) -> dict[str, float]:
@@ -203,7 +204,9 @@ class _Run:
         """One optimiser step; returns the mean loss."""
         settings = self.settings
         device = next(self.detector.parameters()).device
-        images, targets = _batch(training, self.step, settings, seed)
+        images, targets = training_batch(
+            training, self.step, batch_size=settings.batch_size, jitter_strength=settings.jitter, seed=seed
+        )
         images = images.to(device).contiguous(memory_format=torch.channels_last)
         for group in self.optimiser.param_groups:
             group["lr"] = _learning_rate(self.step, settings)
@@ -289,55 +292,24 @@ def _learning_rate(step: int, settings: TrainingSettings) -> float:
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-def _batch(
-    training: LabelledImages, step: int, settings: TrainingSettings, seed: int
-) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
-    """The images of one step: they depend on seed and step alone, which is what makes resuming exact."""
-    count = len(training)
-    positions = range(step * settings.batch_size, (step + 1) * settings.batch_size)
-    orders = {
-        epoch: torch.randperm(count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63))
-        for epoch in {position // count for position in positions}
-    }
-    generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
-    images, targets = [], []
-    for position in positions:
-        index = int(orders[position // count][position % count])
-        image = _hide_ignored(training.images[index].float() / 255, training.boxes[index], training.ignore[index])
-        turns, mirror = (
-            torch.randint(8, (1,), generator=generator).item() % 4,
-            bool(torch.rand(1, generator=generator) < 0.5),
-        )
-        image, boxes = turn(image, training.boxes[index].float(), quarter_turns=int(turns), mirror=mirror)
-        images.append(image)
-        targets.append(boxes)
-    height, width = (max(image.shape[axis] for image in images) for axis in (1, 2))
-    batch = torch.full((len(images), 3, height, width), PADDING_GREY)
-    for row, image in zip(batch, images, strict=True):
-        row[:, : image.shape[1], : image.shape[2]] = image
-    return jitter(batch, settings.jitter, generator=generator), targets
-
-
-def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
-    """Paints ignore regions with the mean colour, so that their content is taught neither as vehicle nor as ground."""
-    if not len(ignore):
-        return image
-    hidden = torch.zeros(image.shape[1:], dtype=torch.bool)
-    for regions, value in ((ignore, True), (boxes, False)):
-        for left, top, right, bottom in regions.clamp(min=0).tolist():
-            hidden[math.floor(top) : math.ceil(bottom), math.floor(left) : math.ceil(right)] = value
-    return torch.where(hidden, image.mean(dim=(1, 2), keepdim=True), image)
-
-
 def _check(training: LabelledImages, validation: LabelledImages) -> None:
     if not len(training) or not any(len(boxes) for boxes in training.boxes):
         raise ConfigurationError("Training expects images with at least one vehicle; none was given.")
-    if not any(len(boxes) for boxes in validation.boxes):
-        raise ConfigurationError("Validation expects at least one vehicle: without one no threshold can be chosen.")
-    if training.gsd_m != validation.gsd_m:
+    check_validation(validation)
+    if not math.isclose(training.gsd_m, validation.gsd_m):
         raise ConfigurationError(
             f"Training images have {training.gsd_m} m per pixel, validation images {validation.gsd_m}; resample one."
         )
+
+
+def check_validation(validation: LabelledImages) -> None:
+    """Refuses images that no threshold can be chosen on.
+
+    Raises:
+        ConfigurationError: no vehicle in them.
+    """
+    if not any(len(boxes) for boxes in validation.boxes):
+        raise ConfigurationError("Validation expects at least one vehicle: without one no threshold can be chosen.")
 
 
 def _same_training(stored: Any, wanted: Any, folder: Path) -> None:
@@ -355,7 +327,7 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
     return card
 
 
-def _finish(run: _Run, training: LabelledImages, folder: Path) -> DetectorCard:
+def _finish(run: _Run, training: LabelledImages, folder: Path, trained_on: str) -> DetectorCard:
     run.detector.load_state_dict(run.best_state)
     run.detector.eval()
     first = training.images[0]
@@ -364,11 +336,12 @@ def _finish(run: _Run, training: LabelledImages, folder: Path) -> DetectorCard:
         size=run.detector.size,
         threshold=run.best["threshold"],
         gsd_m=training.gsd_m,
-        image_size_px=(first.shape[1], first.shape[2]),
+        image_size_px=(min(first.shape[1], WINDOW_PX), min(first.shape[2], WINDOW_PX)),
         parameters=sum(parameter.numel() for parameter in run.detector.parameters()),
         training={"identity": run.identity, "images": len(training), "best_step": run.best["step"]},
         validation={key: run.best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
         skyproof_version=installed_version(),
+        trained_on=trained_on,
     )
     save_detector(folder, run.detector, card)
     (folder / CHECKPOINT).unlink(missing_ok=True)

@@ -124,7 +124,9 @@ def read_run(folder: Path) -> Run:
         StoredFileError: results.json or config.json is missing or damaged, or an optional file is damaged.
     """
     folder = Path(folder)
-    rows = _results(folder / "results.json")
+    # An evaluation made in Python leaves only its own folder.
+    results = folder / "results.json"
+    rows = _results(results if results.exists() else folder / "evaluation" / "results.json")
     outcomes_path = folder / "evaluation" / "outcomes.parquet"
     clean = _optional(folder / "evaluation" / "clean.json", _rows, [])
     outcomes = read_outcomes(outcomes_path) if outcomes_path.exists() else None
@@ -146,7 +148,7 @@ def read_run(folder: Path) -> Run:
             outcomes += read_outcomes(cycles / "outcomes.parquet")
     return Run(
         folder=folder,
-        config=_mapping(folder / "config.json"),
+        config=_optional(folder / "config.json", _mapping, {}),
         environment=_optional(folder / "environment.json", _mapping, {}),
         rows=rows,
         timings=_optional(folder / "timings.json", _rows, []),

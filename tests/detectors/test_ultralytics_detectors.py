@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import skyproof
-from skyproof.detectors.yolov5 import YoloV5Detector
+from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 from skyproof.errors import ConfigurationError
 
 
@@ -34,7 +34,7 @@ from PIL import Image
 def refuse(*arguments, **named): raise AssertionError("network")
 socket.socket.connect = socket.getaddrinfo = refuse
 before, save, image_open = dict(os.environ), torch.save, Image.open
-from skyproof.detectors.yolov5 import YoloV5Detector
+from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 detector = YoloV5Detector("slim")
 assert dict(os.environ) == before and torch.save is save and Image.open is image_open
 from ultralytics.utils import SETTINGS

@@ -1,0 +1,28 @@
+"""A checkpoint file of torchvision, made here by a short training, brought in, validated and attacked."""
+
+from pathlib import Path
+
+import torch
+from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
+
+import skyproof.api as sp
+
+data, steps = sp.read_coco("runs/demo/datasets/train"), 200
+side = data.images[0].shape[-1]  # torchvision would enlarge the images to 800 px
+model = fasterrcnn_mobilenet_v3_large_fpn(weights=None, weights_backbone=None, num_classes=2, min_size=side)
+optimiser = torch.optim.SGD(model.parameters(), lr=0.005, momentum=0.9)
+for step in range(steps):
+    boxes = data.boxes[step % len(data)]
+    target = {"boxes": boxes, "labels": torch.ones(len(boxes), dtype=torch.long)}
+    optimiser.zero_grad()
+    sum(model([data.images[step % len(data)] / 255], [target]).values()).backward()
+    optimiser.step()
+Path("runs/mine").mkdir(parents=True, exist_ok=True)
+torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
+
+checkpoint = sp.Checkpoint(Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn")
+print(sp.bring_detector(checkpoint, sp.read_coco("runs/demo/datasets/validation"), "runs/mine/vehicles").validation)
+detector, card = sp.load_detector("runs/mine/vehicles")
+world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
+texture = sp.UniversalTexture("T-U", generator=torch.Generator().manual_seed(0))
+sp.attack(texture, [detector], world, sp.AttackSettings(steps=200), "runs/mine/T-U-on-vehicles")

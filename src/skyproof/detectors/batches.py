@@ -1,0 +1,118 @@
+"""The images of one training step: order, windows of large images, hidden regions, augmentation."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.detectors.augmentation import jitter, turn
+from skyproof.detectors.common import PADDING_GREY
+from skyproof.scenes.labelled import LabelledImages
+
+__all__ = ["WINDOW_PX", "training_batch", "window"]
+
+# Larger images are trained on in windows of this size: the paper's tile (PAPER 1).
+WINDOW_PX = 384
+
+
+def training_batch(
+    training: LabelledImages, step: int, *, batch_size: int, jitter_strength: float, seed: int
+) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
+    """The images and boxes of one step: they depend on seed and step alone, which is what makes resuming exact.
+
+    Of an image that is wider or higher than 384 px a window is shown, another one each time; smaller ones are padded
+    with grey to the largest of the batch.
+    """
+    count = len(training)
+    positions = range(step * batch_size, (step + 1) * batch_size)
+    orders = {
+        epoch: torch.randperm(count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63))
+        for epoch in {position // count for position in positions}
+    }
+    generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
+    images, targets = [], []
+    for position in positions:
+        index = int(orders[position // count][position % count])
+        shown, boxes, ignore = window(
+            training.images[index], training.boxes[index].float(), training.ignore[index].float(), generator=generator
+        )
+        image = _hide_ignored(shown.float() / 255, boxes, ignore)
+        turns, mirror = (
+            torch.randint(8, (1,), generator=generator).item() % 4,
+            bool(torch.rand(1, generator=generator) < 0.5),
+        )
+        image, boxes = turn(image, boxes, quarter_turns=int(turns), mirror=mirror)
+        images.append(image)
+        targets.append(boxes)
+    height, width = (max(image.shape[axis] for image in images) for axis in (1, 2))
+    batch = torch.full((len(images), 3, height, width), PADDING_GREY)
+    for row, image in zip(batch, images, strict=True):
+        row[:, : image.shape[1], : image.shape[2]] = image
+    return jitter(batch, jitter_strength, generator=generator), targets
+
+
+def window(
+    image: Tensor, boxes: Tensor, ignore: Tensor, *, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A random window of at most 384 px a side; an image no larger comes back as it is, and nothing is drawn.
+
+    Every second window is laid over a vehicle where there is one, so that wide images with few vehicles do not teach
+    ground alone. A box that lies wholly in the window stays a vehicle; one that its edge cuts becomes an ignore region.
+
+    Args:
+        image: `[3, H, W]`, of any type.
+        boxes: `[n, 4]` vehicles, pixel xyxy.
+        ignore: `[m, 4]` regions.
+        generator: on the CPU.
+
+    Returns:
+        The window, and the boxes and ignore regions in its pixels.
+    """
+    height, width = image.shape[1:]
+    high, wide = min(height, WINDOW_PX), min(width, WINDOW_PX)
+    if (high, wide) == (height, width):
+        return image, boxes, ignore
+    left, top = _draw(width - wide, generator), _draw(height - high, generator)
+    if len(boxes) and _draw(1, generator):
+        # Where the vehicle lies in the window is drawn too: it must not be learnt.
+        x1, y1, x2, y2 = boxes[_draw(len(boxes) - 1, generator)].tolist()
+        left = _over(x1, x2, wide, width, generator)
+        top = _over(y1, y2, high, height, generator)
+    shift = torch.tensor([left, top, left, top], dtype=boxes.dtype)
+    moved, hidden = boxes - shift, ignore - shift
+    limits = torch.tensor([wide, high, wide, high], dtype=boxes.dtype)
+    # Labels at the image's own edge may reach over it by a little.
+    edge = torch.tensor([left == 0, top == 0, left + wide == width, top + high == height])
+    inside = torch.cat([moved[:, :2] >= 0, moved[:, 2:] <= limits[2:]], dim=1) | edge
+    whole = inside.all(dim=1)
+    cut = moved[~whole]
+    hidden = torch.cat([hidden, cut])
+    seen = ((hidden[:, :2] < limits[:2]) & (hidden[:, 2:] > 0)).all(dim=1)
+    hidden = torch.minimum(hidden[seen].clamp(min=0), limits)
+    return image[:, top : top + high, left : left + wide], moved[whole], hidden
+
+
+def _draw(most: int, generator: torch.Generator) -> int:
+    """An integer from 0 to `most`."""
+    return int(torch.randint(most + 1, (1,), generator=generator))
+
+
+def _over(low: float, high: float, side: int, length: int, generator: torch.Generator) -> int:
+    """Where a window of `side` may start to hold `low` to `high` whole, within `length`."""
+    first = min(max(0, math.ceil(high) - side), length - side)
+    last = max(first, min(math.floor(low), length - side))
+    return first + _draw(last - first, generator)
+
+
+def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
+    """Paints ignore regions with the mean colour, so that their content is taught neither as vehicle nor as ground."""
+    if not len(ignore):
+        return image
+    hidden = torch.zeros(image.shape[1:], dtype=torch.bool)
+    for regions, value in ((ignore, True), (boxes, False)):
+        for left, top, right, bottom in regions.clamp(min=0).tolist():
+            hidden[math.floor(top) : math.ceil(bottom), math.floor(left) : math.ceil(right)] = value
+    return torch.where(hidden, image.mean(dim=(1, 2), keepdim=True), image)

@@ -1,0 +1,207 @@
+"""From a checkpoint file to a detector folder: weights converted, vehicle classes chosen, threshold frozen."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchvision.models import detection
+
+from skyproof.detectors.brought import Blueprint, BroughtDetector
+from skyproof.detectors.brought_torchvision import count_classes
+from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
+from skyproof.detectors.folder import DetectorCard, installed_version, save_detector
+from skyproof.detectors.training import check_validation, validate
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import finished_folder, refuse_existing
+from skyproof.scenes.labelled import LabelledImages
+
+__all__ = ["Checkpoint", "bring_detector"]
+
+# Published weights whose batch norm was trained with no epsilon (torchvision's `overwrite_eps`).
+_WITHOUT_EPS = {
+    "retinanet_resnet50_fpn": detection.RetinaNet_ResNet50_FPN_Weights.COCO_V1,
+    "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
+}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+_NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
+# What tables call the average of all detectors.
+_TAKEN = ("mean",)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint file, and what has to be known about it.
+
+    Attributes:
+        path: `.pt` or `.pth` as `torch.save` writes it, or `.safetensors`; nothing in it is run.
+        kind: "torchvision" or "ultralytics".
+        vehicle_classes: of Ultralytics the names, of torchvision the label numbers (COCO: 3 car, 6 bus, 8 truck).
+        architecture: of torchvision, such as "retinanet_resnet50_fpn".
+        gsd_m: metres per pixel the detector was made for; that of the images it is to judge where None.
+    """
+
+    path: Path
+    kind: str
+    vehicle_classes: Sequence[str]
+    architecture: str | None = None
+    gsd_m: float | None = None
+
+
+def bring_detector(
+    checkpoint: Checkpoint,
+    validation: LabelledImages,
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    device: torch.device | str = "cpu",
+) -> DetectorCard:
+    """Converts a checkpoint to a detector folder that `load_detector` opens like any other.
+
+    Args:
+        checkpoint: what to bring.
+        validation: images of the resolution that the detector will judge; they freeze its threshold (PAPER 18).
+        folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
+        name: as tables will show it; the file's name where None.
+        device: to validate on.
+
+    Returns:
+        The card of the stored detector.
+
+    Raises:
+        ConfigurationError: weights that do not fit, a class that is not there, no vehicle found in the validation
+            images or none in them, or ultralytics is not installed.
+        StoredFileError: no checkpoint, or one of another kind of network.
+        RunFolderError: the folder exists, or the disk cannot take it.
+    """
+    folder = Path(folder)
+    refuse_existing(folder)
+    name = checkpoint.path.stem if name is None else name
+    if not _NAME.fullmatch(name) or name in _TAKEN:
+        raise ConfigurationError(f"{name!r} is no name for a detector: letters, digits, . _ - are; give --name.")
+    check_validation(validation)
+    gsd_m = validation.gsd_m if checkpoint.gsd_m is None else checkpoint.gsd_m
+    if not 0 < gsd_m < float("inf"):
+        raise ConfigurationError(f"--gsd expects metres per pixel above 0, got {gsd_m}.")
+    read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
+    if read is None:
+        raise ConfigurationError(f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}.")
+    network = network_of(read_checkpoint(checkpoint.path))
+    state = state_of(network)
+    if not state:
+        raise StoredFileError(f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict.")
+    blueprint = read(checkpoint, network, state, validation.gsd_m / gsd_m)
+    detector = BroughtDetector(name, blueprint)
+    _load(detector, state, checkpoint)
+    detector.eval().requires_grad_(False).to(device)
+    scores = validate(detector, validation)
+    threshold = scores.pop("threshold")
+    if not scores["f1"]:
+        raise ConfigurationError(
+            f"{checkpoint.path} finds none of the vehicles of the validation images, so no threshold can be "
+            "frozen; check --vehicle-classes, and give with --gsd the metres per pixel that it was made for."
+        )
+    first = validation.images[0]
+    card = DetectorCard(
+        name=name,
+        size=detector.size,
+        threshold=threshold,
+        gsd_m=validation.gsd_m,
+        image_size_px=(first.shape[1], first.shape[2]),
+        parameters=sum(parameter.numel() for parameter in detector.parameters()),
+        training={},
+        validation=scores,
+        skyproof_version=installed_version(),
+        trained_on=f"elsewhere: {checkpoint.kind} checkpoint {checkpoint.path.name}",
+        brought=asdict(blueprint),
+    )
+    with finished_folder(folder) as partial:
+        save_detector(partial, detector, card)
+    return card
+
+
+def _torchvision(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float) -> Blueprint:
+    if checkpoint.architecture is None:
+        raise ConfigurationError("a torchvision checkpoint does not say what it is; give --architecture.")
+    count = count_classes(checkpoint.architecture, state)
+    # Faster R-CNN's class 0 is the background.
+    first = 1 if checkpoint.architecture.startswith("fasterrcnn") else 0
+    try:
+        numbers = [int(word) for word in checkpoint.vehicle_classes]
+    except ValueError:
+        numbers = []
+    wrong = next((number for number in numbers if not first <= number < count), None)
+    if not numbers or wrong is not None:
+        raise ConfigurationError(
+            f"--vehicle-classes expects label numbers from {first} to {count - 1} (torchvision keeps no names), got "
+            f"{' '.join(checkpoint.vehicle_classes) or 'none'}."
+        )
+    digest = _sha256(checkpoint.path)
+    published = _WITHOUT_EPS.get(checkpoint.architecture)
+    # torchvision's file names end in the beginning of their digest.
+    same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
+    names = [str(number) for number in range(count)]
+    eps = 0.0 if same else None
+    return Blueprint("torchvision", checkpoint.architecture, names, numbers, scale, eps, checkpoint.path.name, digest)
+
+
+def _ultralytics(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float) -> Blueprint:
+    path = checkpoint.path
+    if checkpoint.architecture is not None:
+        raise ConfigurationError("an Ultralytics checkpoint holds its architecture; leave --architecture out.")
+    origin = network.origin if isinstance(network, StandIn) else "a state dict"
+    if origin not in _NETWORKS:
+        raise StoredFileError(
+            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5u, YOLOv8, YOLO11 or later); give a "
+            "checkpoint that was trained to find boxes."
+        )
+    values = vars(network)
+    try:
+        architecture = json.loads(json.dumps(values["yaml"]))
+        architecture.pop("yaml_file", None)
+        names = values["names"]
+        classes = [str(names[index]) for index in range(len(names))]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StoredFileError(f"{path} lacks its architecture or class names ({error!r}); save it again.") from error
+    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
+    if missing or not checkpoint.vehicle_classes:
+        raise ConfigurationError(
+            f"--vehicle-classes expects names out of {', '.join(classes)}; got {', '.join(missing) or 'none'}."
+        )
+    numbers = [classes.index(name) for name in checkpoint.vehicle_classes]
+    try:
+        return Blueprint("ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path} cannot be brought in: {error}") from error
+
+
+def _load(detector: BroughtDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
+    # Ours wrap the network's model.
+    wanted = {name.removeprefix("network.model."): tensor for name, tensor in detector.state_dict().items()}
+    try:
+        detector.network.model.load_state_dict(state)
+    except RuntimeError as error:
+        different = sorted(
+            name
+            for name in {*wanted, *state}
+            if not name.endswith("num_batches_tracked")
+            and (name not in wanted or name not in state or wanted[name].shape != state[name].shape)
+        )
+        what = checkpoint.architecture or "the architecture it names"
+        raise ConfigurationError(
+            f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, such as "
+            f"{different[0] if different else 'none by name'}; "
+            + ("give the --architecture they were trained as." if checkpoint.architecture else "save it unfused.")
+        ) from error
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

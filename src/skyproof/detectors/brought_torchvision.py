@@ -1,0 +1,133 @@
+"""torchvision's detectors with another's weights: any number of classes, of which some are vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torchvision.models import detection
+from torchvision.ops import sigmoid_focal_loss
+
+from skyproof.detectors.common import check_targets
+from skyproof.detectors.detector import Candidates
+from skyproof.detectors.torchvision_detectors import (
+    POSITIVES_PER_VEHICLE,
+    FasterRcnnDetector,
+    RetinaNetDetector,
+    TorchvisionDetector,
+)
+from skyproof.errors import ConfigurationError
+
+__all__ = ["ARCHITECTURES", "build_torchvision", "count_classes"]
+
+ARCHITECTURES = (
+    "fasterrcnn_mobilenet_v3_large_fpn",
+    "fasterrcnn_resnet50_fpn",
+    "fasterrcnn_resnet50_fpn_v2",
+    "fcos_resnet50_fpn",
+    "retinanet_resnet50_fpn",
+    "retinanet_resnet50_fpn_v2",
+)
+# What torchvision's own transform subtracts and divides by.
+MEAN = (0.485, 0.456, 0.406)
+DEVIATION = (0.229, 0.224, 0.225)
+# The layer with one row for each class, or one for each of nine anchors and each class.
+_CLASS_ROWS = {
+    "fasterrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
+    "fcos": ("head.classification_head.cls_logits.bias", 1),
+    "retinanet": ("head.classification_head.cls_logits.bias", 9),
+}
+
+
+def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
+    """How many classes the weights tell apart, Faster R-CNN's background included.
+
+    Raises:
+        ConfigurationError: an unknown architecture, or weights that are not of its kind.
+    """
+    if architecture not in ARCHITECTURES:
+        raise ConfigurationError(f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}.")
+    name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
+    rows = len(state[name]) if name in state and state[name].ndim == 1 else 0
+    if not rows or rows % anchors:
+        raise ConfigurationError(
+            f"The weights do not fit {architecture}: they hold "
+            + (f"{rows} class scores in {name}, not a multiple of {anchors}" if rows else f"no {name}")
+            + "; give the --architecture they were trained as."
+        )
+    return rows // anchors
+
+
+def build_torchvision(
+    architecture: str, class_count: int, vehicle_classes: Sequence[int], norm_eps: float | None
+) -> TorchvisionDetector:
+    """The network of an architecture, its weights yet to be loaded; it never resizes.
+
+    Args:
+        architecture: see `ARCHITECTURES`; anchors and limits are torchvision's own.
+        class_count: as `count_classes` gives it.
+        vehicle_classes: columns of the class scores; their best is the vehicle's score.
+        norm_eps: of the backbone's batch norm where torchvision's published weights ask for another one.
+    """
+    model = getattr(detection, architecture)(weights=None, weights_backbone=None, num_classes=class_count)
+    for layer in model.backbone.modules():
+        if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
+            layer.eps = norm_eps
+    family = {"fasterrcnn": BroughtFasterRcnn, "fcos": BroughtFcos, "retinanet": BroughtRetinaNet}
+    return family[architecture.partition("_")[0]](model, tuple(vehicle_classes))
+
+
+class _Brought(TorchvisionDetector):
+    """torchvision's normalising, and the vehicle classes."""
+
+    def __init__(self, model: nn.Module, vehicle_classes: tuple[int, ...]) -> None:
+        TorchvisionDetector.__init__(self, "brought", model)
+        self.vehicle_classes = vehicle_classes
+
+    def _normalise(self, images: Tensor) -> Tensor:
+        return (images - images.new_tensor(MEAN).view(3, 1, 1)) / images.new_tensor(DEVIATION).view(3, 1, 1)
+
+
+class BroughtFasterRcnn(_Brought, FasterRcnnDetector):
+    """Faster R-CNN: the loss wants every region to be background, whatever class it shows."""
+
+
+class BroughtRetinaNet(_Brought, RetinaNetDetector):
+    """RetinaNet: its sigmoid scores are independent, so only those of the vehicle classes are read."""
+
+    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        outputs, anchors = super()._outputs(images)
+        return {**outputs, "cls_logits": outputs["cls_logits"][..., list(self.vehicle_classes)]}, anchors
+
+
+class BroughtFcos(_Brought):
+    """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
+
+    name = "fcos"
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """torchvision's focal loss of the vehicle classes against an empty truth, by the points one vehicle gets.
+
+        Centredness has no loss where there is no vehicle (PAPER 21, 22).
+        """
+        check_targets(images, targets)
+        logits = self._outputs(images)[0]["cls_logits"]
+        return sigmoid_focal_loss(logits, torch.zeros_like(logits)).sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every point's box and score."""
+        outputs, anchors = self._outputs(images)
+        deltas = outputs["bbox_regression"]
+        boxes = self.model.box_coder.decode(deltas, anchors.expand(len(images), -1, -1))
+        # The root's slope has no limit at 0.
+        product = outputs["cls_logits"].amax(dim=-1).sigmoid() * outputs["bbox_ctrness"][..., 0].sigmoid()
+        scores = product.clamp(min=1e-12).sqrt()
+        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        features, image_list = self._features(images)
+        outputs = self.model.head(features)
+        vehicles = outputs["cls_logits"][..., list(self.vehicle_classes)]
+        return {**outputs, "cls_logits": vehicles}, self.model.anchor_generator(image_list, features)[0]

@@ -1,0 +1,275 @@
+"""YOLO through Ultralytics, ours and brought in: the only file that imports it.
+
+NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it;
+installing the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network
+services too.
+
+What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the anchor-free head and
+the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the paper may have used, is not in the package.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional
+
+from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
+from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.errors import ConfigurationError
+
+__all__ = ["YoloNetwork", "YoloV5Detector", "check_layers"]
+
+MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
+# The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many (PAPER 22).
+POINTS_PER_VEHICLE = 10.0
+# Ultralytics' weight of the class loss.
+CLASS_GAIN = 0.5
+# Ultralytics looks a layer's name up among all it imports, functions that open files included, and evaluates the text
+# of an activation: only names of plain layers pass.
+# Whether their boxes are turned.
+HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
+_LAYER_NAMES = """
+A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x CBFuse CBLinear Concat
+Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck GhostConv HGBlock HGStem PSA RepC3
+RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity
+nn.MaxPool2d nn.Upsample nn.ZeroPad2d
+"""
+LAYERS = frozenset(_LAYER_NAMES.split())
+_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
+
+
+class YoloV5Detector(TrainableDetector):
+    """Ultralytics' YOLOv5u for one class, from its YAML, without weights and never fused (PAPER 15).
+
+    Args:
+        size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
+
+    Raises:
+        ConfigurationError: ultralytics is not installed, or another size.
+    """
+
+    name = "yolov5"
+    model: Any
+
+    def __init__(self, size: str) -> None:
+        super().__init__()
+        if size not in MODEL_FILES:
+            raise ConfigurationError(f'A detector size is "slim" or "full", not "{size}".')
+        self.size = size
+        with _quiet_import():
+            from ultralytics.nn.tasks import DetectionModel
+            from ultralytics.utils import DEFAULT_CFG
+
+            self.model = DetectionModel(MODEL_FILES[size], nc=1, verbose=False)
+        self.model.args = DEFAULT_CFG
+        self._criterion: Any = None
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """Ultralytics' own v8DetectionLoss (box, class, distribution) image by image on one forward pass.
+
+        Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
+        ten points a vehicle gets. Called per image, its factor "batch size" is 1 (PAPER 21, 22).
+        """
+        check_targets(images, targets)
+        outputs = self._outputs(images)
+        criterion = self._criterion_on(images.device)
+        height, width = (side * 8 for side in outputs["feats"][0].shape[-2:])
+        losses = []
+        for index, boxes in enumerate(targets):
+            own = {
+                "boxes": outputs["boxes"][index : index + 1],
+                "scores": outputs["scores"][index : index + 1],
+                "feats": [level[index : index + 1] for level in outputs["feats"]],
+            }
+            sides = boxes[:, 2:] - boxes[:, :2]
+            centred = torch.cat([boxes[:, :2] + sides / 2, sides], dim=1) / boxes.new_tensor(
+                [width, height, width, height]
+            )
+            zeros = boxes.new_zeros(len(boxes))
+            terms, _ = criterion(own, {"batch_idx": zeros, "cls": zeros, "bboxes": centred})
+            losses.append(terms.sum() / (1.0 if len(boxes) else POINTS_PER_VEHICLE))
+        return torch.stack(losses)
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor point's box and sigmoid score."""
+        from ultralytics.utils.tal import make_anchors
+
+        outputs = self._outputs(images)
+        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
+        boxes = self._criterion_on(images.device).bbox_decode(points, outputs["boxes"].permute(0, 2, 1).contiguous())
+        scores = outputs["scores"][:, 0].sigmoid()
+        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    @torch.no_grad()
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`."""
+        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
+
+    def _outputs(self, images: Tensor) -> dict[str, Any]:
+        """Raw heads: boxes `[B, 64, A]`, scores `[B, 1, A]`, feature maps; the same in both modes."""
+        check_images(images)
+        # 114/255 is the grey Ultralytics pads with.
+        outputs = self.model(pad_to_stride(images, value=114 / 255))
+        # In eval mode the head returns (decoded, raw); only raw knows no cached anchors.
+        return outputs[1] if isinstance(outputs, tuple) else outputs
+
+    def _criterion_on(self, device: torch.device) -> Any:
+        if self._criterion is None or self._criterion.device != device:
+            from ultralytics.utils.loss import v8DetectionLoss
+
+            self._criterion = v8DetectionLoss(self.model)
+        return self._criterion
+
+
+def check_layers(architecture: Mapping[str, Any]) -> None:
+    """Refuses an architecture that names anything but plain layers and a detection head.
+
+    Args:
+        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count, layer, arguments].
+
+    Raises:
+        ConfigurationError: another layer or head, another activation, or images of other than three channels.
+    """
+    try:
+        rows = [(str(row[2]), row[3]) for row in [*architecture["backbone"], *architecture["head"]]]
+        *names, head = [name for name, _ in rows]
+        activation = architecture.get("activation")
+        channels = architecture.get("channels", 3)
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise ConfigurationError("expected an Ultralytics architecture with rows of backbone and head.") from error
+    unknown = next((name for name in names if name not in LAYERS), None)
+    if unknown is not None:
+        raise ConfigurationError(f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers.")
+    if head not in HEADS:
+        raise ConfigurationError(f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes.")
+    if activation is not None and not _ACTIVATION.fullmatch(str(activation)):
+        raise ConfigurationError(f"the network's activation {activation!r} is not that of a plain layer.")
+    if channels != 3:
+        raise ConfigurationError(f"the network takes images of {channels} channels; red, green and blue are expected.")
+
+
+class YoloNetwork(TrainableDetector):
+    """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
+
+    Of oriented boxes the upright hull counts. Of the two heads of YOLOv10 and YOLO26 that one is read which the
+    installed Ultralytics reads.
+
+    Args:
+        architecture: as `check_layers` has passed it.
+        vehicle_classes: whose best score is the vehicle's.
+
+    Raises:
+        ConfigurationError: ultralytics is not installed, or it cannot build the network.
+    """
+
+    name = "yolo"
+    size = "brought"
+    model: Any
+
+    def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
+        super().__init__()
+        check_layers(architecture)
+        self.vehicle_classes = list(vehicle_classes)
+        with _quiet_import():
+            from ultralytics.nn.tasks import DetectionModel, OBBModel
+
+            kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
+            try:
+                self.model = kind(copy.deepcopy(dict(architecture)), ch=3, verbose=False)
+            except Exception as error:
+                # Whatever a row of numbers can bring about in another library.
+                raise ConfigurationError(
+                    f"the installed Ultralytics cannot build the network ({str(error)[:200]}); install the version "
+                    "that trained it."
+                ) from error
+
+    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+        """Ultralytics' class loss of the vehicle classes against an empty truth, by the points a vehicle gets.
+
+        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent (PAPER 21, 22).
+        """
+        check_targets(images, targets)
+        logits = self._outputs(images)["scores"][:, self.vehicle_classes]
+        return CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor point's box and best sigmoid score."""
+        from ultralytics.utils.tal import dist2bbox, dist2rbox, make_anchors
+
+        outputs = self._outputs(images)
+        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
+        distances = outputs["boxes"].permute(0, 2, 1)
+        levels = self.model.model[-1].reg_max
+        if levels > 1:
+            steps = torch.arange(levels, dtype=distances.dtype, device=distances.device)
+            distances = distances.reshape(*distances.shape[:2], 4, levels).softmax(-1) @ steps
+        if "angle" in outputs:
+            angles = outputs["angle"].permute(0, 2, 1)
+            centred = dist2rbox(distances, angles, points)
+            half = _upright(centred[..., 2:] / 2, angles)
+            boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
+        else:
+            boxes = dist2bbox(distances, points, xywh=False)
+        scores = outputs["scores"][:, self.vehicle_classes].amax(dim=1).sigmoid()
+        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    def _outputs(self, images: Tensor) -> dict[str, Any]:
+        check_images(images)
+        stride_px = int(self.model.stride.max())
+        _, raw = self.model(pad_to_stride(images, value=114 / 255, stride_px=max(32, stride_px)))
+        if "one2one" in raw:
+            return raw["one2one" if self.model.model[-1].end2end else "one2many"]
+        return raw
+
+
+def _upright(half: Tensor, angles: Tensor) -> Tensor:
+    """Half sides `[..., 2]` of turned boxes to half sides of the upright boxes around them."""
+    cosine, sine = angles.cos().abs(), angles.sin().abs()
+    return torch.cat(
+        [half[..., :1] * cosine + half[..., 1:] * sine, half[..., :1] * sine + half[..., 1:] * cosine], dim=-1
+    )
+
+
+@contextmanager
+def _quiet_import() -> Iterator[None]:
+    """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or patched libraries.
+
+    Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder, replaces `torch.save`,
+    and replaces Pillow's `Image.open` by one that installs packages when it meets a damaged file; all are undone. Where
+    the program imported Ultralytics before us, its settings stay as they are.
+    """
+    logger = logging.getLogger("ultralytics")
+    level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
+    with tempfile.TemporaryDirectory(prefix="skyproof-yolo-") as folder:
+        os.environ.update({"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"})
+        first = "ultralytics" not in sys.modules
+        logger.setLevel(logging.ERROR)
+        try:
+            from ultralytics.utils import SETTINGS
+
+            logger.setLevel(logging.ERROR)
+            if first:
+                SETTINGS["sync"] = False
+            yield
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                'YOLOv5 needs Ultralytics (AGPL-3.0), which is not installed: pip install "skyproof[yolo]".'
+            ) from error
+        finally:
+            torch.save, Image.open = save, image_open
+            os.environ.clear()
+            os.environ.update(environment)
+            logger.setLevel(level)

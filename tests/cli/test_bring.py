@@ -1,0 +1,136 @@
+"""A checkpoint brought in, and then used by evaluate, attack, score and train's neighbours like any detector."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
+
+from skyproof.detectors.folder import read_card
+from skyproof.scenes.coco import Annotation, CocoWriter
+from tests.cli.conftest import Skyproof
+
+CPU = ["--device", "cpu"]
+KIND = ["--kind", "torchvision", "--architecture", "fasterrcnn_mobilenet_v3_large_fpn"]
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("checkpoint") / "vehicles.pth"
+    model = fasterrcnn_mobilenet_v3_large_fpn(weights=None, weights_backbone=None, num_classes=4)
+    torch.save({"model": model.state_dict()}, path)
+    return path
+
+
+def test_a_brought_in_detector_is_used_like_any_other(
+    checkpoint: Path, finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    out = tmp_path / "mine"
+    call = ["bring", checkpoint, *KIND, "--vehicle-classes", 1, 3, "--validation", finished / "datasets/validation"]
+    answer = skyproof(*call, "--out", out, "--name", "theirs", *CPU)
+    assert answer.code == 0, answer.err
+    assert "threshold" in answer.out
+    assert read_card(out).name == "theirs"
+    stored = (out / "weights.safetensors").read_bytes()
+    skyproof(*call, "--out", out).refused(str(out), "not overwritten")
+    # Untrained, it needs a threshold at which it finds something on the test images.
+    record = json.loads((out / "detector.json").read_text())
+    (out / "detector.json").write_text(json.dumps({**record, "threshold": 0.01}))
+    both = ["--detectors", finished / "detectors/retinanet", out]
+    pair = f"T-U={finished}/datasets/test-T-U"
+    answer = skyproof(
+        "evaluate",
+        *both,
+        "--original",
+        finished / "datasets/test",
+        "--camouflaged",
+        pair,
+        "--out",
+        tmp_path / "e",
+        *CPU,
+    )
+    assert answer.code == 0, answer.err
+    assert "theirs" in answer.out
+    world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
+    steps = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1, *CPU]
+    answer = skyproof("attack", *both, *world, "--out", tmp_path / "T-U", *steps)
+    assert answer.code == 0, answer.err
+    losses = json.loads((tmp_path / "T-U" / "steps.jsonl").read_text().splitlines()[0])["losses"]
+    assert set(losses) == {"retinanet", "theirs"}
+    assert all(0 < value < 100 for value in losses.values())
+    assert (out / "weights.safetensors").read_bytes() == stored
+
+
+def test_bad_input(checkpoint: Path, finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    validation = ["--validation", finished / "datasets/validation"]
+    good = [checkpoint, *KIND, "--vehicle-classes", 1, *validation]
+    text = tmp_path / "text.pth"
+    text.write_text("not weights")
+    for call, words in (
+        ([text, *good[1:]], (str(text), "not a checkpoint")),
+        ([tmp_path / "none.pth", *good[1:]], ("none.pth", "missing")),
+        ([*good, "--vehicle-classes", "car"], ("from 1 to 3", "car")),
+        ([*good, "--architecture", "yolo"], ("fcos_resnet50_fpn",)),
+        ([*good, "--kind", "ultralytics"], ("--architecture",)),
+        ([*good, "--gsd", -1], ("--gsd",)),
+        ([*good, "--name", "a/b"], ("--name",)),
+        ([*good, "--validation", tmp_path / "nowhere"], ("nowhere", "missing")),
+        ([*good, "--device", "abacus"], ("--device",)),
+    ):
+        skyproof("bring", *call, "--out", tmp_path / "x").refused(*words)
+        assert not (tmp_path / "x").exists()
+
+
+def tiled(folder: Path) -> Path:
+    """A tiled folder as real imagery gives it: grey and coloured tiles of two sizes, with and without vehicles."""
+    draws = np.random.default_rng(0)
+    rows = []
+    for split in ("train", "validation"):
+        with CocoWriter(folder / split, gsd_m=0.125, source={"description": "skyproof tiles"}) as writer:
+            for index, side in enumerate((384, 384, 500, 200)):
+                array = draws.integers(60, 90, (side, side, 3), dtype=np.uint8)
+                marks = []
+                if index % 2 == 0:
+                    array[100:115, 50:86] = 220
+                    marks.append(Annotation((50.0, 100.0, 86.0, 115.0), (68.0, 107.5)))
+                    marks.append(Annotation((150.0, 20.0, 170.0, 60.0), (160.0, 40.0), ignore=True))
+                name = f"{split}{index}"
+                writer.add(torch.from_numpy(array).permute(2, 0, 1), name, marks)
+                place = f"{split}/images/{name}.png"
+                if index == 2:
+                    # A single band is a picture too.
+                    Image.open(folder / place).convert("L").save(folder / place)
+                rows.append(
+                    {"id": name, "file": place, "split": split, "width_px": side, "height_px": side}
+                    | {"source": f"city_{index % 2}.tif", "offset_px": [0, 0]}
+                )
+    index = {"format_version": 1, "gsd_m": 0.125, "tiles": rows}
+    (folder / "index.json").write_text(json.dumps(index))
+    return folder
+
+
+@pytest.mark.parametrize("detector", ["retinanet", "faster_rcnn"])
+def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproof) -> None:
+    folder = tiled(tmp_path / "tiles")
+    call = ["train", "--detector", detector, "--data", folder / "train", "--validation", folder / "validation"]
+    answer = skyproof(*call, "--steps", 3, "--batch-size", 2, "--out", tmp_path / "out", *CPU)
+    assert answer.code == 0, answer.err
+    card = read_card(tmp_path / "out")
+    assert card.trained_on == "train: tiles of real imagery (city_0.tif, city_1.tif)"
+    assert card.image_size_px == (384, 384)
+
+
+def test_what_a_detector_was_trained_on(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    assert read_card(finished / "detectors/retinanet").trained_on == "train: rendered by the differentiable renderer"
+    folder = tiled(tmp_path / "tiles")
+    shutil.move(folder / "train", tmp_path / "alone")
+    call = ["train", "--detector", "retinanet", "--data", tmp_path / "alone", "--validation", folder / "validation"]
+    assert skyproof(*call, "--steps", 1, "--batch-size", 1, "--out", tmp_path / "out", *CPU).code == 0
+    assert read_card(tmp_path / "out").trained_on == "alone: images of unknown origin"

@@ -1,0 +1,246 @@
+"""A checkpoint file becomes a detector folder, or one clear sentence."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from detector_images import bar_images, labelled_images, needs_yolo
+from safetensors.torch import load_file, save_file
+from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
+
+from skyproof.detectors.bring import Checkpoint, bring_detector
+from skyproof.detectors.folder import build_detector, load_detector, read_card
+from skyproof.detectors.training import validate
+from skyproof.detectors.ultralytics_detectors import _quiet_import
+from skyproof.errors import ConfigurationError, RunFolderError, SkyproofError, StoredFileError
+
+SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
+VALIDATION = bar_images(3, seed=1)
+IMAGES = torch.stack(list(VALIDATION.images)).float() / 255
+
+
+@pytest.fixture(scope="module")
+def network() -> torch.nn.Module:
+    """Untrained: of its hundred boxes an image some lie on vehicles."""
+    torch.manual_seed(0)
+    return fasterrcnn_mobilenet_v3_large_fpn(weights=None, weights_backbone=None, num_classes=4).eval()
+
+
+@pytest.fixture
+def checkpoint(network: torch.nn.Module, tmp_path: Path) -> Checkpoint:
+    torch.save({"model": network.state_dict(), "epoch": 7}, tmp_path / "vehicles.pth")
+    return Checkpoint(tmp_path / "vehicles.pth", "torchvision", ("3", "1"), SMALL)
+
+
+@pytest.fixture(scope="module")
+def brought(network: torch.nn.Module, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A detector folder; not to be changed."""
+    folder = tmp_path_factory.mktemp("brought")
+    torch.save({"model": network.state_dict(), "epoch": 7}, folder / "vehicles.pth")
+    card = bring_detector(
+        Checkpoint(folder / "vehicles.pth", "torchvision", ("3", "1"), SMALL), VALIDATION, folder / "out"
+    )
+    assert card == read_card(folder / "out")
+    return folder / "out"
+
+
+def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> None:
+    assert sorted(path.name for path in brought.iterdir()) == ["detector.json", "weights.safetensors"]
+    detector, card = load_detector(brought)
+    assert (card.name, card.size, card.gsd_m, card.image_size_px) == ("vehicles", "brought", 0.125, (96, 96))
+    assert card.trained_on == "elsewhere: torchvision checkpoint vehicles.pth"
+    found = {**card.validation, "threshold": card.threshold}
+    assert found == pytest.approx(validate(detector, VALIDATION))
+    assert found["f1"] > 0
+    state = {f"network.model.{name}": tensor for name, tensor in network.state_dict().items()}
+    weights = load_file(brought / "weights.safetensors")
+    assert weights.keys() == state.keys()
+    assert all(torch.equal(weights[name], state[name]) for name in state)
+    assert card.brought is not None
+    assert card.brought["vehicle_classes"] == [3, 1]
+
+
+def test_every_form_of_the_same_weights_gives_the_same_detector(
+    checkpoint: Checkpoint, brought: Path, network: torch.nn.Module, tmp_path: Path
+) -> None:
+    plain = {name: tensor for name, tensor in network.state_dict().items() if "num_batches_tracked" not in name}
+    save_file(plain, tmp_path / "a.safetensors")
+    torch.save(network, tmp_path / "b.pt")
+    wanted = read_card(brought)
+    for name in ("a.safetensors", "b.pt"):
+        card = bring_detector(replace(checkpoint, path=tmp_path / name), VALIDATION, tmp_path / f"out-{name}", name="v")
+        assert card.validation == wanted.validation
+
+
+def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    card = bring_detector(replace(checkpoint, gsd_m=0.0625), VALIDATION, tmp_path / "out")
+    detector, _ = load_detector(tmp_path / "out")
+    assert card.gsd_m == 0.125
+    shown: list[torch.Size] = []
+    model: Any = detector.network.model  # type: ignore[union-attr]
+    model.backbone.register_forward_pre_hook(lambda _, given: shown.append(given[0].shape))
+    detector.detect(IMAGES)
+    assert shown == [torch.Size([3, 3, 192, 192])]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"architecture": None}, "--architecture"),
+        ({"architecture": "ssd300_vgg16"}, "fcos_resnet50_fpn"),
+        ({"architecture": "fasterrcnn_resnet50_fpn"}, "tensors differ, such as"),
+        ({"architecture": "retinanet_resnet50_fpn"}, "do not fit retinanet"),
+        ({"vehicle_classes": ("4",)}, "from 1 to 3"),
+        ({"vehicle_classes": ("0",)}, "from 1 to 3"),
+        ({"vehicle_classes": ("car",)}, "keeps no names"),
+        ({"vehicle_classes": ()}, "got none"),
+        ({"gsd_m": 0.0}, "--gsd"),
+        ({"gsd_m": 1000.0}, "out of reason"),
+        ({"kind": "detectron2"}, "detectron2"),
+        ({"kind": "ultralytics"}, "leave --architecture out"),
+        ({"kind": "ultralytics", "architecture": None}, "holds a state dict, not a detection network"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    checkpoint: Checkpoint, change: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SkyproofError, match=message):
+        bring_detector(replace(checkpoint, **change), VALIDATION, tmp_path / "out")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["vehicles.pth"]
+
+
+def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    for name in ("a b", "", "../x", "mean"):
+        with pytest.raises(ConfigurationError, match="--name"):
+            bring_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
+    (tmp_path / "text.pt").write_text("not weights")
+    torch.save({"epoch": 3}, tmp_path / "empty.pt")
+    torch.save(maskrcnn_resnet50_fpn(weights=None, weights_backbone=None).roi_heads.state_dict(), tmp_path / "mask.pt")
+    for name, error, message in (
+        ("text.pt", StoredFileError, "not a checkpoint"),
+        ("none.pt", StoredFileError, "missing"),
+        ("empty.pt", StoredFileError, "no weights"),
+        ("mask.pt", ConfigurationError, "do not fit"),
+    ):
+        with pytest.raises(error, match=message):
+            bring_detector(replace(checkpoint, path=tmp_path / name), VALIDATION, tmp_path / "out")
+    empty = bar_images(1, seed=0)
+    with pytest.raises(ConfigurationError, match="at least one vehicle"):
+        bring_detector(checkpoint, empty, tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    with pytest.raises(RunFolderError, match="not overwritten"):
+        bring_detector(checkpoint, VALIDATION, tmp_path / "out")
+
+
+def test_a_detector_that_finds_nothing_is_not_brought_in(
+    checkpoint: Checkpoint, network: torch.nn.Module, tmp_path: Path
+) -> None:
+    state = copy.deepcopy(network.state_dict())
+    # Far above the vehicle classes: everything is background.
+    state["roi_heads.box_predictor.cls_score.bias"][0] = 50.0
+    torch.save(state, checkpoint.path)
+    with pytest.raises(ConfigurationError, match=r"(?s)none of the vehicles.*--vehicle-classes.*--gsd"):
+        bring_detector(checkpoint, VALIDATION, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"architecture": "ssd"}, "garbles"),
+        ({"vehicle_classes": [9]}, "garbles"),
+        ({"colour": "red"}, "garbles"),
+        ({"classes": ["0", "1"]}, "garbles"),
+        ({"classes": ["0", "1", "2", "3", "4"]}, "does not fit"),
+    ],
+)
+def test_a_garbled_folder_is_refused(brought: Path, change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(brought, tmp_path / "out")) / "detector.json"
+    record = json.loads(path.read_text())
+    record["brought"] |= change
+    path.write_text(json.dumps(record))
+    with pytest.raises(StoredFileError, match=message):
+        load_detector(tmp_path / "out")
+
+
+def stored_by_ultralytics(path: Path, file: str, names: list[str]) -> Any:
+    """A network of one of Ultralytics' YAML files, stored as its trainer does it: a pickled object, in halves."""
+    with _quiet_import():
+        from ultralytics import YOLO
+
+        yolo = YOLO(file)
+    yolo.model.names = dict(enumerate(names))
+    yolo.model.float().eval()
+    yolo.save(str(path))
+    return yolo.model
+
+
+@needs_yolo
+@pytest.mark.parametrize("file", ["yolov5n.yaml", "yolov8n.yaml", "yolo11n.yaml", "yolov8n-obb.yaml"])
+def test_an_ultralytics_checkpoint(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # An untrained network's few boxes hit nothing but by luck.
+    scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
+    monkeypatch.setattr("skyproof.detectors.bring.validate", lambda *_: dict(scores))
+    torch.manual_seed(0)
+    count = 15 if "obb" in file else 80
+    names = [f"class {index}" for index in range(count - 2)] + ["small vehicle", "truck"]
+    theirs = stored_by_ultralytics(tmp_path / "best.pt", file, names)
+    checkpoint = Checkpoint(tmp_path / "best.pt", "ultralytics", ("truck", "small vehicle"))
+    card = bring_detector(checkpoint, VALIDATION, tmp_path / "out", name="yolo8")
+    detector, stored = load_detector(tmp_path / "out")
+    assert card == stored
+    assert card.brought is not None
+    assert card.brought["vehicle_classes"] == [count - 1, count - 2]
+    assert card.brought["classes"] == names
+    assert {**card.validation, "threshold": card.threshold} == scores
+    wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
+    torch.testing.assert_close(detector.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5)
+    with pytest.raises(ConfigurationError, match=r"small vehicle, truck; got boat"):
+        bring_detector(replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other")
+
+
+@needs_yolo
+def test_other_networks_of_ultralytics_are_refused(tmp_path: Path) -> None:
+    for file, kind in (("yolov8n-seg.yaml", "SegmentationModel"), ("yolov8n-cls.yaml", "ClassificationModel")):
+        stored_by_ultralytics(tmp_path / "x.pt", file, ["car"])
+        with pytest.raises(StoredFileError, match=f"{kind}, not a detection network"):
+            bring_detector(Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out")
+
+
+@needs_yolo
+def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored_by_ultralytics(tmp_path / "x.pt", "yolov8n.yaml", ["car"] * 80)
+    for name in [name for name in sys.modules if name.split(".")[0] == "ultralytics"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "ultralytics", None)
+    with pytest.raises(ConfigurationError, match=r"skyproof\[yolo\]"):
+        bring_detector(Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out")
+
+
+def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) -> None:
+    from test_folder import CARD
+
+    from skyproof.detectors.folder import save_detector
+
+    save_detector(tmp_path, build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)), CARD)
+    record = json.loads((tmp_path / "detector.json").read_text())
+    del record["trained_on"], record["brought"]
+    (tmp_path / "detector.json").write_text(json.dumps(record))
+    assert read_card(tmp_path) == CARD
+    assert load_detector(tmp_path)[1].trained_on == ""
+
+
+def test_images_of_different_sizes_are_validated(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    large = bar_images(3, 128, seed=5)
+    mixed = labelled_images(
+        [*VALIDATION.images, *large.images], [*VALIDATION.boxes, *large.boxes], [torch.zeros(0, 4)] * 6
+    )
+    assert bring_detector(checkpoint, mixed, tmp_path / "out").validation["f1"] > 0

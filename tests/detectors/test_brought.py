@@ -1,0 +1,326 @@
+"""Brought-in networks: against the libraries' own detections, and the loss tests of ours (PAPER 21-23)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from detector_images import YOLO, bar_images, needs_yolo
+from torch import nn
+from torch.nn import functional
+from torchvision.models import detection
+from torchvision.ops import box_convert
+
+from skyproof.detectors.brought import Blueprint, BroughtDetector
+from skyproof.detectors.brought_torchvision import ARCHITECTURES, BroughtFasterRcnn, BroughtFcos
+from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.folder import weights_digest
+from skyproof.detectors.ultralytics_detectors import _quiet_import
+from skyproof.errors import ConfigurationError
+
+LABELLED = bar_images(3, seed=1)
+IMAGES = torch.stack(list(LABELLED.images)).float() / 255
+NOTHING = [torch.zeros(0, 4)] * len(IMAGES)
+CLASSES = ["0", "1", "2", "3"]
+PLAN = Blueprint("torchvision", "fasterrcnn_mobilenet_v3_large_fpn", CLASSES, [2], 1.0, None, "x.pth", "0")
+SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
+ONE_OF_EACH = [SMALL, "fcos_resnet50_fpn", "retinanet_resnet50_fpn"]
+
+
+def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
+    """A three-class network of one of the YAML files that Ultralytics brings along."""
+    with _quiet_import():
+        from ultralytics.nn.tasks import yaml_model_load
+
+    architecture = {**yaml_model_load(file), "nc": 3}
+    return replace(
+        PLAN, kind="ultralytics", architecture=architecture, classes=CLASSES[:3], vehicle_classes=vehicle_classes
+    )
+
+
+def livened(detector: BroughtDetector) -> BroughtDetector:
+    """Random weights that tell places and classes apart; fresh ones give every place the same low score."""
+    generator = torch.Generator().manual_seed(7)
+    model = detector.network.model
+    # FCOS normalises the features before the last layer, which is why they are larger there.
+    spread = (1.5, 0.02 if detector.network.name == "fcos" else 0.3)
+    for name, parameter in model.named_parameters():
+        last = ("cls_logits", "cls_score", ".cv3.0.2", ".cv3.1.2", ".cv3.2.2", "ctrness")
+        if any(part in name for part in last):
+            with torch.no_grad():
+                parameter.copy_(spread[parameter.ndim > 1] * torch.randn(parameter.shape, generator=generator))
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            # Else the features of a deep random network are all alike.
+            module.momentum = 1.0
+    detector.train()
+    with torch.no_grad():
+        detector.network.candidates(IMAGES) if detector.network.name != "yolo" else model(IMAGES)
+    return detector.eval().requires_grad_(False)
+
+
+@pytest.fixture(scope="module", params=[*ONE_OF_EACH, pytest.param("yolov8n.yaml", marks=YOLO.marks)])
+def brought(request: pytest.FixtureRequest) -> BroughtDetector:
+    torch.manual_seed(0)
+    if request.param.endswith(".yaml"):
+        return livened(BroughtDetector("mine", yolo_plan(request.param, [1, 2])))
+    return livened(BroughtDetector("mine", replace(PLAN, architecture=request.param, vehicle_classes=[1, 3])))
+
+
+@pytest.mark.parametrize("architecture", ONE_OF_EACH)
+def test_detections_are_those_of_torchvision(architecture: str) -> None:
+    torch.manual_seed(1)
+    ours = livened(BroughtDetector("mine", replace(PLAN, architecture=architecture)))
+    limits = {"min_size": 96, "max_size": 96}
+    if architecture == SMALL:
+        limits |= {"box_score_thresh": 0.01, "box_detections_per_img": 10_000}
+    else:
+        limits |= {"score_thresh": 0.01, "nms_thresh": 0.5, "topk_candidates": 100_000, "detections_per_img": 10_000}
+    theirs = getattr(detection, architecture)(
+        weights=None, weights_backbone=None, num_classes=len(CLASSES), **limits
+    ).eval()
+    theirs.load_state_dict(ours.network.model.state_dict())
+    with torch.no_grad():
+        wanted = theirs(list(IMAGES))
+    for found, want in zip(ours.detect(IMAGES), wanted, strict=True):
+        # Boxes of no size are not among ours.
+        vehicles = (want["labels"] == 2) & (want["boxes"][:, 2:] - want["boxes"][:, :2] > 0.5).all(dim=1)
+        scores, boxes = want["scores"][vehicles][:100], want["boxes"][vehicles][:100]
+        assert len(scores) > 20
+        torch.testing.assert_close(found.scores[: len(scores)], scores, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(found.boxes[: len(scores)], boxes, rtol=1e-3, atol=1e-2)
+
+
+@needs_yolo
+@pytest.mark.parametrize(
+    "file", ["yolov5n.yaml", "yolov8n.yaml", "yolo11n.yaml", "yolo26n.yaml", "yolov8n-obb.yaml", "yolo26n-obb.yaml"]
+)
+def test_candidates_are_those_of_ultralytics(file: str) -> None:
+    torch.manual_seed(2)
+    ours = livened(BroughtDetector("mine", yolo_plan(file, [1])))
+    from ultralytics.utils.ops import xywhr2xyxyxyxy
+
+    with torch.no_grad():
+        decoded = ours.network.model(IMAGES)[0]
+    found = ours.candidates(IMAGES)
+    torch.testing.assert_close(found.scores, decoded[:, 4 + 1])
+    boxes = decoded[:, :4].permute(0, 2, 1)
+    if "obb" in file:
+        corners = xywhr2xyxyxyxy(torch.cat([boxes, decoded[:, -1:].permute(0, 2, 1)], dim=-1))
+        wanted = torch.cat([corners.amin(dim=-2), corners.amax(dim=-2)], dim=-1)
+        assert (wanted[..., 2:] - wanted[..., :2] - boxes[..., 2:]).abs().max() > 1
+    else:
+        wanted = box_convert(boxes, "cxcywh", "xyxy")
+    torch.testing.assert_close(found.boxes, wanted, rtol=1e-4, atol=1e-3)
+
+
+@needs_yolo
+def test_loss_is_ultralytics_own_against_an_empty_truth() -> None:
+    ours = livened(BroughtDetector("mine", yolo_plan("yolov8n.yaml", [0, 1, 2])))
+    from ultralytics.cfg import get_cfg
+    from ultralytics.utils.loss import v8DetectionLoss
+
+    model = ours.network.model
+    model.args = get_cfg()
+    nothing = {"batch_idx": torch.zeros(0), "cls": torch.zeros(0), "bboxes": torch.zeros(0, 4)}
+    for image, loss in zip(IMAGES, ours.loss(IMAGES, NOTHING), strict=True):
+        terms, _ = v8DetectionLoss(model)(model(image[None])[1], nothing)
+        torch.testing.assert_close(loss, terms.sum() / 10, rtol=1e-4, atol=1e-5)
+
+
+def test_losses_by_their_formulas() -> None:
+    """RetinaNet, FCOS: focal loss; Faster R-CNN: every region is background and every anchor negative."""
+    torch.manual_seed(3)
+    retinanet = livened(BroughtDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn")))
+    scores = retinanet.candidates(IMAGES).scores.double()
+    focal = (0.75 * scores**2 * -torch.log1p(-scores)).sum(dim=1) / 8
+    torch.testing.assert_close(retinanet.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6)
+    fcos = livened(BroughtDetector("mine", replace(PLAN, architecture="fcos_resnet50_fpn")))
+    assert isinstance(fcos.network, BroughtFcos)
+    p = fcos.network._outputs(IMAGES)[0]["cls_logits"].sigmoid().double()
+    focal = (0.75 * p**2 * -torch.log1p(-p)).sum(dim=(1, 2)) / 8
+    torch.testing.assert_close(fcos.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6)
+    rcnn = livened(BroughtDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1])))
+    assert isinstance(rcnn.network, BroughtFasterRcnn)
+    features, _ = rcnn.network._features(IMAGES)
+    anchors = torch.cat([level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1)
+    found = rcnn.candidates(IMAGES)
+    regions = (-torch.log1p(-found.scores) * found.valid).sum(dim=1) / found.valid.sum(dim=1)
+    torch.testing.assert_close(
+        rcnn.loss(IMAGES, NOTHING), regions + functional.softplus(anchors).sum(dim=1) / 64, rtol=1e-4, atol=1e-5
+    )
+
+
+def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(brought: BroughtDetector) -> None:
+    together = brought.loss(IMAGES, NOTHING)
+    alone = torch.cat([brought.loss(image[None], NOTHING[:1]) for image in IMAGES])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
+    assert torch.isfinite(together).all()
+    assert (together > 0).all()
+    digest = weights_digest(brought)
+    images = IMAGES.clone().requires_grad_()
+    losses = brought.loss(images, NOTHING)
+    losses.sum().backward()
+    gradient = images.grad
+    assert gradient is not None
+    assert torch.isfinite(gradient).all()
+    # Along the gradient the loss falls as the gradient says.
+    step = 1e-3 / float(gradient.norm())
+    with torch.no_grad():
+        change = brought.loss(IMAGES - step * gradient, NOTHING).sum() - losses.sum()
+    assert float(change) == pytest.approx(-1e-3 * float(gradient.norm()), rel=0.3)
+    brought.detect(IMAGES)
+    assert weights_digest(brought) == digest
+
+
+def test_candidates_are_differentiable_and_detections_sorted(brought: BroughtDetector) -> None:
+    assert isinstance(brought, Detector)
+    images = IMAGES.clone().requires_grad_()
+    found = brought.candidates(images)
+    found.scores[found.valid].max().backward()
+    assert images.grad is not None
+    assert torch.isfinite(images.grad).all()
+    assert images.grad.abs().sum() > 0
+    for detections in brought.detect(IMAGES):
+        assert 0 < len(detections.scores) <= 100
+        assert torch.equal(detections.scores, detections.scores.sort(descending=True).values)
+        assert (detections.boxes >= 0).all()
+        assert (detections.boxes <= 96).all()
+
+
+def test_several_vehicle_classes_give_the_best_of_each(brought: BroughtDetector) -> None:
+    network: Any = brought.network
+    both = list(network.vehicle_classes)
+    single = []
+    try:
+        for index in both:
+            network.vehicle_classes = type(network.vehicle_classes)([index])
+            single.append(brought.candidates(IMAGES).scores)
+    finally:
+        network.vehicle_classes = type(network.vehicle_classes)(both)
+    torch.testing.assert_close(brought.candidates(IMAGES).scores, torch.maximum(*single))
+    assert (single[0] != single[1]).any()
+
+
+def test_no_training_with_a_brought_in_detector(brought: BroughtDetector) -> None:
+    with pytest.raises(ConfigurationError, match="mine was brought in"):
+        brought.loss(IMAGES, list(LABELLED.boxes))
+    with pytest.raises(ConfigurationError, match="one tensor of boxes per image"):
+        brought.loss(IMAGES, NOTHING[:1])
+    with pytest.raises(ConfigurationError, match="at least 96 px"):
+        brought.detect(torch.zeros(1, 3, 64, 200))
+
+
+class Blobs(TrainableDetector):
+    """Stands for a network of another resolution: one box around what is bright; remembers what it was shown."""
+
+    name, size = "blobs", "brought"
+
+    def candidates(self, images: torch.Tensor) -> Any:
+        from skyproof.detectors.detector import Candidates
+
+        self.seen = images
+        boxes = []
+        for image in images:
+            rows, columns = (image.mean(dim=0) > 0.5).nonzero(as_tuple=True)
+            boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+        return Candidates(
+            torch.tensor(boxes, dtype=torch.float32)[:, None],
+            torch.ones(len(boxes), 1),
+            torch.ones(len(boxes), 1).bool(),
+        )
+
+    def loss(self, images: torch.Tensor, targets: Any) -> torch.Tensor:
+        return images.mean(dim=(1, 2, 3))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5, 0.417, 2.5])
+def test_images_are_brought_to_the_networks_resolution_and_boxes_back(scale: float) -> None:
+    detector = BroughtDetector("mine", replace(PLAN, image_scale=scale))
+    network = detector.network = Blobs()
+    images = torch.zeros(1, 3, 150, 240)
+    images[:, :, 40:80, 100:200] = 1
+    (found,) = detector.detect(images)
+    assert network.seen.shape[-2:] == (max(96, round(150 * scale)), max(96, round(240 * scale)))
+    assert (found.boxes[0] - torch.tensor([100.0, 40, 200, 80])).abs().max() <= 1 / min(scale, 1) + 1e-3
+    images.requires_grad_()
+    detector.loss(images, [torch.zeros(0, 4)]).sum().backward()
+    assert images.grad is not None
+    assert (images.grad > 0).all()
+
+
+def test_scaling_down_does_not_alias() -> None:
+    detector = BroughtDetector("mine", replace(PLAN, image_scale=0.5))
+    detector.network = Blobs()
+    stripes = torch.zeros(1, 3, 200, 200)
+    stripes[..., ::2] = 1
+    shown = detector._scaled(stripes)
+    assert (shown[..., 2:-2] - 0.5).abs().max() < 0.02
+
+
+def test_no_proposal_at_all_has_a_finite_loss() -> None:
+    """The small Faster R-CNN drops proposals of low objectness: an image may be left with none."""
+    detector = BroughtDetector("mine", PLAN).eval()
+    nn.init.constant_(detector.network.model.rpn.head.cls_logits.bias, -20.0)
+    loss = detector.loss(IMAGES, NOTHING)
+    assert torch.isfinite(loss).all()
+    assert all(len(found.scores) == 0 for found in detector.detect(IMAGES))
+
+
+def test_building_leaves_the_programs_random_numbers_alone() -> None:
+    state = torch.get_rng_state()
+    BroughtDetector("mine", PLAN)
+    assert torch.equal(state, torch.get_rng_state())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"kind": "detectron2"},
+        {"architecture": "ssd300_vgg16"},
+        {"vehicle_classes": []},
+        {"vehicle_classes": [4]},
+        {"image_scale": 1000.0},
+    ],
+)
+def test_blueprints_that_build_nothing_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError):
+        replace(PLAN, **change)
+
+
+def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    layers = {"nc": 3, "backbone": [[-1, 1, "Conv", [16, 3, 2]]], "head": [[[0], 1, "Detect", ["nc"]]]}
+    change(layers)
+    return layers
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda layers: layers["backbone"].append([-1, 1, "load_checkpoint", ["/etc/passwd"]]), "load_checkpoint"),
+        (lambda layers: layers["backbone"].append([-1, 1, "torchvision.ops.Conv2dNormActivation", []]), "torchvision"),
+        (lambda layers: layers.update(activation="__import__('os').system('true')"), "activation"),
+        (lambda layers: layers.update(activation="nn.SiLU() or print(1)"), "activation"),
+        (lambda layers: layers.update(head=[[[0], 1, "Segment", ["nc"]]]), "Segment"),
+        (lambda layers: layers.update(channels=4), "4 channels"),
+        (lambda layers: layers.pop("head"), "backbone and head"),
+    ],
+)
+def test_an_architecture_runs_no_code(change: Callable[[dict[str, Any]], None], message: str) -> None:
+    """Ultralytics evaluates an activation's text and calls what a layer's name stands for."""
+    with pytest.raises(ConfigurationError, match=message):
+        replace(PLAN, kind="ultralytics", architecture=edited(change))
+    replace(
+        PLAN, kind="ultralytics", architecture=edited(lambda layers: layers.update(activation="nn.ReLU(inplace=True)"))
+    )
+
+
+def test_every_architecture_builds(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Built without memory: names and shapes are what is checked.
+    with torch.device("meta"):
+        for architecture in ARCHITECTURES:
+            network = BroughtDetector("mine", replace(PLAN, architecture=architecture)).network
+            assert network.vehicle_classes == (2,)

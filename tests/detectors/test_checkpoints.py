@@ -1,0 +1,113 @@
+"""Checkpoints of others: read as data, whatever they are wrapped in, and never run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import nn
+
+from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
+from skyproof.errors import StoredFileError
+
+
+class Network(nn.Module):
+    """A class that the reader is not to build."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4))
+        self.register_buffer("fleeting", torch.ones(2), persistent=False)
+        self.register_buffer("kept", torch.arange(3))
+        self.names = {0: "car"}
+
+
+class Evil:
+    """Stored so that opening it calls a function."""
+
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> tuple:
+        return self.call
+
+
+def same(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor]) -> bool:
+    return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda network: network,
+        lambda network: {"model": network, "epoch": 3},
+        lambda network: {"ema": network, "model": None},
+        lambda network: network.state_dict(),
+        lambda network: {"state_dict": network.state_dict(), "args": argparse.Namespace(lr=1.0), "best": Path("x")},
+        lambda network: {"model": OrderedDict((f"module.{key}", value) for key, value in network.state_dict().items())},
+    ],
+)
+def test_weights_are_found_in_every_usual_wrapping(wrap: Any, tmp_path: Path) -> None:
+    network = Network()
+    torch.save(wrap(network), tmp_path / "x.pt")
+    assert same(state_of(network_of(read_checkpoint(tmp_path / "x.pt"))), network.state_dict())
+
+
+def test_attributes_and_class_names_stay_but_behaviour_does_not(tmp_path: Path) -> None:
+    torch.save({"model": Network().half()}, tmp_path / "x.pt")
+    found = network_of(read_checkpoint(tmp_path / "x.pt"))
+    assert isinstance(found, StandIn)
+    assert not isinstance(found, nn.Module)
+    assert found.origin == f"{Network.__module__}.Network"
+    assert vars(found)["names"] == {0: "car"}
+    state = state_of(found)
+    assert {tensor.dtype for tensor in state.values()} == {torch.float32, torch.int64}
+
+
+def test_nothing_in_a_checkpoint_is_run(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    for function, arguments in (
+        (os.mkdir, (str(mark),)),
+        (Path.mkdir, (mark,)),
+        (eval, (f"open({str(mark)!r}, 'w')",)),
+    ):
+        torch.save({"model": {"weight": torch.ones(1)}, "other": Evil(function, *arguments)}, tmp_path / "x.pt")
+        try:
+            content = read_checkpoint(tmp_path / "x.pt")
+        except StoredFileError:
+            # torch refuses modules such as os by name.
+            content = {"model": {"weight": torch.ones(1)}, "other": StandIn()}
+        assert isinstance(content["other"], StandIn)
+        assert not mark.exists()
+    # The same file does run where it is opened as usual: the test can fail.
+    torch.load(tmp_path / "x.pt", weights_only=False)
+    assert mark.exists()
+
+
+def test_safetensors_and_the_form_of_before_2020(tmp_path: Path) -> None:
+    state = {"a.weight": torch.rand(2, 3)}
+    save_file(state, tmp_path / "x.safetensors")
+    torch.save(state, tmp_path / "old.pth", _use_new_zipfile_serialization=False)
+    for name in ("x.safetensors", "old.pth"):
+        assert same(state_of(network_of(read_checkpoint(tmp_path / name))), state)
+
+
+def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    for name, content in (("x.pt", b"weights"), ("y.pt", b""), ("z.safetensors", b"12345678"), ("w.pt", b"PK\x03\x04")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(StoredFileError, match=f"{name} is not a checkpoint"):
+            read_checkpoint(tmp_path / name)
+    torch.save({"a": torch.rand(1000)}, tmp_path / "cut.pt")
+    (tmp_path / "cut.pt").write_bytes((tmp_path / "cut.pt").read_bytes()[:2000])
+    with pytest.raises(StoredFileError, match="not a checkpoint"):
+        read_checkpoint(tmp_path / "cut.pt")
+    with pytest.raises(StoredFileError, match="missing"):
+        read_checkpoint(tmp_path / "none.pt")
+    assert state_of(network_of({"epoch": 3})) == {}
+    assert state_of(network_of([1, 2])) == {}
