@@ -166,8 +166,9 @@ def fabricate_cycles(folder):
         for match in ("centre_1m", "iou_50")
     ]
     write_json(cycles / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)})
+    seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
     clean = [row for row in read_json(evaluation / "clean.json") if row["dataset"] == "rendered test"]
-    write_json(cycles / "clean.json", [{**row, "ap_centre_1m": 0.88} for row in clean])
+    write_json(cycles / "clean.json", [{**row, **seen} for row in clean])
     return folder
 
 

@@ -77,7 +77,7 @@ def standing(run: Run, detectors: Sequence[str]) -> Standing:
                 "The numbers say how the detectors behave in that world. They are not evidence about real imagery: it "
                 "was not tested whether these detectors find real vehicles at all. In the published study that this "
                 "report follows, detectors trained on renders alone reached an AP of 49 to 64 % on real images.",
-                "Check the detectors on annotated real images (--frames) before you quote a number from here.",
+                "Check the detectors on annotated real images before you quote a number from here.",
             ],
         )
     if run.synthetic_only:
