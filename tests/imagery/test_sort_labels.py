@@ -66,6 +66,15 @@ def test_border_band():
     assert torch.equal(covered, expected)
 
 
+@pytest.mark.parametrize("x", [9.5, 90.5])
+@pytest.mark.parametrize("y", [9.5, 25.0, 40.5])
+def test_the_band_runs_along_every_side(x, y):
+    near = upright("car", x - 2, y - 2, x + 2, y + 2)
+    across = upright("car", 48, y - 2, 52, y + 2)
+    truths, _ = sort(near, across, border_px=10.0)
+    assert truths == ([[48, 23, 52, 27]] if y == 25 else [])
+
+
 def test_a_band_wider_than_the_image_ignores_all_of_it():
     truths, ignored = sort(upright("car", 40, 20, 50, 24), border_px=60.0)
     assert truths == []

@@ -242,6 +242,12 @@ def test_undefined_success_is_a_dash(tmp_path):
     assert "| T-U | – | – |" in (tmp_path / "tables" / "README.md").read_text()
 
 
+def test_synthetic_data_alone_is_said_first(folder):
+    lines = write_reproduction(folder).read_text().split("\n\n")
+    assert lines[1].startswith("**Synthetic data only.** Ground and vehicles are computer-generated")
+    assert "(AP with centres within 1 m: RetinaNet 90.0 %, YOLOv5 90.0 %), not on real ones" in lines[1]
+
+
 def test_files_and_the_same_bytes_again(folder):
     page = write_reproduction(folder)
     assert page == folder / "tables" / "README.md"

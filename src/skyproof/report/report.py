@@ -15,6 +15,7 @@ from PIL import Image
 from skyproof.errors import StoredFileError
 from skyproof.files import write_bytes
 from skyproof.report import words
+from skyproof.report.checks import checked_sets, standing
 from skyproof.report.conditions import Panel, condition_panels
 from skyproof.report.figures import condition_figure, forest_figure, loss_figure
 from skyproof.report.pairs import Pair, image_uri, make_pairs
@@ -89,11 +90,14 @@ def write_report(run_folder: Path) -> Path:
     sections = [_section(run, *headlines) for headlines in by_camouflage.values()]
     if not sections:
         raise StoredFileError(f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first.")
+    detectors = [row["detector"] for row in sections[0].headline.by_detector if row["detector"] != "mean"]
     page = environment.get_template("report.html.j2").render(
         run=run,
         title=run.config.get("title", "Camouflage robustness of overhead vehicle detectors"),
         sections=sections,
         imagery=_imagery(run),
+        standing=standing(run, detectors),
+        checked=checked_sets(run, detectors),
         tables=_tables(run),
         training=_training(run),
         clean=run.clean,

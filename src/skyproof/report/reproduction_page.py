@@ -8,7 +8,7 @@ from typing import Any
 from skyproof.evaluate.paper_results import PAPER_RESULTS
 from skyproof.report.reproduction_cells import Table, bracket, markdown, number, sign, span, word
 from skyproof.report.reproduction_cycles import cycles_section
-from skyproof.report.reproduction_run import Reproduction
+from skyproof.report.reproduction_run import MATCH, Reproduction
 from skyproof.report.reproduction_tables import comparison
 from skyproof.report.words import detector_name, probability
 
@@ -22,6 +22,7 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
     detectors = ", ".join(map(detector_name, run.detectors))
     parts = [
         f"# {run.config.get('title', 'The paper’s tables')}",
+        _standing(run),
         f"All rates in percent, of the test vehicles that a detector found before; mean over {detectors}. Brackets "
         "hold 95 % bootstrap intervals over background tiles, “repeats” the range over attacks from different seeds. "
         "“random” is the EASR of random draws under the same constraints, “net” the EASR minus that. “paper” is what "
@@ -102,6 +103,21 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
         cells += [bracket(row, "cycles_easr"), bracket(row, "cycles_net_easr")]
         papers.append(number(row["paper_easr_blender"], 2) + (mark if row["paper_easr_blender"] is not None else ""))
     return [*cells, *papers, number(row["paper_apd"], 2)]
+
+
+def _standing(run: Reproduction) -> str:
+    """What the numbers rest on, before any of them: a reproduction has procedural ground and vehicles alone."""
+    scores = []
+    for detector in run.detectors:
+        row = next((row for row in run.rows if row["detector"] == detector and row["match"] == MATCH), None)
+        if row is not None and row.get("ap_original") is not None:
+            scores.append(f"{detector_name(detector)} {number(100 * row['ap_original'])} %")
+    checked = f" (AP with centres within 1 m: {', '.join(scores)})" if scores else ""
+    return (
+        "**Synthetic data only.** Ground and vehicles are computer-generated, and the detectors were trained and "
+        f"checked on such images alone{checked}, not on real ones. The numbers say how attacks compare in that world; "
+        "they are not evidence about real imagery."
+    )
 
 
 def _about(run: Reproduction) -> str:

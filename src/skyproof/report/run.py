@@ -12,7 +12,7 @@ from skyproof.errors import StoredFileError
 from skyproof.evaluate.outcomes import Outcome, read_outcomes
 from skyproof.files import read_json, read_jsonl
 
-__all__ = ["Headline", "Run", "read_run"]
+__all__ = ["Headline", "Run", "is_real", "read_run"]
 
 _ROW_KEYS = {
     "camouflage",
@@ -80,7 +80,7 @@ class Run:
     @property
     def checked_on_real(self) -> bool:
         """Whether the detectors were also checked on images that no renderer drew."""
-        return any(row.get("dataset") not in (_RENDERED, _RENDERED_BY_CYCLES) for row in self.clean)
+        return any(map(is_real, self.clean))
 
     def evaluation(self, renderer: str) -> tuple[Path, str]:
         """The folder that judged a renderer's images, and the name of its dataset without camouflage."""
@@ -115,6 +115,11 @@ class Run:
             single = [row for row in own if row["detector"] != "mean"]
             found.append(Headline(name, renderer, (mean or single)[0], single + mean, control))
         return found
+
+
+def is_real(row: Mapping[str, Any]) -> bool:
+    """Whether a row of `clean.json` is on images that a camera took; those of before it was said go by name."""
+    return bool(row.get("real", row.get("dataset") not in (_RENDERED, _RENDERED_BY_CYCLES)))
 
 
 def read_run(folder: Path) -> Run:
