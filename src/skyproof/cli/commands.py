@@ -43,6 +43,7 @@ class Scenes:
         image_px: image side.
         vehicles_minimum, vehicles_maximum: per image.
         conditions: weather and light, each equally likely: clear, haze, rain, low_sun, overcast, exposure, noise, jpeg.
+        parked_share: share of the scenes whose vehicles stand in a row, as parked ones do.
         seed: of everything.
     """
 
@@ -55,6 +56,7 @@ class Scenes:
     vehicles_minimum: int = 1
     vehicles_maximum: int = 5
     conditions: tuple[str, ...] = ("clear",)
+    parked_share: float = 0.0
     seed: int = 0
 
     def run(self) -> None:
@@ -69,6 +71,7 @@ class Scenes:
             vehicles_minimum=self.vehicles_minimum,
             vehicles_maximum=self.vehicles_maximum,
             conditions=self.conditions,
+            parked_share=self.parked_share,
         )
         generator = generator_of(self.seed, "scenes", self.split)
         scenes = sample_scenes(
@@ -174,7 +177,8 @@ class Evaluate:
         camouflaged: NAME=FOLDER for each camouflaged dataset, e.g. T-U=data/test-T-U R-U-0=data/test-R-U-0. A
             camouflage T-x is compared with its random controls R-x-0, R-x-1, ...
         out: folder to write.
-        frames: real annotated frames to check the detectors on, FOLDER@GSD or FOLDER/PATTERN@GSD.
+        frames: real annotated frames to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD (COCO, YOLO or
+            DOTA labels).
         frame_classes: class names that count as vehicles in them.
         seed: of the bootstrap.
         device: auto, cpu or cuda.

@@ -63,8 +63,8 @@ class Demo:
         imagery: orthophotos to use as ground instead of procedural ones: GeoTIFFs, or JPEG/PNG with --gsd; a folder
             stands for the images in it.
         gsd: metres per pixel of images that do not say it themselves.
-        frames: real annotated frames to check the detectors on, as FOLDER@GSD or FOLDER/PATTERN@GSD (YOLO text labels
-            with a .names file), e.g. kit/MOS*@0.116.
+        frames: real annotated frames to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD (COCO, YOLO or
+            DOTA labels), e.g. kit/MOS*@0.116.
         frame_classes: class names that count as vehicles in them; other classes are ignored, not counted as mistakes.
         detectors: which to build and attack together.
         seed: of everything.
