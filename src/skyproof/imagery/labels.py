@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-__all__ = ["GroundLabels", "ImageLabels", "Label", "Labels"]
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.errors import ImageryError
+
+__all__ = [
+    "POINT_BOX_M",
+    "GroundLabels",
+    "ImageLabels",
+    "Label",
+    "Labels",
+    "Point",
+    "bounds",
+    "require_classes",
+    "require_inside",
+    "sort_labels",
+]
 
 Point = tuple[float, float]
+
+POINT_BOX_M = 4.5
+"""Side of the box that stands for a vehicle of which only the place is known: about a car's length."""
+
+_SLACK = 0.005
+"""Label tools round, and may let a box reach over the image's edge by a pixel."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +54,8 @@ class ImageLabels:
 
     Attributes:
         classes: every class name the file knows, also those without an object.
-        images: per image file stem its labels; an image that is not named here has no labels.
-        sizes_px: per image file stem its width and height, where the file states them.
+        images: per image file stem its labels, none for an image without objects; one not named was not labelled.
+        sizes_px: per image file stem its width and height, where the file or the image beside it states them.
     """
 
     classes: tuple[str, ...]
@@ -56,3 +79,93 @@ class GroundLabels:
 
 
 Labels = ImageLabels | GroundLabels
+
+
+def bounds(label: Label) -> tuple[float, float, float, float]:
+    """The smallest upright box around a label, xyxy; of no size around a point."""
+    xs, ys = zip(*label.corners, strict=True)
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
+    """Checks that the file knows every class that is to count as a vehicle.
+
+    Raises:
+        ImageryError: one it does not know; names those it does.
+    """
+    unknown = next((name for name in classes if name not in labels.classes), None)
+    if unknown is not None:
+        known = ", ".join(labels.classes) or "none at all"
+        raise ImageryError(f"{where} has no class {unknown!r}; it names {known}. Choose among these.")
+
+
+def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
+    """Checks that a label lies in its image: an upright box with all of it, an oriented one with its centre.
+
+    Args:
+        where: file and line or number of the label, for the message.
+
+    Raises:
+        ImageryError: it does not, or it has no size.
+    """
+    left, top, right, bottom = bounds(label)
+    (width, height), points = size_px, len(label.corners) == 1
+    if not points and not (right > left and bottom > top):
+        raise ImageryError(f"{where} has a box without size; correct it.")
+    if {x for x, _ in label.corners} == {left, right} and {y for _, y in label.corners} == {top, bottom}:
+        slack_x, slack_y = _SLACK * width, _SLACK * height
+        inside = left >= -slack_x and top >= -slack_y and right <= width + slack_x and bottom <= height + slack_y
+    else:
+        # Corners of an oriented box may well reach over the edge.
+        inside = 0 <= (left + right) / 2 <= width and 0 <= (top + bottom) / 2 <= height
+    if not inside:
+        raise ImageryError(f"{where} has a box outside its image of {width} x {height} px; correct it.")
+
+
+def sort_labels(
+    labels: Sequence[Label],
+    *,
+    classes: Sequence[str],
+    size_px: tuple[int, int],
+    border_px: float,
+    point_box_px: float,
+) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "m 4"]]:
+    """Divides the labels of one image into vehicles and regions where nothing is scored (PAPER 1).
+
+    Vehicles are labels of the named classes whose centre lies in the image, inside its border band. Every other label
+    that touches the image becomes an ignore region. Boxes are cut at the image's edge; what lies beyond is dropped.
+
+    Args:
+        labels: in pixels of the image; may reach out of it, or lie outside.
+        classes: names that count as vehicles.
+        size_px: width and height.
+        border_px: in a band this wide nothing is scored, because vehicles cut by the edge are often unlabelled; four
+            ignore regions after the others. 0 for none.
+        point_box_px: side of the box that stands for a point.
+
+    Returns:
+        Vehicles `[n, 4]` and ignore regions `[m, 4]`, pixel xyxy, in the order of the labels.
+    """
+    (width, height), half = size_px, point_box_px / 2
+    truths: list[tuple[float, ...]] = []
+    ignored: list[tuple[float, ...]] = []
+    for label in labels:
+        left, top, right, bottom = bounds(label)
+        if len(label.corners) == 1:
+            left, top, right, bottom = left - half, top - half, right + half, bottom + half
+        x, y = (left + right) / 2, (top + bottom) / 2
+        cut = max(0.0, left), max(0.0, top), min(float(width), right), min(float(height), bottom)
+        if cut[0] >= cut[2] or cut[1] >= cut[3]:
+            continue
+        inner = border_px <= x <= width - border_px and border_px <= y <= height - border_px
+        wanted = inner and not label.ignore and label.class_name in classes
+        (truths if wanted else ignored).append(cut)
+    if border_px:
+        far_x, far_y = max(0.0, width - border_px), max(0.0, height - border_px)
+        ignored += [
+            (0.0, 0.0, float(width), min(border_px, float(height))),
+            (0.0, far_y, float(width), float(height)),
+            (0.0, 0.0, min(border_px, float(width)), float(height)),
+            (far_x, 0.0, float(width), float(height)),
+        ]
+    return torch.tensor(truths).float().reshape(-1, 4), torch.tensor(ignored).float().reshape(-1, 4)

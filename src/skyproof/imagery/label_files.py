@@ -1,0 +1,72 @@
+"""Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from skyproof.errors import ImageryError
+from skyproof.imagery.label_coco import parse_coco_labels
+from skyproof.imagery.label_dota import is_dota_line, read_dota_labels
+from skyproof.imagery.label_geojson import parse_geojson_labels
+from skyproof.imagery.label_text import LABEL_FOLDERS, text_lines
+from skyproof.imagery.label_yolo import class_file, read_yolo_labels
+from skyproof.imagery.labels import Labels
+
+__all__ = ["read_labels"]
+
+_FORMS = (
+    "COCO (.json), GeoJSON (.geojson or .json), a folder of YOLO text with a .names file or data.yaml, "
+    "or a folder of DOTA text"
+)
+
+
+def read_labels(path: Path) -> Labels:
+    """Reads labels and finds out by itself in which form they are.
+
+    A file is COCO, or GeoJSON where it is a FeatureCollection. A folder is YOLO text where it holds `data.yaml` or one
+    `.names` file, COCO where it holds `annotations.json` (as our own datasets do), and DOTA text where its `.txt`
+    files, or those in `labelTxt/`, say so.
+
+    Raises:
+        ImageryError: the path is missing, empty, damaged or of another form; names the file, and the line where there
+            are lines.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _read_folder(path)
+    if not path.is_file():
+        raise ImageryError(f"{path} is missing; give labels as {_FORMS}.")
+    if path.suffix.lower() not in (".json", ".geojson"):
+        raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ImageryError(f"{path} line {error.lineno} is not JSON ({error.msg}); replace the file.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
+    if isinstance(document, dict) and document.get("type") == "FeatureCollection":
+        return parse_geojson_labels(document, path)
+    if isinstance(document, dict) and {"images", "annotations"} <= document.keys():
+        return parse_coco_labels(document, path)
+    raise ImageryError(f"{path} is JSON but neither COCO nor a GeoJSON FeatureCollection; expected {_FORMS}.")
+
+
+def _read_folder(folder: Path) -> Labels:
+    if class_file(folder) is not None:
+        return read_yolo_labels(folder)
+    if (folder / "annotations.json").is_file():
+        return read_labels(folder / "annotations.json")
+    place = folder / LABEL_FOLDERS[1] if (folder / LABEL_FOLDERS[1]).is_dir() else folder
+    texts = sorted(place.glob("*.txt"))
+    if not texts:
+        raise ImageryError(f"{folder} holds no labels; expected {_FORMS}.")
+    # Files may be empty (an image without vehicles): the first line that there is decides.
+    first = next(((text, words) for text in texts for _, words in text_lines(text)[:1]), None)
+    if first is None or not is_dota_line(first[1]):
+        line = f"{first[0]} begins {' '.join(first[1][:6])!r}" if first else "all its .txt files are empty"
+        raise ImageryError(
+            f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no data.yaml); add the class "
+            "names for YOLO, or give other labels."
+        )
+    return read_dota_labels(place)

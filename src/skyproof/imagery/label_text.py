@@ -1,0 +1,86 @@
+"""What text label formats share: numbered lines, and the image that a text file belongs to."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from skyproof.errors import ImageryError
+
+__all__ = ["IMAGE_SUFFIXES", "LABEL_FOLDERS", "finite_numbers", "image_of", "image_size_px", "stem_once", "text_lines"]
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+LABEL_FOLDERS = ("labels", "labelTxt")
+"""Names that stand where `images` stands in the path of a text's image, as Ultralytics and DOTA lay them out."""
+
+
+def text_lines(path: Path) -> list[tuple[int, list[str]]]:
+    """The words of every line that is not blank, with its number from 1.
+
+    Raises:
+        ImageryError: the file is missing, or not text.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImageryError(f"{path} is missing or not text ({error}); replace it.") from error
+    return [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip()]
+
+
+def finite_numbers(words: Sequence[str]) -> list[float]:
+    """The words as numbers.
+
+    Raises:
+        ValueError: one is not a finite number.
+    """
+    values = [float(word) for word in words]
+    if not all(map(math.isfinite, values)):
+        raise ValueError("not a finite number")
+    return values
+
+
+def image_of(text: Path) -> Path | None:
+    """The image of the same stem: beside the text, or where `images` stands in its path instead of `labels`."""
+    folders = [text.parent]
+    parts = list(text.parent.parts)
+    for index in reversed(range(len(parts))):
+        if parts[index] in LABEL_FOLDERS:
+            folders.append(Path(*parts[:index], "images", *parts[index + 1 :]))
+            break
+    for folder in folders:
+        for suffix in IMAGE_SUFFIXES:
+            for spelt in (suffix, suffix.upper()):
+                image = folder / f"{text.stem}{spelt}"
+                if image.is_file():
+                    return image
+    return None
+
+
+def image_size_px(path: Path) -> tuple[int, int]:
+    """Width and height from an image's header.
+
+    Raises:
+        ImageryError: it cannot be read.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as dataset:
+                return int(dataset.width), int(dataset.height)
+    except (RasterioError, OSError, ValueError) as error:
+        raise ImageryError(f"{path} cannot be read as an image; replace or remove it.") from error
+
+
+def stem_once(stem: str, known: Collection[str], where: Path) -> None:
+    """Labels go by image file stem: two images of one stem would be mixed up.
+
+    Raises:
+        ImageryError: the stem is known already.
+    """
+    if stem in known:
+        raise ImageryError(f"{where} labels two images called {stem!r}; rename one of them, or split the labels.")

@@ -1,0 +1,116 @@
+"""YOLO text labels: one line an object, in parts of the image's width and height."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from skyproof.errors import ImageryError
+from skyproof.imagery.label_text import LABEL_FOLDERS, finite_numbers, image_of, image_size_px, stem_once, text_lines
+from skyproof.imagery.labels import ImageLabels, Label, require_inside
+
+__all__ = ["class_file", "read_yolo_labels"]
+
+
+def class_file(folder: Path) -> Path | None:
+    """The file that names the classes of a YOLO folder: `data.yaml`, or its one `.names` file; None without.
+
+    Raises:
+        ImageryError: more than one `.names` file.
+    """
+    yaml = folder / "data.yaml"
+    names = sorted(folder.glob("*.names"))
+    if yaml.is_file():
+        return yaml
+    if len(names) > 1:
+        raise ImageryError(f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep one.")
+    return names[0] if names else None
+
+
+def read_yolo_labels(folder: Path) -> ImageLabels:
+    """Reads `.txt` files beside their images, or in `labels/` beside `images/`.
+
+    Lines are `class cx cy w h`, or `class x1 y1 x2 y2 x3 y3 x4 y4` for oriented boxes; the class counts from 0. The
+    images' sizes come from their headers. A text without an image of its name (a read-me) is left out.
+
+    Raises:
+        ImageryError: no classes, no labels with an image, a damaged line, a class without a name, or a box outside its
+            image; names the file and the line.
+    """
+    folder = Path(folder)
+    source = class_file(folder)
+    if source is None:
+        raise ImageryError(f"{folder} holds 0 .names files and no data.yaml, but one must list its classes; add it.")
+    classes = _classes(source)
+    root = folder / LABEL_FOLDERS[0]
+    texts = sorted(root.rglob("*.txt") if root.is_dir() else folder.glob("*.txt"))
+    images: dict[str, tuple[Label, ...]] = {}
+    sizes_px: dict[str, tuple[int, int]] = {}
+    for text in texts:
+        image = image_of(text)
+        if image is None:
+            continue
+        stem_once(text.stem, images, folder)
+        sizes_px[text.stem] = image_size_px(image)
+        images[text.stem] = tuple(
+            _label(f"{text} line {number}", words, classes, sizes_px[text.stem]) for number, words in text_lines(text)
+        )
+    if not images:
+        raise ImageryError(f"{folder} holds no label text (.txt) with an image of the same name; give another folder.")
+    return ImageLabels(classes, images, sizes_px)
+
+
+def _label(where: str, words: list[str], classes: tuple[str, ...], size_px: tuple[int, int]) -> Label:
+    try:
+        index, *values = finite_numbers(words)
+        if len(values) not in (4, 8):
+            raise ValueError
+    except ValueError as error:
+        raise ImageryError(f"{where} is not 'class cx cy w h' or 'class x1 y1 ... x4 y4'; correct it.") from error
+    if index != int(index) or not 0 <= index < len(classes):
+        raise ImageryError(f"{where} has class {index:g} but there are {len(classes)} names; correct it.")
+    if len(values) == 4:
+        x, y, width, height = values
+        if width <= 0 or height <= 0:
+            raise ImageryError(f"{where} has a box without size; correct it.")
+        left, top, right, bottom = x - width / 2, y - height / 2, x + width / 2, y + height / 2
+        values = [left, top, right, top, right, bottom, left, bottom]
+    corners = tuple((x * size_px[0], y * size_px[1]) for x, y in zip(values[::2], values[1::2], strict=True))
+    label = Label(classes[int(index)], corners)
+    require_inside(label, size_px, where)
+    return label
+
+
+def _classes(path: Path) -> tuple[str, ...]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
+    names = _yaml_names(text) if path.suffix == ".yaml" else [line.strip() for line in text.splitlines()]
+    names = [name for name in names if name]
+    if not names:
+        raise ImageryError(f"{path} names no classes ('names:' as a list, or as numbers and names); add them.")
+    return tuple(names)
+
+
+def _yaml_names(text: str) -> list[str]:
+    """What stands under `names:`, in the ways that YOLO data sets write it: a list or numbers with names."""
+    lines = [re.sub(r"(^|\s)#.*", "", line).rstrip() for line in text.splitlines()]
+    start = next((i for i, line in enumerate(lines) if re.match(r"names\s*:", line)), None)
+    if start is None:
+        return []
+    own = lines[start].split(":", 1)[1].strip()
+    for line in lines[start + 1 :]:
+        # The next key begins at the margin; items of a list may do so as well.
+        if line and not line.startswith((" ", "\t", "-", "]", "}")):
+            break
+        own += "\n" + line.strip()
+    items = [item.strip() for item in re.split(r"[,\n]", own.strip().strip("[]{}")) if item.strip()]
+    items = [item.removeprefix("-").strip() for item in items]
+    pairs = [re.fullmatch(r"(\d+)\s*:\s*(.+)", item) for item in items]
+    if items and all(pairs):
+        numbered = {int(pair[1]): pair[2] for pair in pairs if pair}
+        if sorted(numbered) != list(range(len(items))):
+            return []
+        items = [numbered[number] for number in range(len(items))]
+    return [item.strip("'\"") for item in items]

@@ -1,0 +1,311 @@
+"""Label files of every form, written by hand: what is read from them, and the sentence for what cannot be."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from skyproof.errors import ImageryError
+from skyproof.imagery.label_files import read_labels
+from skyproof.imagery.labels import GroundLabels, ImageLabels, Label
+
+UPRIGHT = ((30.0, 15.0), (50.0, 15.0), (50.0, 25.0), (30.0, 25.0))
+
+
+def picture(path, size=(200, 100)):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", size).save(path)
+
+
+def written(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text if isinstance(text, str) else json.dumps(text))
+    return path
+
+
+def coco(**changes):
+    document = {
+        "categories": [{"id": 1, "name": "car"}, {"id": 7, "name": "bus"}],
+        "images": [
+            {"id": 10, "file_name": "images/one.png", "width": 200, "height": 100},
+            {"id": 11, "file_name": "two.jpg"},
+        ],
+        "annotations": [
+            {"id": 1, "image_id": 10, "category_id": 7, "bbox": [30, 15, 20, 10]},
+            {"id": 2, "image_id": 10, "category_id": 1, "bbox": [0, 0, 200, 4], "iscrowd": 1},
+        ],
+    }
+    return document | changes
+
+
+def annotation(**changes):
+    return coco(annotations=[{"id": 5, "image_id": 10, "category_id": 1, "bbox": [30, 15, 20, 10]} | changes])
+
+
+def test_coco(tmp_path):
+    labels = read_labels(written(tmp_path / "labels.json", coco()))
+    assert isinstance(labels, ImageLabels)
+    assert labels.classes == ("car", "bus")
+    assert labels.sizes_px == {"one": (200, 100)}
+    assert labels.images == {
+        "one": (Label("bus", UPRIGHT), Label("car", ((0.0, 0.0), (200.0, 0.0), (200.0, 4.0), (0.0, 4.0)), ignore=True)),
+        "two": (),
+    }
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (annotation(bbox=[190, 15, 20, 10]), "annotation 5 has a box outside its image of 200 x 100 px"),
+        (annotation(bbox=[30, 15, 0, 10]), "annotation 5 has a box without size"),
+        (annotation(bbox=[30, 15, 20]), "annotation 5 has no image_id, category_id and bbox"),
+        (annotation(bbox=[30, 15, 20, float("nan")]), "annotation 5 has no image_id"),
+        (annotation(bbox=None), "annotation 5 has no image_id"),
+        (annotation(category_id=3), r"category 3 but the file lists 1 \(car\), 7 \(bus\)"),
+        (annotation(image_id=3), "annotation 5 belongs to image 3, which is not listed"),
+        (coco(annotations=[7]), "annotation 1 has no image_id"),
+        (coco(images=[]), "lists no images"),
+        (coco(images=[{"id": 1}]), "lacks images"),
+        (coco(images=[{"id": 1, "file_name": "a/x.png"}, {"id": 2, "file_name": "b/x.png"}]), "two images called 'x'"),
+        (coco(categories=3), "lacks images"),
+        ({"tiles": []}, "neither COCO nor a GeoJSON"),
+        ([1], "neither COCO nor a GeoJSON"),
+        ('{"images": [],\n"annotations": [}', r"labels\.json line 2 is not JSON"),
+        ("", r"labels\.json line 1 is not JSON"),
+    ],
+)
+def test_bad_json(tmp_path, document, message):
+    with pytest.raises(ImageryError, match=message):
+        read_labels(written(tmp_path / "labels.json", document))
+
+
+NAMES = {
+    "aerial.names": "car\n\nbus\n",
+    "list/data.yaml": "train: images\nnames: [car, 'bus']  # two\nnc: 2\n",
+    "dashes/data.yaml": 'names:\n- car\n  # a remark\n- "bus"\nnc: 2\n',
+    "numbers/data.yaml": "path: .\nnames:\n  1: bus\n  0: car\nval: images\n",
+    "braces/data.yaml": "names: {0: car,\n  1: bus}\n",
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_yolo_beside_images(tmp_path, name):
+    folder = written(tmp_path / name, NAMES[name]).parent
+    picture(folder / "one.png")
+    written(folder / "one.txt", "1 0.2 0.2 0.1 0.1\n\n0 0.15 0.15 0.25 0.15 0.25 0.25 0.15 0.25\n")
+    picture(folder / "two.JPG")
+    written(folder / "two.txt", "")
+    written(folder / "readme.txt", "Words.")
+    labels = read_labels(folder)
+    assert labels.classes == ("car", "bus")
+    assert labels.sizes_px == {"one": (200, 100), "two": (200, 100)}
+    assert labels.images["two"] == ()
+    assert [label.class_name for label in labels.images["one"]] == ["bus", "car"]
+    for label in labels.images["one"]:
+        assert np.asarray(label.corners) == pytest.approx(np.asarray(UPRIGHT))
+
+
+def test_yolo_in_a_folder_of_labels(tmp_path):
+    written(tmp_path / "data.yaml", "names: [car]\n")
+    picture(tmp_path / "images" / "train" / "one.tif")
+    written(tmp_path / "labels" / "train" / "one.txt", "0 0.2 0.2 0.1 0.1")
+    corners = read_labels(tmp_path).images["one"][0].corners
+    assert np.asarray(corners) == pytest.approx(np.asarray(UPRIGHT))
+    picture(tmp_path / "images" / "val" / "one.tif")
+    written(tmp_path / "labels" / "val" / "one.txt", "")
+    with pytest.raises(ImageryError, match="two images called 'one'"):
+        read_labels(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ("0 0.95 0.5 0.2 0.1\n", "line 1 has a box outside"),
+        ("0 0.5 0.5 0 0.1\n", "line 1 has a box without size"),
+        ("0 0.5 0.5 0.1 0.1\n\n7 0.5 0.5 0.1 0.1\n", "line 3 has class 7 but there are 2 names"),
+        ("0.5 0.5 0.5 0.1 0.1\n", r"line 1 has class 0\.5"),
+        ("0 0.5 0.5 0.1\n", "line 1 is not 'class cx cy w h'"),
+        ("0 a 0.5 0.1 0.1\n", "line 1 is not"),
+        ("0 nan 0.5 0.1 0.1\n", "line 1 is not"),
+        ("0 0.1 0.1 0.2 0.1 0.2\n", "line 1 is not"),
+        (b"\xff\xfe\x00", r"one\.txt is missing or not text"),
+    ],
+)
+def test_bad_yolo_lines(tmp_path, labels, message):
+    picture(tmp_path / "one.png")
+    written(tmp_path / "my.names", "car\nbus\n")
+    (tmp_path / "one.txt").write_bytes(labels if isinstance(labels, bytes) else labels.encode())
+    with pytest.raises(ImageryError, match=message):
+        read_labels(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("my.names", "\n", "names no classes"),
+        ("data.yaml", "train: images\n", "names no classes"),
+        ("data.yaml", "names:\n  0: car\n  2: bus\n", "names no classes"),
+        ("my.names", "car\n", "no label text"),
+    ],
+)
+def test_yolo_folders_without_names_or_labels(tmp_path, name, text, message):
+    written(tmp_path / name, text)
+    with pytest.raises(ImageryError, match=message):
+        read_labels(tmp_path)
+
+
+def test_two_names_files(tmp_path):
+    written(tmp_path / "a.names", "car\n")
+    written(tmp_path / "b.names", "car\n")
+    with pytest.raises(ImageryError, match=r"2 \.names files"):
+        read_labels(tmp_path)
+
+
+DOTA = "imagesource:GoogleEarth\ngsd:0.125\n20 10 26 18 22 21 16 13 small-vehicle 0\n30 15 50 15 50 25 30 25 ship 1\n"
+
+
+def test_dota(tmp_path):
+    written(tmp_path / "labelTxt" / "one.txt", DOTA)
+    written(tmp_path / "labelTxt" / "empty.txt", "")
+    labels = read_labels(tmp_path)
+    assert labels.classes == ("ship", "small-vehicle")
+    oriented = Label("small-vehicle", ((20.0, 10.0), (26.0, 18.0), (22.0, 21.0), (16.0, 13.0)))
+    assert labels.images == {"one": (oriented, Label("ship", UPRIGHT, ignore=True)), "empty": ()}
+    assert labels.sizes_px == {}
+    assert read_labels(tmp_path / "labelTxt") == labels
+    picture(tmp_path / "images" / "one.png")
+    assert read_labels(tmp_path).sizes_px == {"one": (200, 100)}
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("30 15 50 15 50 25 30 car 0", r"one\.txt line 2 is not 'x1 y1"),
+        ("30 15 50 15 50 25 30 25 car maybe", "line 2 is not"),
+        ("30 15 50 15 50 25 30 inf car 0", "line 2 is not"),
+        ("30 15 30 15 30 25 30 25 car 0", "line 2 has a box without size"),
+        ("230 15 250 15 250 25 230 25 car 0", "line 2 has a box outside its image of 200 x 100 px"),
+    ],
+)
+def test_bad_dota_lines(tmp_path, line, message):
+    written(tmp_path / "one.txt", f"20 10 26 18 22 21 16 13 car 0\n{line}\n")
+    picture(tmp_path / "one.png")
+    with pytest.raises(ImageryError, match=message):
+        read_labels(tmp_path)
+
+
+def test_text_of_no_known_form(tmp_path):
+    written(tmp_path / "one.txt", "0 0.5 0.5 0.1 0.1\n")
+    with pytest.raises(ImageryError, match=r"neither DOTA text .*one\.txt begins '0 0\.5.* nor YOLO text \(0 \.names"):
+        read_labels(tmp_path)
+    written(tmp_path / "one.txt", "")
+    with pytest.raises(ImageryError, match=r"all its \.txt files are empty"):
+        read_labels(tmp_path)
+
+
+def features(*geometries, properties=None, **members):
+    rows = [{"type": "Feature", "geometry": one, "properties": properties} for one in geometries]
+    return {"type": "FeatureCollection", "features": rows} | members
+
+
+def shape(kind, coordinates):
+    return {"type": kind, "coordinates": coordinates}
+
+
+def crs(name):
+    return {"type": "name", "properties": {"name": name}}
+
+
+RING = [[172.0, -43.0], [172.1, -43.0], [172.1, -43.1], [172.0, -43.1], [172.0, -43.0]]
+PENTAGON = [[0, 0], [2, 0], [3, 1], [1, 4], [-1, 1], [0, 0]]
+
+
+def test_geojson(tmp_path):
+    document = features(
+        shape("Point", [172.5, -43.5, 12]),
+        shape("MultiPoint", [[172.1, -43.2], [172.3, -43.4]]),
+        shape("Polygon", [RING]),
+        shape("MultiPolygon", [[PENTAGON]]),
+    )
+    labels = read_labels(written(tmp_path / "cars.geojson", document))
+    assert isinstance(labels, GroundLabels)
+    assert labels.crs == "EPSG:4326"
+    assert labels.classes == ("vehicle",)
+    assert [label.corners for label in labels.labels] == [
+        ((172.5, -43.5),),
+        ((172.1, -43.2),),
+        ((172.3, -43.4),),
+        tuple(map(tuple, RING[:4])),
+        ((-1, 0), (3, 0), (3, 4), (-1, 4)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326"),
+        ("urn:ogc:def:crs:EPSG::2193", "EPSG:2193"),
+        ("EPSG:28992", "EPSG:28992"),
+    ],
+)
+def test_reference_systems(tmp_path, name, expected):
+    point = shape("Point", [12.5, 43.5])
+    assert read_labels(written(tmp_path / "x.json", features(point, crs=crs(name)))).crs == expected
+
+
+@pytest.mark.parametrize(
+    ("properties", "expected"),
+    [
+        ({"type": "lorry"}, "lorry"),
+        ({"label": "bus", "type": "x"}, "bus"),
+        ({"category": 3, "label": "x"}, "3"),
+        ({"class": "car", "category": "x"}, "car"),
+        ({"class": None, "label": ""}, "vehicle"),
+        (None, "vehicle"),
+    ],
+)
+def test_class_of_a_feature(tmp_path, properties, expected):
+    document = features(shape("Point", [1, 2]), properties=properties)
+    assert read_labels(written(tmp_path / "x.geojson", document)).labels[0].class_name == expected
+
+
+def test_a_feature_may_ask_to_be_ignored(tmp_path):
+    document = features(shape("Polygon", [RING]), properties={"class": "car", "ignore": True})
+    assert read_labels(written(tmp_path / "x.geojson", document)).labels[0].ignore
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (features(), "holds no objects"),
+        (features(shape("Point", [1, 2]), shape("LineString", [[1, 2], [3, 4]])), "object 2 is neither a point"),
+        (features(None), "object 1 is neither a point"),
+        (features(shape("Point", [1])), "object 1 is neither"),
+        (features(shape("Point", [1, float("nan")])), "object 1 is neither"),
+        (features(shape("Polygon", [])), "object 1 is neither"),
+        (features(shape("Polygon", [[[1, 1], [1, 1]]])), "object 1 is neither"),
+        (
+            features(shape("Point", [1576000, 5180000])),
+            r"object 1 is at 1\.576e\+06, 5\.18e\+06, which is no longitude",
+        ),
+        (features(shape("Point", [1, 2]), crs=crs("EPSG:999999")), "reference system"),
+        (features(shape("Point", [1, 2]), crs={"type": "link"}), "reference system"),
+    ],
+)
+def test_bad_geojson(tmp_path, document, message):
+    with pytest.raises(ImageryError, match=message):
+        read_labels(written(tmp_path / "x.geojson", document))
+
+
+def test_paths_that_hold_no_labels(tmp_path):
+    with pytest.raises(ImageryError, match=r"nowhere is missing; give labels as COCO"):
+        read_labels(tmp_path / "nowhere")
+    with pytest.raises(ImageryError, match=r"x\.csv is not of a known label form"):
+        read_labels(written(tmp_path / "x.csv", "a,b"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ImageryError, match="holds no labels"):
+        read_labels(tmp_path / "empty")
+    (tmp_path / "x.json").write_bytes(b"\xff\xff")
+    with pytest.raises(ImageryError, match="cannot be read as text"):
+        read_labels(tmp_path / "x.json")
