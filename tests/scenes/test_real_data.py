@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from skyproof.scenes.orthophotos import tile_orthophotos
+
 from skyproof.scenes.yolo_text import read_yolo_folder
 
 FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))

@@ -14,6 +14,7 @@ from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.imagery import Tile
 from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
 from skyproof.cli.tables import Tables
@@ -42,7 +43,9 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 # Commands of two words.
-_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {}
+_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "imagery": {"tile": Tile},
+}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

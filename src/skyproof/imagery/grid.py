@@ -10,7 +10,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.georeference import Point, is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.georeference import is_true_to_scale, outline, to_reference_system
 from skyproof.imagery.sources import Source
 from skyproof.scenes.backgrounds import SPLITS
 
@@ -144,17 +144,16 @@ def lay_frames(
         size = max(minimum_px, round(size * SHRINK))
     kept = [frame for frame in frames if frame.whole_cells()]
     for frame in frames:
-        widest = max(max(e[2] - e[0], e[3] - e[1]) for e in frame.extents.values())
         if not frame.whole_cells():
             notes += [
                 f"{sources[i].path.name} is too small for a tile of {frame.size_px} px; it is left out"
                 for i in frame.extents
             ]
     if not kept:
-        path = sources[0].path
+        left, bottom, right, top = frames[0].extents[0]
         raise ImageryError(
-            f"{path} is {int(widest / gsd_m)} px at its widest at {gsd_m} m per pixel, and no image holds a whole tile "
-            f"of {minimum_px} px; give larger images or a smaller size."
+            f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px at {gsd_m} m per "
+            f"pixel, and no image holds a whole tile of {minimum_px} px; give larger images or a smaller size."
         )
     return kept
 
@@ -236,7 +235,5 @@ def cells_of(frame: Frame) -> list[Cell]:
         else:
             tile_id = f"{frame.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
         sources, block = tuple(sorted(numbers)), (frame.name, row, column)
-        cells.append(
-            Cell(tile_id, frame.crs, left_m, top_m, frame.size_px, frame.gsd_m, sources, offset_px, block)
-        )
+        cells.append(Cell(tile_id, frame.crs, left_m, top_m, frame.size_px, frame.gsd_m, sources, offset_px, block))
     return cells

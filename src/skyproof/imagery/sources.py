@@ -255,18 +255,15 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
 
 def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     """The 1st and 99th percentile of an image's valid values, all colours together."""
-    found: list[NDArray[np.float32]] = []
+    bands, found = sorted({*source.bands}), []
     whole = Window(0, 0, dataset.width, dataset.height)
+    shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
     # Where all probes fall on empty ground, which is rare, the whole image has to be looked at.
-    for windows, size_px in ((_probes(dataset), None), (iter([whole]), 2048)):
+    for windows, shape in ((_probes(dataset), None), (iter([whole]), shrunken)):
         for window in windows:
-            shape = None
-            if size_px is not None:
-                shape = (min(size_px, dataset.height), min(size_px, dataset.width))
-            values = dataset.read(
-                sorted({*source.bands}), window=window, out_shape=None if shape is None else (len({*source.bands}), *shape)
-            ).astype(np.float32)
-            valid = read_mask(dataset, source, window, shape) > 0
+            size = shape or (int(window.height), int(window.width))
+            values = dataset.read(bands, window=window, out_shape=(len(bands), *size)).astype(np.float32)
+            valid = read_mask(dataset, source, window, size) > 0
             found.append(values[:, valid & np.isfinite(values).all(0)].ravel())
         if any(len(values) for values in found):
             low, high = np.percentile(np.concatenate(found), [1, 99])

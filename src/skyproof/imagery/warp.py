@@ -48,8 +48,8 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     each source fills what those before it left empty. Where even all together do not, there is no tile.
 
     Shrinking averages over the area of a pixel, because point sampling would alias fine structure into coarse
-    patterns; otherwise pixels are interpolated by cubic convolution, which copies them exactly where the grids coincide.
-    Overviews inside the files are not used: many were made by point sampling.
+    patterns; otherwise pixels are interpolated by cubic convolution, which copies them exactly where the grids
+    coincide. Overviews inside the files are not used: many were made by point sampling.
 
     Raises:
         ImageryError: a source cannot be read.
@@ -93,7 +93,7 @@ def _fill_piece(
     pixels: NDArray[np.uint8],
     valid: NDArray[np.bool_],
 ) -> None:
-    """Fills a piece of a cell, whose pixels `transform` takes to coordinates, from the window of the source it needs."""
+    """Fills a piece of a cell, whose pixels `transform` takes to coordinates, from a window of the source."""
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
     window, inside = _window(source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2)
     if window is None:
