@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
+from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.warp import transform as transform_places
 
@@ -47,16 +48,23 @@ def to_reference_system(source: CRS | None, target: CRS | None, points: Sequence
     """Takes points from one system to another; those that cannot be taken there become infinite."""
     if source == target or not points:
         return list(points)
-    xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[:2]
-    return list(zip(xs, ys, strict=True))
+    try:
+        xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[:2]
+        return list(zip(xs, ys, strict=True))
+    except (RasterioError, CPLE_BaseError):
+        # One point fails all: find which.
+        if len(points) == 1:
+            return [(math.inf, math.inf)]
+        half = len(points) // 2
+        return to_reference_system(source, target, points[:half]) + to_reference_system(source, target, points[half:])
 
 
-def outline(width_px: float, height_px: float, steps: int = 8) -> list[Point]:
+def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     """Points along the border of a picture, in pixels: straight lines of one system are curves in another."""
+    width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
-    top = [(share * width_px, 0.0) for share in shares]
-    right = [(width_px, share * height_px) for share in shares]
-    return [*top, *right, *((width_px - x, height_px) for x, _ in top), *((0.0, height_px - y) for _, y in right)]
+    half = [*((share * width, 0.0) for share in shares), *((width, share * height) for share in shares)]
+    return [*half, *((width - x, height - y) for x, y in half)]
 
 
 def read_georeference(
@@ -136,10 +144,7 @@ def _ground_resolution(crs: CRS, affine: Affine, width_px: int, height_px: int) 
 
 def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
     """Distances of nearby places from the first, or None where one is nowhere on Earth."""
-    try:
-        degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
-    except CRSError:
-        return None
+    degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
     if not all(math.isfinite(value) for place in degrees for value in place):
         return None
     longitude, latitude = degrees[0]

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -56,7 +57,7 @@ class SourceSettings:
         if self.crs is not None:
             try:
                 CRS.from_user_input(self.crs)
-            except RasterioError as error:
+            except (RasterioError, ValueError) as error:
                 raise ConfigurationError(f"--crs expects a system such as EPSG:2193, got {self.crs!r}.") from error
 
 
@@ -129,7 +130,7 @@ def _one_sentence(path: Path) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             yield
-    except (RasterioError, OSError, ValueError) as error:
+    except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise ImageryError(
             f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, or convert it to "
@@ -244,6 +245,9 @@ def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
 
 def _probes(dataset: DatasetReader) -> Iterator[Window]:
     """Small windows spread evenly: a shrunken view would read a mosaic without overviews whole."""
+    if dataset.width * dataset.height <= (_PROBES * _PROBE_PX) ** 2:
+        yield Window(0, 0, dataset.width, dataset.height)
+        return
     columns, rows = (
         sorted({min(max(0, length - _PROBE_PX), int(length * (i + 0.5) / _PROBES)) for i in range(_PROBES)})
         for length in (dataset.width, dataset.height)

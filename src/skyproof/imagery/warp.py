@@ -14,6 +14,7 @@ from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 from rasterio.warp import reproject
 from rasterio.windows import Window
+from scipy.ndimage import distance_transform_edt
 
 from skyproof.imagery.georeference import outline, to_reference_system
 from skyproof.imagery.grid import FULL_SHARE, Cell
@@ -45,7 +46,8 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     """Reads what is needed of the sources, and nothing else.
 
     The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of two sheets,
-    each source fills what those before it left empty. Where even all together do not, there is no tile.
+    each source fills what those before it left empty. Where even all together do not, there is no tile. The
+    2 % that may be empty take the colour of the nearest pixel that is not: a black edge would be learnt as a sign.
 
     Shrinking averages over the area of a pixel, because point sampling would alias fine structure into coarse
     patterns; otherwise pixels are interpolated by cubic convolution, which copies them exactly where the grids
@@ -58,14 +60,22 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     for number in cell.sources:
         pixels, valid = _read_from(sources[number], cell, reader)
         if valid.mean() >= FULL_SHARE:
-            return CellImage(pixels, np.where(valid, number, -1).astype(np.int32))
+            return CellImage(_filled(pixels, valid), np.where(valid, number, -1).astype(np.int32))
         parts.append((number, pixels, valid))
     pixels = np.zeros((3, cell.size_px, cell.size_px), np.uint8)
     owner = np.full((cell.size_px, cell.size_px), -1, np.int32)
     for number, own, valid in parts:
         fresh = valid & (owner < 0)
         pixels[:, fresh], owner[fresh] = own[:, fresh], number
-    return CellImage(pixels, owner) if (owner >= 0).mean() >= FULL_SHARE else None
+    valid = owner >= 0
+    return CellImage(_filled(pixels, valid), owner) if valid.mean() >= FULL_SHARE else None
+
+
+def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    if valid.all():
+        return pixels
+    rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return pixels[:, rows, columns]
 
 
 def _read_from(source: Source, cell: Cell, reader: SourceReader) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
@@ -99,9 +109,10 @@ def _fill_piece(
     if window is None:
         return
     bands = sorted({*source.bands})
-    values, mask = dataset.read(bands, window=window), read_mask(dataset, source, window)
+    mask = read_mask(dataset, source, window)
     if not mask.any():
         return
+    values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
         values = np.nan_to_num((values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0)
