@@ -67,7 +67,7 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     out = tmp_path / "tiles"
     words = [
         "imagery", "tile", export, "--size", 128, "--out", out, "--labels", tmp_path / "cars.geojson",
-        "--classes", "Small Vehicle", "--point-box-m", 2, "--licence", "CC BY 4.0, sourced from the LINZ Data Service",
+        "--classes", "Small Vehicle", "--point-box-m", 2.0, "--licence", "CC BY 4.0, LINZ Data Service",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0, capsys.readouterr().err
     backgrounds = BackgroundSet.open(out)

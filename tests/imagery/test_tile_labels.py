@@ -51,7 +51,7 @@ def boxes(folder, kind):
 def one_image(tmp_path, labels, **settings):
     """One image of 256 x 128 px, eight tiles of 64 px."""
     write_image(tmp_path / "a.tif", noise(128, 256))
-    given = {"classes": ("car",)} | settings
+    given = {"classes": ("car",), **settings}
     _, record = tile(
         [tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125, labels=(labels, LabelSettings(WHERE, **given))
     )
@@ -82,7 +82,7 @@ def test_other_classes_and_what_the_file_ignores_become_ignore_regions(tmp_path)
 
 
 def test_the_border_band_is_the_sources_not_the_tiles(tmp_path):
-    one_image(tmp_path, pixels(box(2, 2, 8, 8), box(60, 60, 66, 66)), border_px=16)
+    one_image(tmp_path, pixels(box(2, 2, 8, 8), box(60, 60, 66, 66)), border_px=16.0)
     # The second lies where four tiles meet, in the middle of the image.
     # Its centre (63, 63) is in the first tile.
     assert boxes(tmp_path / "set", 0) == {"a-00000-00000": [(60, 60, 64, 64)]}
@@ -173,4 +173,4 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
     with pytest.raises(ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
     with pytest.raises(ConfigurationError, match="--border-px"):
-        LabelSettings(WHERE, border_px=-1)
+        LabelSettings(WHERE, border_px=-1.0)

@@ -103,6 +103,8 @@ def write_ground(
                     f"{len(SPLITS)} splits need {len(SPLITS)}; give more or larger images, or a smaller "
                     "--sizes.image-px."
                 )
+            for note in record.notes:
+                say(f"  note: {note}")
         else:
             counts = dict(zip(SPLITS, sizes.tiles, strict=True))
             write_procedural_backgrounds(folder, counts, window_px + 112, seed=seed, progress=update)

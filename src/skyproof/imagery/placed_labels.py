@@ -224,7 +224,7 @@ class PlacedLabels:
             [label],
             classes=self._classes,
             size_px=(size, size),
-            border_px=0,
+            border_px=0.0,
             point_box_px=self._settings.point_box_m / cell.gsd_m,
         )
         found = []
@@ -281,4 +281,9 @@ def _within(places: NDArray[np.float64], extent: Extent) -> NDArray[np.bool_]:
 def _strips(source: Source, border_px: float) -> list[tuple[float, float, float, float]]:
     width, height = float(source.width_px), float(source.height_px)
     x, y = min(border_px, width), min(border_px, height)
-    return [(0, 0, width, y), (0, height - y, width, height), (0, 0, x, height), (width - x, 0, width, height)]
+    return [
+        (0.0, 0.0, width, y),
+        (0.0, height - y, width, height),
+        (0.0, 0.0, x, height),
+        (width - x, 0.0, width, height),
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections import OrderedDict
@@ -91,9 +92,7 @@ class Source:
 
 def gdal_limits() -> rasterio.Env:
     """The settings to read with: a small block cache, and damaged JPEGs are errors instead of grey areas."""
-    return rasterio.Env(
-        GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1", GDAL_PAM_ENABLED=False
-    )
+    return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1")
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
@@ -200,7 +199,7 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
             return source
         low, high = _value_range(dataset, source)
         notes.append(f"{dataset.dtypes[bands[0] - 1]} values from {low:.6g} to {high:.6g} become 0 to 255")
-    return Source(**{**source.__dict__, "value_range": (low, high), "notes": tuple(notes)})
+    return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
 
 
 def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:
