@@ -29,7 +29,7 @@ MOSAICS = {
     "finer (5 cm), averaged": (4_096, 1, 0.05, "EPSG:2193", True, 384),
     "Web Mercator, warped": (4_096, 1, 0.17, "EPSG:3857", True, 384),
     "same grid, strips": (4_096, 1, 0.125, "EPSG:2193", False, 384),
-    "finer, tiles of 2,048 px": (4_096, 1, 0.03, "EPSG:2193", True, 2048),
+    "finer, tiles of 2,048 px": (4_096, 1, 0.07, "EPSG:2193", True, 2048),
 }
 
 
