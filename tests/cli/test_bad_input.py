@@ -52,7 +52,7 @@ def text(path: Path) -> Path:
 
 
 CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
-    "missing": ("photo.tif", lambda path: None, [], "check --imagery"),
+    "missing": ("photo.tif", lambda path: None, [], "check the paths"),
     "text": ("photo.tif", text, ["--gsd", "0.125"], "convert it"),
     "cut off": ("photo.png", truncated, ["--gsd", "0.125"], "convert it"),
     "empty file": ("photo.jpg", lambda path: path.touch(), ["--gsd", "0.125"], "convert it"),
@@ -60,7 +60,7 @@ CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
     "no transform": ("photo.tif", lambda path: geotiff(path, None), [], "--gsd"),
     "plain image": ("photo.png", picture, [], "--gsd"),
     "too coarse": ("photo.tif", lambda path: geotiff(path, 0.6), [], "finer imagery"),
-    "too coarse by flag": ("photo.png", picture, ["--gsd", "0.6"], "check --gsd"),
+    "too coarse by flag": ("photo.png", picture, ["--gsd", "0.6"], "check the metres per pixel"),
     "too small": ("photo.tif", lambda path: geotiff(path, 0.125, 150), [], "larger images"),
     "too small for four splits": ("photo.tif", lambda path: geotiff(path, 0.125, 200), [], "larger images"),
 }

@@ -88,11 +88,40 @@ def test_sampled_windows_are_inside_and_use_all_of_the_tile(tmp_path, noise):
     assert min(turns) < 0.3
 
 
+@pytest.mark.parametrize("size_px", [59, 60])
+def test_windows_without_room_to_turn_are_quarter_turns_of_exact_pixels(tmp_path, noise, size_px):
+    backgrounds = _set(tmp_path, noise)
+    generator, turns, corners = torch.Generator().manual_seed(0), set(), set()
+    for _ in range(120):
+        window = backgrounds.sample_window("train", size_px, generator=generator)
+        quarters = window.rotation_rad / (math.pi / 2)
+        assert quarters in (0, 1, 2, 3)
+        left, top = window.centre_x_px - size_px / 2, window.centre_y_px - size_px / 2
+        assert (left, top) == (int(left), int(top))
+        own = noise[:, int(top) : int(top) + size_px, int(left) : int(left) + size_px]
+        # Turned back to the left, the window is the tile's own pixels.
+        got = backgrounds.window(window, size_px)
+        assert torch.equal(torch.rot90(got, int(quarters), (1, 2)), own.float() / 255)
+        turns.add(quarters)
+        corners.add((left, top))
+    assert len(turns) == 4
+    assert {top for _, top in corners} == {*range(60 - size_px + 1)}
+    assert max(left for left, _ in corners) == 80 - size_px
+
+
+def test_an_exact_quarter_turn_agrees_with_interpolation(tmp_path, noise):
+    backgrounds = _set(tmp_path, noise)
+    for quarters in range(4):
+        exact = backgrounds.window(BackgroundWindow("one", 40.0, 30.0, quarters * math.pi / 2), 40)
+        near = backgrounds.window(BackgroundWindow("one", 40.0, 30.0, quarters * math.pi / 2 + 1e-9), 40)
+        torch.testing.assert_close(exact, near, atol=1e-4, rtol=0)
+
+
 def test_no_room_and_no_such_split_raise(tmp_path, noise):
     backgrounds = _set(tmp_path, noise)
     generator = torch.Generator().manual_seed(0)
-    with pytest.raises(ConfigurationError, match="at least 71 px"):
-        backgrounds.sample_window("train", 50, generator=generator)
+    with pytest.raises(ConfigurationError, match="at least 61 px"):
+        backgrounds.sample_window("train", 61, generator=generator)
     with pytest.raises(ConfigurationError, match="no test tile"):
         backgrounds.sample_window("test", 10, generator=generator)
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from skyproof.imagery.frames import read_frames_folder
-from skyproof.scenes.orthophotos import tile_orthophotos
+from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
 
 FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))
 pytestmark = [
@@ -31,7 +32,7 @@ def test_annotated_frames_hold_the_vehicles_their_description_says(pattern, gsd_
 
 
 def test_orthophotos_of_five_reference_systems_become_tiles(tmp_path):
-    tiles = tile_orthophotos(
-        [FOLDER / "backgrounds"], tmp_path, tile_px=411, minimum_tile_px=274, generator=torch.Generator().manual_seed(0)
-    )
-    assert len({tile.source for split in ("train", "validation", "attack", "test") for tile in tiles.tiles(split)}) == 5
+    settings = TilingSettings(size_px=411, minimum_px=274)
+    tile_imagery([FOLDER / "backgrounds"], tmp_path, settings=settings, generator=torch.Generator().manual_seed(0))
+    tiles = BackgroundSet.open(tmp_path)
+    assert len({tile.source for split in SPLITS for tile in tiles.tiles(split)}) == 5

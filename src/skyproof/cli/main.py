@@ -17,6 +17,7 @@ from skyproof.cli.clear import Clear, Drop
 from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
+from skyproof.cli.imagery import Tile
 from skyproof.cli.labels import Labels
 from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
@@ -48,13 +49,14 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": Bench,
 }
 
-# Commands of two words.
+# Commands of two words, by their first.
 _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "imagery": {
-        "sensor": SetSensor,
+        "tile": Tile,
         "labels": Labels,
         "clear": Clear,
         "drop": Drop,
+        "sensor": SetSensor,
     },
 }
 

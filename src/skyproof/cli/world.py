@@ -9,10 +9,11 @@ from pathlib import Path
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import generator_of
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
+from skyproof.imagery.sources import SourceSettings
+from skyproof.imagery.tiling import TilingSettings, tile_imagery
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
-from skyproof.scenes.orthophotos import tile_orthophotos
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import write_scenes
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -83,19 +84,27 @@ class World:
 def write_ground(
     out: Path, sizes: WorldSizes, seed: int, *, imagery: Sequence[Path] = (), assumed_gsd_m: float | None = None
 ) -> None:
-    """Writes `backgrounds/`: procedural tiles, or blocks of the imagery."""
+    """Writes `backgrounds/`: procedural tiles, or tiles of the imagery."""
     window_px = math.ceil(sizes.image_px * math.sqrt(2)) + 2
     with finished_folder(out / "backgrounds") as folder, progress_bar("ground tiles") as update:
         if imagery:
-            tile_orthophotos(
+            record = tile_imagery(
                 imagery,
                 folder,
-                tile_px=window_px * 3 // 2,
-                minimum_tile_px=window_px,
+                settings=TilingSettings(gsd_m=GSD_M, size_px=window_px * 3 // 2, minimum_px=window_px),
                 generator=generator_of(seed, "imagery"),
-                assumed_gsd_m=assumed_gsd_m,
+                source_settings=SourceSettings(assumed_gsd_m),
                 progress=update,
             )
+            found = sum(count["tiles"] for count in record.counts.values())
+            if found < len(SPLITS):
+                raise ImageryError(
+                    f"The imagery yields {found} tiles of at least {window_px} px at {GSD_M} m per pixel but the "
+                    f"{len(SPLITS)} splits need {len(SPLITS)}; give more or larger images, or a smaller "
+                    "--sizes.image-px."
+                )
+            for note in record.notes:
+                say(f"  note: {note}")
         else:
             counts = dict(zip(SPLITS, sizes.tiles, strict=True))
             write_procedural_backgrounds(folder, counts, window_px + 112, seed=seed, progress=update)

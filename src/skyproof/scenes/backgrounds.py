@@ -49,7 +49,7 @@ class BackgroundTile:
         split: one of `SPLITS`.
         width_px, height_px: its size.
         source: the image it was cut from, or "procedural".
-        offset_px: its left and top edge in the source resampled to the set's resolution.
+        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's resolution.
         kind: of a procedural tile, what it shows.
         licence: as the source states it, or None.
         sun_azimuth_rad, sun_elevation_rad: of a procedural tile, the sun that cast its shadows, as in `Sun`.
@@ -88,7 +88,7 @@ class BackgroundSet:
 
     @classmethod
     def open(cls, folder: Path) -> BackgroundSet:
-        """Opens a set that `write_procedural_backgrounds` or `tile_orthophotos` wrote.
+        """Opens a set that `write_procedural_backgrounds` or `skyproof.imagery.tiling.tile_imagery` wrote.
 
         Raises:
             StoredFileError: the index is missing, damaged or of another version.
@@ -148,7 +148,7 @@ class BackgroundSet:
         return self._decoded[tile_id]
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
-        """Cuts a square window, sRGB in [0, 1]; bilinear, and an exact copy where unrotated on whole pixels.
+        """Cuts a square window, sRGB in [0, 1]; an exact copy on whole pixels and by quarters, else bilinear.
 
         Raises:
             StoredFileError: the window's tile is not in this set, or the window reaches out of it.
@@ -164,8 +164,12 @@ class BackgroundSet:
                 f"A window of {size_px} px reaches out of tile {window.tile} of {tuple(pixels.shape[1:])} px; "
                 "use the background set the scenes were sampled on."
             )
-        if window.rotation_rad == 0 and left == round(left) and top == round(top):
-            return pixels[:, int(top) : int(top) + size_px, int(left) : int(left) + size_px].float() / 255
+        quarters = round(window.rotation_rad / (math.pi / 2))
+        corner_x, corner_y = window.centre_x_px - half, window.centre_y_px - half
+        if window.rotation_rad == quarters * math.pi / 2 and corner_x.is_integer() and corner_y.is_integer():
+            x0, y0 = int(corner_x), int(corner_y)
+            # The camera turns left, so the picture turns right.
+            return torch.rot90(pixels[:, y0 : y0 + size_px, x0 : x0 + size_px], -quarters, (1, 2)).float() / 255
         x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
         crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
         # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and down to (sin, cos).
@@ -190,18 +194,30 @@ class BackgroundSet:
     def sample_window(self, split: str, size_px: int, *, generator: torch.Generator) -> BackgroundWindow:
         """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
 
+        Where no tile has room for a window turned by 45 degrees but the window fits unturned, as where both have the
+        same size, it is turned by quarters only and lies on whole pixels, so that the tile's pixels are copied.
+
         Raises:
-            ConfigurationError: no tile of the split has room for a window turned by 45 degrees.
+            ConfigurationError: no tile of the split is as large as the window.
         """
         room = math.ceil(size_px * math.sqrt(2))
-        tiles = [tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= room]
-        if not tiles:
+        fitting = [tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px]
+        if not fitting:
             raise ConfigurationError(
-                f"{self.folder} has no {split} tile of at least {room} px, as a turned window of {size_px} px needs; "
+                f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that size needs; "
                 "choose a smaller image or prepare larger tiles."
             )
+        roomy = [tile for tile in fitting if min(tile.width_px, tile.height_px) >= room]
+        tiles = roomy or fitting
         tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
+        if not roomy:
+            return BackgroundWindow(
+                tile=tile.id,
+                centre_x_px=size_px / 2 + math.floor(x * (tile.width_px - size_px + 1)),
+                centre_y_px=size_px / 2 + math.floor(y * (tile.height_px - size_px + 1)),
+                rotation_rad=math.floor(4 * turn) * math.pi / 2,
+            )
         rotation_rad = 2 * math.pi * turn
         reach = size_px / 2 * (abs(math.cos(rotation_rad)) + abs(math.sin(rotation_rad)))
         return BackgroundWindow(

@@ -85,13 +85,16 @@ class CocoWriter:
 
     def add(self, image: UInt8[Tensor, "3 H W"], scene_id: str, annotations: Sequence[Annotation]) -> None:
         """Writes one image and keeps its annotations for the end."""
-        image_id, (_, height, width) = len(self._images) + 1, image.shape
-        file_name = f"images/{scene_id}.png"
         array = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
         # Speed before size: these images are written once and read a few times.
-        Image.fromarray(array).save(self.folder / file_name, compress_level=1)
+        Image.fromarray(array).save(self.folder / _file_name(scene_id), compress_level=1)
+        self.add_written(scene_id, (image.shape[2], image.shape[1]), annotations)
+
+    def add_written(self, scene_id: str, size_px: tuple[int, int], annotations: Sequence[Annotation]) -> None:
+        """Keeps the annotations of an image of width and height `size_px` that lies at its place already."""
+        image_id, (width, height) = len(self._images) + 1, size_px
         self._images.append(
-            {"id": image_id, "width": width, "height": height, "file_name": file_name, "scene_id": scene_id}
+            {"id": image_id, "width": width, "height": height, "file_name": _file_name(scene_id), "scene_id": scene_id}
         )
         for annotation in annotations:
             left, top, right, bottom = annotation.box_xyxy
@@ -113,6 +116,10 @@ class CocoWriter:
                 row["segmentation"] = encode_rle(annotation.mask)
                 row["area"] = float(annotation.mask.sum())
             self._annotations.append(row)
+
+
+def _file_name(scene_id: str) -> str:
+    return f"images/{scene_id}.png"
 
 
 def encode_rle(mask: Bool[Tensor, "H W"]) -> dict[str, list[int]]:

@@ -1,0 +1,169 @@
+"""Where an image lies and how large its pixels are on the ground, whatever its reference system."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from affine import Affine
+from rasterio._err import CPLE_BaseError
+from rasterio.crs import CRS
+from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
+from rasterio.warp import transform as transform_places
+
+from skyproof.errors import ImageryError
+
+__all__ = ["Georeference", "is_true_to_scale", "outline", "read_georeference", "to_reference_system"]
+
+COARSEST_GSD_M = 0.5
+FINEST_PLAUSIBLE_M = 0.005
+TRUE_TO_SCALE = 0.0015
+
+EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
+"""WGS 84."""
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """Where an image lies.
+
+    Attributes:
+        crs: its reference system, or None: then it lies in a frame of its own, x right and y up from its top-left
+            corner, in metres.
+        transform: pixels (column, row) to coordinates.
+        gsd_m: metres on the ground per column and per row.
+    """
+
+    crs: CRS | None
+    transform: Affine
+    gsd_m: tuple[float, float]
+
+
+def to_reference_system(source: CRS | None, target: CRS | None, points: Sequence[Point]) -> list[Point]:
+    """Takes points from one system to another; those that cannot be taken there become infinite."""
+    if source == target or not points:
+        return list(points)
+    try:
+        xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[:2]
+        return list(zip(xs, ys, strict=True))
+    except (RasterioError, CPLE_BaseError):
+        # One point fails all: find which.
+        if len(points) == 1:
+            return [(math.inf, math.inf)]
+        half = len(points) // 2
+        return to_reference_system(source, target, points[:half]) + to_reference_system(source, target, points[half:])
+
+
+def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
+    """Points along the border of a picture, in pixels: straight lines of one system are curves in another."""
+    width, height = float(width_px), float(height_px)
+    shares = [i / steps for i in range(steps)]
+    half = [*((share * width, 0.0) for share in shares), *((width, share * height) for share in shares)]
+    return [*half, *((width - x, height - y) for x, y in half)]
+
+
+def read_georeference(
+    dataset: DatasetReader, path: Path, source_gsd_m: float | None, crs: str | None, notes: list[str]
+) -> Georeference:
+    """Finds out where an image lies.
+
+    What the file says comes first. Where it has a transform (its own or a world file's) but names no reference system,
+    `crs` names it; failing that the image gets a frame of its own, at `source_gsd_m` or, if not given either, at the
+    transform's pixel size taken as metres where that is between 0.5 and 50 cm.
+
+    Args:
+        dataset: the opened image.
+        path: for messages.
+        source_gsd_m: metres per pixel of images that do not say it.
+        crs: reference system of images that have a transform but do not name it.
+        notes: what is assumed is added here.
+
+    Raises:
+        ImageryError: no resolution, an impossible one, or coarser than 50 cm.
+    """
+    affine, system = dataset.transform, dataset.crs
+    plain = affine.is_identity
+    if not plain and abs(affine.determinant) < 1e-30:
+        raise ImageryError(
+            f"{path} has a pixel size of zero in its georeference; repair it (gdal_edit.py -a_ullr), or remove it and "
+            "give its metres per pixel (--source-gsd)."
+        )
+    if not plain and system is None and crs is not None:
+        system = CRS.from_user_input(crs)
+        notes.append(f"its reference system is taken as {crs}")
+    if not plain and system is not None:
+        gsd_m = _ground_resolution(system, affine, dataset.width, dataset.height)
+        if gsd_m is None:
+            raise ImageryError(f"{path} lies outside what its reference system covers; check its system (or --crs).")
+        _check_resolution(path, gsd_m, "the image")
+        return Georeference(system, affine, gsd_m)
+    if source_gsd_m is not None:
+        gsd_m = source_gsd_m, source_gsd_m
+    elif plain:
+        raise ImageryError(
+            f"{path} does not say how large its pixels are on the ground; give its metres per pixel (--source-gsd; "
+            "--gsd of `demo` and `world`)."
+        )
+    else:
+        gsd_m = math.hypot(affine.a, affine.d), math.hypot(affine.b, affine.e)
+        if not all(FINEST_PLAUSIBLE_M <= size <= COARSEST_GSD_M for size in gsd_m):
+            raise ImageryError(
+                f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference system; give it with "
+                "--crs, or the metres per pixel with --source-gsd."
+            )
+        notes.append(f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m")
+    _check_resolution(path, gsd_m, "the metres per pixel given")
+    return Georeference(None, Affine.scale(gsd_m[0], -gsd_m[1]), gsd_m)
+
+
+def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> None:
+    if max(gsd_m) > COARSEST_GSD_M:
+        raise ImageryError(
+            f"{path} has {max(gsd_m):.2f} m per pixel but at most {COARSEST_GSD_M} m can show vehicles; "
+            f"give finer imagery, or check {whose}."
+        )
+
+
+def _ground_resolution(crs: CRS, affine: Affine, width_px: int, height_px: int) -> tuple[float, float] | None:
+    """Metres on the ground per column and per row in the image's middle, on the WGS 84 ellipsoid.
+
+    This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too long by
+    1 / cos(latitude).
+    """
+    step = 16.0
+    middle = (width_px / 2, height_px / 2)
+    places = [affine * (middle[0] + dx, middle[1] + dy) for dx, dy in ((0.0, 0.0), (step, 0.0), (0.0, step))]
+    lengths_m = _distances_m(crs, places)
+    return None if lengths_m is None else (lengths_m[0] / step, lengths_m[1] / step)
+
+
+def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
+    """Distances of nearby places from the first, or None where one is nowhere on Earth."""
+    degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
+    if not all(math.isfinite(value) for place in degrees for value in place):
+        return None
+    longitude, latitude = degrees[0]
+    squeeze = 1 - ECCENTRICITY_SQUARED * math.sin(math.radians(latitude)) ** 2
+    east_radius_m = EQUATOR_RADIUS_M / math.sqrt(squeeze) * math.cos(math.radians(latitude))
+    north_radius_m = EQUATOR_RADIUS_M * (1 - ECCENTRICITY_SQUARED) / squeeze**1.5
+    return [
+        math.hypot(math.radians(x - longitude) * east_radius_m, math.radians(y - latitude) * north_radius_m)
+        for x, y in degrees[1:]
+    ]
+
+
+def is_true_to_scale(crs: CRS, place: Point) -> bool:
+    """Whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, in both directions.
+
+    So it is in UTM (0.9996 to 1.001) and in most national grids, and not in Web Mercator away from the equator.
+    """
+    if not crs.is_projected:
+        return False
+    step = 100.0
+    lengths_m = _distances_m(crs, [place, (place[0] + step, place[1]), (place[0], place[1] + step)])
+    return lengths_m is not None and all(abs(length / step - 1) < TRUE_TO_SCALE for length in lengths_m)

@@ -1,0 +1,239 @@
+"""The grids tiles are cut on: one frame in true metres per stretch of connected imagery, and its cells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from affine import Affine
+from rasterio.crs import CRS
+
+from skyproof.errors import ImageryError
+from skyproof.imagery.georeference import is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.sources import Source
+from skyproof.scenes.backgrounds import SPLITS
+
+__all__ = ["Cell", "Extent", "Frame", "cells_of", "extent_of", "lay_frames", "plane_of"]
+
+FULL_SHARE = 0.98
+GLOBAL_FROM_TILES = 8
+SHRINK = 0.8
+
+Extent = tuple[float, float, float, float]
+"""Left, bottom, right, top in a frame's metres."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A square of ground that may become a tile.
+
+    Attributes:
+        id: of the tile.
+        crs: of its coordinates; None in the frame of an image without georeference.
+        left_m, top_m: its north-west corner.
+        size_px: its side.
+        gsd_m: metres per pixel.
+        sources: which sources may show it, in the order in which they are asked.
+        offset_px: its place in the frame's grid, right and down.
+        block: cells of one block go to one split.
+        split: where it is settled beforehand.
+    """
+
+    id: str
+    crs: CRS | None
+    left_m: float
+    top_m: float
+    size_px: int
+    gsd_m: float
+    sources: tuple[int, ...]
+    offset_px: tuple[int, int] = (0, 0)
+    block: tuple[str, int, int] | None = None
+    split: str | None = None
+
+    @property
+    def extent(self) -> Extent:
+        """Left, bottom, right, top."""
+        side_m = self.size_px * self.gsd_m
+        return self.left_m, self.top_m - side_m, self.left_m + side_m, self.top_m
+
+    @property
+    def transform(self) -> Affine:
+        """Its pixels (column, row) to coordinates."""
+        return Affine(self.gsd_m, 0.0, self.left_m, 0.0, -self.gsd_m, self.top_m)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A grid in true metres.
+
+    Attributes:
+        name: begins the ids of its tiles.
+        crs: its reference system; None for an image without georeference.
+        left_m, top_m: the north-west corner of cell (0, 0).
+        size_px, gsd_m: of its cells.
+        extents: per source that lies in it, by number, what it covers at most.
+    """
+
+    name: str
+    crs: CRS | None
+    left_m: float
+    top_m: float
+    size_px: int
+    gsd_m: float
+    extents: Mapping[int, Extent] = field(default_factory=dict)
+
+    def places(self, extent: Extent, *, whole: bool) -> tuple[range, range]:
+        """Columns and rows of the cells that lie wholly within `extent`, or that touch it."""
+        side_m = self.size_px * self.gsd_m
+        slack = 0.5 * self.gsd_m / side_m * (1 if whole else -1)
+        low, high = (math.ceil, math.floor) if whole else (math.floor, math.ceil)
+        left, right = (extent[0] - self.left_m) / side_m - slack, (extent[2] - self.left_m) / side_m + slack
+        top, bottom = (self.top_m - extent[3]) / side_m - slack, (self.top_m - extent[1]) / side_m + slack
+        return range(low(left), high(right)), range(low(top), high(bottom))
+
+    def whole_cells(self) -> int:
+        """About how many cells its sources fill."""
+        ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
+        return sum(len(columns) * len(rows) for columns, rows in ranges)
+
+
+def plane_of(crs: CRS | None, sources: Sequence[int]) -> str:
+    """Names the system a cell's coordinates belong to."""
+    return f"source {sources[0]}" if crs is None else crs.to_string()
+
+
+def extent_of(source: Source, crs: CRS | None) -> Extent:
+    """What a source covers at most in the system `crs`.
+
+    Raises:
+        ImageryError: the source lies outside what `crs` covers.
+    """
+    own = [source.georeference.transform * point for point in outline(source.width_px, source.height_px)]
+    points = to_reference_system(source.georeference.crs, crs, own)
+    if not all(math.isfinite(value) for point in points for value in point):
+        raise ImageryError(f"{source.path} lies outside what its reference system covers; check its system (or --crs).")
+    xs, ys = [x for x, _ in points], [y for _, y in points]
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def lay_frames(
+    sources: Sequence[Source], *, size_px: int, minimum_px: int, gsd_m: float, notes: list[str]
+) -> list[Frame]:
+    """Lays grids over sources.
+
+    Sources whose extents touch share a frame. Its system is that of its first source where a unit of it is a metre
+    on the ground to 0.15 % (UTM, most national grids), so that imagery of the wanted resolution need not be resampled;
+    otherwise the UTM zone of the frame's middle. Its cells lie at multiples of their size from the system's origin:
+    whatever sheet shows a place, now or in another run, it falls in the same cell. Only imagery of fewer than eight
+    cells across begins its grid at its own north-west corner, because it could not afford cut cells. An image without
+    georeference has a frame of its own.
+
+    Where cells are larger than `minimum_px` they shrink: in a frame that would hold none, and in all frames until there
+    are four, one per split.
+
+    Raises:
+        ImageryError: no frame holds a whole cell.
+    """
+    layouts = [_layout(sources, group) for group in _groups(sources)]
+    size = size_px
+    while True:
+        frames = [_frame(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts]
+        if size <= minimum_px or sum(frame.whole_cells() for frame in frames) >= len(SPLITS):
+            break
+        size = max(minimum_px, round(size * SHRINK))
+    kept = [frame for frame in frames if frame.whole_cells()]
+    for frame in frames:
+        if not frame.whole_cells():
+            notes += [
+                f"{sources[i].path.name} is too small for a tile of {frame.size_px} px; it is left out"
+                for i in frame.extents
+            ]
+    if not kept:
+        left, bottom, right, top = frames[0].extents[0]
+        raise ImageryError(
+            f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px at {gsd_m} m per "
+            f"pixel, and no image holds a whole tile of {minimum_px} px; give larger images or a smaller size."
+        )
+    return kept
+
+
+def _frame(
+    name: str, crs: CRS | None, extents: Mapping[int, Extent], size_px: int, minimum_px: int, gsd_m: float
+) -> Frame:
+    left, bottom = min(e[0] for e in extents.values()), min(e[1] for e in extents.values())
+    right, top = max(e[2] for e in extents.values()), max(e[3] for e in extents.values())
+    while True:
+        narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
+        corner = (left, top) if crs is None or narrow else (0.0, 0.0)
+        frame = Frame(name, crs, *corner, size_px, gsd_m, extents)
+        if size_px <= minimum_px or frame.whole_cells():
+            return frame
+        size_px = max(minimum_px, round(size_px * SHRINK))
+
+
+def _layout(sources: Sequence[Source], group: Sequence[int]) -> tuple[str, CRS | None, dict[int, Extent]]:
+    """Name, system and extents of the frame of sources that touch."""
+    first = sources[group[0]]
+    crs = first.georeference.crs
+    if crs is None:
+        return first.path.stem, None, {group[0]: extent_of(first, None)}
+    middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
+    code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
+    if code is None:
+        longitude, latitude = to_reference_system(crs, CRS.from_epsg(4326), [middle])[0]
+        code = (32600 if latitude >= 0 else 32700) + min(60, int((longitude + 180) // 6) + 1)
+    system = CRS.from_epsg(code)
+    return f"epsg{code}", system, {i: extent_of(sources[i], system) for i in group}
+
+
+def _groups(sources: Sequence[Source]) -> list[list[int]]:
+    """Numbers of sources whose extents in degrees touch, directly or through others."""
+    degrees = CRS.from_epsg(4326)
+    extents: dict[int, Extent] = {
+        i: extent_of(source, degrees) for i, source in enumerate(sources) if source.georeference.crs is not None
+    }
+    group_of = list(range(len(sources)))
+    # Sheets that lie side by side leave gaps of rounding.
+    gap = 1e-5
+    for i, a in extents.items():
+        for j, b in extents.items():
+            if j <= i or group_of[i] == group_of[j]:
+                continue
+            if a[0] <= b[2] + gap and b[0] <= a[2] + gap and a[1] <= b[3] + gap and b[1] <= a[3] + gap:
+                old, new = sorted((group_of[i], group_of[j]), reverse=True)
+                group_of = [new if group == old else group for group in group_of]
+    groups: dict[int, list[int]] = {}
+    for i, group in enumerate(group_of):
+        groups.setdefault(group, []).append(i)
+    return list(groups.values())
+
+
+def cells_of(frame: Frame) -> list[Cell]:
+    """The cells that the sources of a frame may fill, row by row, each a block of its own."""
+    side_m = frame.size_px * frame.gsd_m
+    seen: dict[tuple[int, int], list[int]] = {}
+    covered: dict[tuple[int, int], float] = {}
+    for number, extent in frame.extents.items():
+        columns, rows = frame.places(extent, whole=False)
+        for row in rows:
+            top = frame.top_m - row * side_m
+            height = min(top, extent[3]) - max(top - side_m, extent[1])
+            for column in columns:
+                left = frame.left_m + column * side_m
+                width = min(left + side_m, extent[2]) - max(left, extent[0])
+                seen.setdefault((row, column), []).append(number)
+                covered[row, column] = covered.get((row, column), 0.0) + width * height
+    cells = []
+    for (row, column), numbers in sorted(seen.items()):
+        if covered[row, column] < (FULL_SHARE - 0.005) * side_m**2:
+            continue
+        left_m, top_m = frame.left_m + column * side_m, frame.top_m - row * side_m
+        offset_px = (column * frame.size_px, row * frame.size_px)
+        if frame.crs is None:
+            tile_id = f"{frame.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
+        else:
+            tile_id = f"{frame.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
+        sources, block = tuple(sorted(numbers)), (frame.name, row, column)
+        cells.append(Cell(tile_id, frame.crs, left_m, top_m, frame.size_px, frame.gsd_m, sources, offset_px, block))
+    return cells

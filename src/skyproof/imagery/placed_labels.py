@@ -1,0 +1,289 @@
+"""Labels taken to the ground the tiles are cut from, and from there onto the tiles."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.georeference import Point, to_reference_system
+from skyproof.imagery.grid import Cell, Extent, extent_of, plane_of
+from skyproof.imagery.labels import GroundLabels, ImageLabels, Label, Labels, require_classes, sort_labels
+from skyproof.imagery.sources import Source
+from skyproof.scenes.coco import Annotation
+
+__all__ = ["LabelSettings", "PlacedLabels"]
+
+BIN_M = 64.0
+EVERYTHING, BORDER = "image without labels", "border of an image"
+
+
+@dataclass(frozen=True)
+class LabelSettings:
+    """What counts as a vehicle.
+
+    Attributes:
+        path: where the labels come from, for messages.
+        classes: names that count as vehicles; all other objects become ignore regions (PAPER 1). May be left empty
+            where the labels know one class.
+        border_px: a band along the border of each source, in its pixels, where nothing is scored: vehicles that the
+            border cuts are often unlabelled.
+        point_box_m: side of the box that stands for a point label; 4 m is a car's upright box at a random heading.
+    """
+
+    path: Path
+    classes: tuple[str, ...] = ()
+    border_px: float = 0.0
+    point_box_m: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.border_px < math.inf and 0 < self.point_box_m < math.inf):
+            raise ConfigurationError(
+                f"--border-px expects a number of at least 0 and --point-box-m one above 0, got {self.border_px} and "
+                f"{self.point_box_m}."
+            )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A label in the coordinates of a plane; `source` where it belongs to one source alone."""
+
+    label: Label
+    source: int | None
+
+
+class PlacedLabels:
+    """Labels in the coordinates of the tiles.
+
+    A vehicle counts on the tile that its centre lies in, with its box cut at the tile's border; on the tiles beside
+    it, and where the source has no data at its centre, it is an ignore region. Labels in pixels count only where their
+    own source is what the tile shows. What an image without any entry in the labels shows is ignored as a whole: nobody
+    looked for vehicles there.
+
+    Args:
+        labels: as read.
+        settings: what counts as a vehicle.
+        sources: all sources.
+        cells: all cells.
+
+    Attributes:
+        outside: labels that lie outside all imagery.
+        notes: what was left out, a sentence each.
+
+    Raises:
+        ImageryError: a class no label knows, labels made for images of another size, or no label in the imagery.
+    """
+
+    def __init__(
+        self, labels: Labels, settings: LabelSettings, sources: Sequence[Source], cells: Sequence[Cell]
+    ) -> None:
+        self._classes = _vehicle_classes(labels, settings)
+        self._settings, self._sources = settings, sources
+        self._bins: dict[tuple[str, int, int], list[_Placed]] = defaultdict(list)
+        self.notes: list[str] = []
+        planes: dict[str, tuple[CRS | None, set[int]]] = {}
+        for cell in cells:
+            planes.setdefault(plane_of(cell.crs, cell.sources), (cell.crs, set()))[1].update(cell.sources)
+        if isinstance(labels, GroundLabels):
+            self.outside = self._place_ground(labels, planes)
+        else:
+            self.outside = self._place_pixels(labels, planes)
+        if self.outside:
+            self.notes.append(f"{self.outside} labels of {settings.path} lie outside the imagery and are left out")
+        if settings.border_px:
+            for plane, (crs, numbers) in planes.items():
+                for number in numbers:
+                    self._add_regions(plane, crs, number, BORDER, _strips(sources[number], settings.border_px))
+
+    def _place_ground(self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]) -> int:
+        path, count = self._settings.path, len(labels.labels)
+        if all(crs is None for crs, _ in planes.values()):
+            raise ImageryError(
+                f"{path} gives labels in map coordinates but no image says where it lies; give georeferenced imagery."
+            )
+        system, inside = CRS.from_user_input(labels.crs), np.zeros(count, bool)
+        flat = [corner for label in labels.labels for corner in label.corners]
+        for plane, (crs, numbers) in planes.items():
+            if crs is None:
+                continue
+            corners = iter(to_reference_system(system, crs, flat))
+            moved = [
+                dataclasses.replace(label, corners=tuple(next(corners) for _ in label.corners))
+                for label in labels.labels
+            ]
+            middles = np.array([_middle(label) for label in moved])
+            here = np.zeros(count, bool)
+            for number in numbers:
+                here |= _within(middles, extent_of(self._sources[number], crs))
+            inside |= here
+            self._add(plane, (_Placed(label, None) for label in moved if math.isfinite(sum(_middle(label)))))
+        if count and not inside.any():
+            raise ImageryError(
+                f"None of the {count} labels of {path} lies in the imagery; check their reference system "
+                f"({labels.crs} as read) and whether they belong to it."
+            )
+        return int(count - inside.sum())
+
+    def _place_pixels(self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]) -> int:
+        path, number_of = self._settings.path, {source.path.stem: i for i, source in enumerate(self._sources)}
+        unknown = [stem for stem in labels.images if stem not in number_of]
+        total = sum(map(len, labels.images.values()))
+        outside = sum(len(labels.images[stem]) for stem in unknown)
+        if labels.images and len(unknown) == len(labels.images):
+            raise ImageryError(
+                f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) and none of these "
+                "is among the imagery; check the names."
+            )
+        for plane, (crs, numbers) in planes.items():
+            for number in sorted(numbers):
+                source = self._sources[number]
+                stem, size = source.path.stem, (source.width_px, source.height_px)
+                if stem not in labels.images:
+                    self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
+                    self._add_regions(plane, crs, number, EVERYTHING, [(0.0, 0.0, float(size[0]), float(size[1]))])
+                    continue
+                if labels.sizes_px.get(stem, size) != size:
+                    raise ImageryError(
+                        f"{path} was made for {stem} of {labels.sizes_px[stem]} px but {source.path} has {size} px; "
+                        "give the image the labels were made on."
+                    )
+                own = labels.images[stem]
+                kept = [label for label in own if _inside_picture(_middle(label), size)]
+                outside += len(own) - len(kept)
+                self._add(plane, (_Placed(self._to_plane(label, number, crs), number) for label in kept))
+        if total and outside == total:
+            raise ImageryError(
+                f"None of the {total} labels of {path} lies in its image; check whether they are given in pixels of "
+                "these images."
+            )
+        return outside
+
+    def _to_plane(self, label: Label, number: int, crs: CRS | None) -> Label:
+        georeference = self._sources[number].georeference
+        own = [georeference.transform * corner for corner in label.corners]
+        return dataclasses.replace(label, corners=tuple(to_reference_system(georeference.crs, crs, own)))
+
+    def _add_regions(
+        self, plane: str, crs: CRS | None, number: int, name: str, boxes: Iterable[tuple[float, float, float, float]]
+    ) -> None:
+        labels = [Label(name, ((x0, y0), (x1, y0), (x1, y1), (x0, y1)), True) for x0, y0, x1, y1 in boxes]
+        self._add(plane, (_Placed(self._to_plane(label, number, crs), number) for label in labels))
+
+    def _add(self, plane: str, placed: Iterable[_Placed]) -> None:
+        reach = self._settings.point_box_m / 2
+        for one in placed:
+            xs, ys = zip(*one.label.corners, strict=True)
+            for column in range(math.floor((min(xs) - reach) / BIN_M), math.floor((max(xs) + reach) / BIN_M) + 1):
+                for row in range(math.floor((min(ys) - reach) / BIN_M), math.floor((max(ys) + reach) / BIN_M) + 1):
+                    self._bins[plane, column, row].append(one)
+
+    def on(self, cell: Cell, owner: Int[NDArray[np.int32], "S S"]) -> list[Annotation]:
+        """Vehicles and ignore regions of a tile.
+
+        Args:
+            cell: the tile's ground.
+            owner: the number of the source of each of its pixels, -1 where empty.
+        """
+        plane, (left, bottom, right, top) = plane_of(cell.crs, cell.sources), cell.extent
+        near: dict[int, _Placed] = {}
+        for column in range(math.floor(left / BIN_M), math.floor(right / BIN_M) + 1):
+            for row in range(math.floor(bottom / BIN_M), math.floor(top / BIN_M) + 1):
+                near |= {id(one): one for one in self._bins.get((plane, column, row), ())}
+        inverse = ~cell.transform
+        annotations = []
+        for one in near.values():
+            label = dataclasses.replace(one.label, corners=tuple(inverse * corner for corner in one.label.corners))
+            annotations += self._annotate(label, one.source, cell, owner)
+        return annotations
+
+    def _annotate(
+        self, label: Label, source: int | None, cell: Cell, owner: Int[NDArray[np.int32], "S S"]
+    ) -> list[Annotation]:
+        size = cell.size_px
+        x, y = _middle(label)
+        inside = 0 <= x < size and 0 <= y < size
+        if label.class_name in (EVERYTHING, BORDER):
+            if not (owner == source).any():
+                return []
+        else:
+            shown = int(owner[min(max(int(y), 0), size - 1), min(max(int(x), 0), size - 1)])
+            if source is not None and shown not in (source, -1):
+                return []
+            if not inside or shown < 0 or self._in_border(cell.transform * (x, y), cell.crs, shown):
+                label = dataclasses.replace(label, ignore=True)
+        truths, ignored = sort_labels(
+            [label],
+            classes=self._classes,
+            size_px=(size, size),
+            border_px=0.0,
+            point_box_px=self._settings.point_box_m / cell.gsd_m,
+        )
+        found = []
+        for box, ignore in [*((b, False) for b in truths.tolist()), *((b, True) for b in ignored.tolist())]:
+            fraction = 1.0
+            if not ignore:
+                fraction = (box[2] - box[0]) * (box[3] - box[1]) / max(_area(label, self._settings, cell), 1e-9)
+            centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2) if ignore else (x, y)
+            found.append(Annotation((box[0], box[1], box[2], box[3]), centre, min(fraction, 1.0), ignore=ignore))
+        return found
+
+    def _in_border(self, place: Point, crs: CRS | None, number: int) -> bool:
+        border, source = self._settings.border_px, self._sources[number]
+        if not border:
+            return False
+        x, y = ~source.georeference.transform * to_reference_system(crs, source.georeference.crs, [place])[0]
+        return not (border <= x <= source.width_px - border and border <= y <= source.height_px - border)
+
+
+def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
+    if settings.classes:
+        require_classes(labels, settings.classes, str(settings.path))
+        return settings.classes
+    if len(labels.classes) > 1:
+        raise ImageryError(
+            f"{settings.path} names the classes {', '.join(labels.classes)}; say with --classes which of them count as "
+            "vehicles (small vehicles in the paper)."
+        )
+    return labels.classes
+
+
+def _middle(label: Label) -> Point:
+    xs, ys = zip(*label.corners, strict=True)
+    return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+
+
+def _area(label: Label, settings: LabelSettings, cell: Cell) -> float:
+    if len(label.corners) == 1:
+        return float((settings.point_box_m / cell.gsd_m) ** 2)
+    xs, ys = zip(*label.corners, strict=True)
+    return float((max(xs) - min(xs)) * (max(ys) - min(ys)))
+
+
+def _inside_picture(place: Point, size_px: tuple[int, int]) -> bool:
+    return 0 <= place[0] <= size_px[0] and 0 <= place[1] <= size_px[1]
+
+
+def _within(places: NDArray[np.float64], extent: Extent) -> NDArray[np.bool_]:
+    left, bottom, right, top = extent
+    x, y = places[:, 0], places[:, 1]
+    return (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+
+
+def _strips(source: Source, border_px: float) -> list[tuple[float, float, float, float]]:
+    width, height = float(source.width_px), float(source.height_px)
+    x, y = min(border_px, width), min(border_px, height)
+    return [
+        (0.0, 0.0, width, y),
+        (0.0, height - y, width, height),
+        (0.0, 0.0, x, height),
+        (width - x, 0.0, width, height),
+    ]

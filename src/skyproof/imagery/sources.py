@@ -1,0 +1,289 @@
+"""Orthophotos as they come: which bands are colours, what their values mean, where they lie, what was repaired."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.georeference import Georeference, read_georeference
+
+__all__ = ["Source", "SourceReader", "SourceSettings", "find_images", "gdal_limits", "inspect_source", "read_mask"]
+
+SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".vrt")
+GDAL_CACHE_MB = 256
+OPEN_AT_ONCE = 8
+
+_PROBES, _PROBE_PX = 12, 128
+_COLOURS = ("red", "green", "blue")
+_INFRARED = (ColorInterp.nir, ColorInterp.rededge, ColorInterp.swir, ColorInterp.mwir, ColorInterp.lwir)
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """What the user says about images that do not say it themselves.
+
+    Attributes:
+        source_gsd_m: metres per pixel.
+        crs: reference system of images that have a transform (a world file) but name no system.
+        licence: of images without TIFFTAG_COPYRIGHT.
+    """
+
+    source_gsd_m: float | None = None
+    crs: str | None = None
+    licence: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.source_gsd_m is not None and not 0 < self.source_gsd_m < math.inf:
+            raise ConfigurationError(
+                f"The sources' metres per pixel (--source-gsd; --gsd of `demo` and `world`) must be above 0, got "
+                f"{self.source_gsd_m}."
+            )
+        if self.crs is not None:
+            try:
+                CRS.from_user_input(self.crs)
+            except (RasterioError, ValueError) as error:
+                raise ConfigurationError(f"--crs expects a system such as EPSG:2193, got {self.crs!r}.") from error
+
+
+@dataclass(frozen=True)
+class Source:
+    """An orthophoto, looked at but not read.
+
+    Attributes:
+        path: the file.
+        width_px, height_px: its size.
+        georeference: where it lies.
+        bands: the bands, from 1, taken as red, green and blue.
+        value_range: the values that become black and white; None where bytes are taken as they are.
+        alpha_is_colour: its alpha band is no mask.
+        nodata: the value that marks empty pixels, or None.
+        licence: as the file or the user states it.
+        notes: what was assumed or repaired, a sentence each.
+    """
+
+    path: Path
+    width_px: int
+    height_px: int
+    georeference: Georeference
+    bands: tuple[int, int, int]
+    value_range: tuple[float, float] | None
+    alpha_is_colour: bool
+    nodata: float | None
+    licence: str | None
+    notes: tuple[str, ...]
+
+
+def gdal_limits() -> rasterio.Env:
+    """The settings to read with: a small block cache, and damaged JPEGs are errors instead of grey areas."""
+    return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1")
+
+
+def find_images(paths: Sequence[Path]) -> list[Path]:
+    """The images among `paths` and in the folders among them (not in sub-folders), sorted within a folder.
+
+    Raises:
+        ImageryError: a path is missing, a folder holds no image, or two images share a name.
+    """
+    files: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            found = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+            if not found:
+                raise ImageryError(f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file.")
+            files += found
+        elif path.is_file():
+            files.append(path)
+        else:
+            raise ImageryError(f"{path} is missing; check the paths of the imagery.")
+    if not files:
+        raise ImageryError("No imagery was given; name images or folders of them.")
+    seen: set[str] = set()
+    for file in files:
+        if file.stem in seen:
+            raise ImageryError(f"{file} shares its name with another image; rename one of them.")
+        seen.add(file.stem)
+    return files
+
+
+@contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """Every failure of reading becomes one sentence."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            yield
+    except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
+        reason = " ".join(str(error.__cause__ or error).split())
+        raise ImageryError(
+            f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, or convert it to "
+            "GeoTIFF or PNG."
+        ) from error
+
+
+class SourceReader:
+    """Opens images when they are needed and keeps a few of them open.
+
+    Use it as a context; leaving it closes the images.
+    """
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[Path, DatasetReader] = OrderedDict()
+
+    def __enter__(self) -> SourceReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._open:
+            self._open.popitem()[1].close()
+
+    @contextmanager
+    def reading(self, path: Path) -> Iterator[DatasetReader]:
+        """Yields the opened image; a failure while it is read becomes an ImageryError of one sentence."""
+        with _one_sentence(path):
+            if path not in self._open:
+                self._open[path] = rasterio.open(path)
+            self._open.move_to_end(path)
+            while len(self._open) > OPEN_AT_ONCE:
+                self._open.popitem(last=False)[1].close()
+            yield self._open[path]
+
+
+def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -> Source:
+    """Finds out how an image is to be read.
+
+    Raises:
+        ImageryError: it is unreadable, has a palette or complex values, no resolution, or is coarser than 50 cm.
+    """
+    with reader.reading(path) as dataset:
+        if dataset.count == 0:
+            raise ImageryError(f"{path} holds several images or none; name one of its images in a .vrt file.")
+        if ColorInterp.palette in dataset.colorinterp:
+            raise ImageryError(f"{path} has a colour palette; convert it to RGB (gdal_translate -expand rgb).")
+        if any(kind.startswith("complex") for kind in dataset.dtypes):
+            raise ImageryError(f"{path} has complex values; give imagery with 8 or 16 bits a band.")
+        notes: list[str] = []
+        bands = _choose_bands(dataset, notes)
+        alpha_is_colour = _alpha_is_colour(dataset, notes)
+        licence = dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence
+        georeference = read_georeference(dataset, path, settings.source_gsd_m, settings.crs, notes)
+        source = Source(
+            path=path,
+            width_px=dataset.width,
+            height_px=dataset.height,
+            georeference=georeference,
+            bands=bands,
+            value_range=None,
+            alpha_is_colour=alpha_is_colour,
+            nodata=dataset.nodata,
+            licence=licence,
+            notes=tuple(notes),
+        )
+        if all(dataset.dtypes[band - 1] == "uint8" for band in bands):
+            return source
+        low, high = _value_range(dataset, source)
+        notes.append(f"{dataset.dtypes[bands[0] - 1]} values from {low:.6g} to {high:.6g} become 0 to 255")
+    return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
+
+
+def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:
+    """Red, green and blue by colour interpretation, then by the bands' names, else the first three bands."""
+    kinds = [kind.name for kind in dataset.colorinterp]
+    names = [(name or "").strip().lower() for name in dataset.descriptions]
+    for tags in (kinds, names):
+        if all(colour in tags for colour in _COLOURS):
+            red, green, blue = (tags.index(colour) + 1 for colour in _COLOURS)
+            others = [kind for band, kind in enumerate(kinds, 1) if band not in (red, green, blue)]
+            if any(kind != "alpha" for kind in others):
+                notes.append(f"of {dataset.count} bands red, green and blue are taken ({red}, {green}, {blue})")
+            return red, green, blue
+    colours = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind != ColorInterp.alpha]
+    if not colours:
+        raise ImageryError(f"{dataset.name} holds an alpha band alone; give imagery with colours.")
+    if len(colours) < 3:
+        if len(colours) == 2:
+            notes.append(f"two bands without red, green and blue: band {colours[0]} is taken as grey")
+        return colours[0], colours[0], colours[0]
+    infrared = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind in _INFRARED]
+    told = f"its band {infrared[0]} is infrared and it has no blue" if infrared else "it does not say which are colours"
+    notes.append(
+        f"of {dataset.count} bands the bands {colours[0]}, {colours[1]}, {colours[2]} are shown as red, green and "
+        f"blue, because {told}"
+    )
+    return colours[0], colours[1], colours[2]
+
+
+def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
+    """Whether a band tagged as alpha holds a picture: writers tag the infrared band so by default."""
+    if ColorInterp.alpha not in dataset.colorinterp:
+        return False
+    band = dataset.colorinterp.index(ColorInterp.alpha) + 1
+    values = np.concatenate([dataset.read(band, window=window).ravel() for window in _probes(dataset)])
+    full = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else 1
+    if np.mean((values != 0) & (values != full) & (values != 255)) < 0.5:
+        return False
+    notes.append(f"band {band} is tagged as alpha but holds a picture (infrared?); it is left out")
+    return True
+
+
+def _probes(dataset: DatasetReader) -> Iterator[Window]:
+    """Small windows spread evenly: a shrunken view would read a mosaic without overviews whole."""
+    if dataset.width * dataset.height <= (_PROBES * _PROBE_PX) ** 2:
+        yield Window(0, 0, dataset.width, dataset.height)
+        return
+    columns, rows = (
+        sorted({min(max(0, length - _PROBE_PX), int(length * (i + 0.5) / _PROBES)) for i in range(_PROBES)})
+        for length in (dataset.width, dataset.height)
+    )
+    for row in rows:
+        for column in columns:
+            yield Window(column, row, min(_PROBE_PX, dataset.width), min(_PROBE_PX, dataset.height))
+
+
+def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
+    """The 1st and 99th percentile of an image's valid values, all colours together."""
+    bands, found = sorted({*source.bands}), []
+    whole = Window(0, 0, dataset.width, dataset.height)
+    shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
+    # Where all probes fall on empty ground, which is rare, the whole image has to be looked at.
+    for windows, shape in ((_probes(dataset), None), (iter([whole]), shrunken)):
+        for window in windows:
+            size = shape or (int(window.height), int(window.width))
+            values = dataset.read(bands, window=window, out_shape=(len(bands), *size)).astype(np.float32)
+            valid = read_mask(dataset, source, window, size) > 0
+            found.append(values[:, valid & np.isfinite(values).all(0)].ravel())
+        if any(len(values) for values in found):
+            low, high = np.percentile(np.concatenate(found), [1, 99])
+            return float(low), max(float(high), float(low) + 1e-6)
+    raise ImageryError(f"{source.path} holds no valid pixel; leave it out.")
+
+
+def read_mask(
+    dataset: DatasetReader, source: Source, window: Window, shape: tuple[int, int] | None = None
+) -> NDArray[np.uint8]:
+    """255 where a source has data in `window`, else 0, by its alpha band, mask or nodata value."""
+    shape = shape or (int(window.height), int(window.width))
+    flags = [*dataset.mask_flag_enums[source.bands[0] - 1]]
+    if flags == [MaskFlags.all_valid] or (source.alpha_is_colour and MaskFlags.nodata not in flags):
+        return np.full(shape, 255, np.uint8)
+    if source.alpha_is_colour or MaskFlags.nodata in flags:
+        # Empty only where every colour is: one colour alone may well have the value.
+        masks = dataset.read_masks(sorted({*source.bands}), window=window, out_shape=(len({*source.bands}), *shape))
+        return masks.max(0)
+    return dataset.dataset_mask(window=window, out_shape=shape)

@@ -1,0 +1,255 @@
+"""Cutting orthophotos into tiles of one resolution: a background set, and a dataset where there are labels."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.files import write_json
+from skyproof.imagery.grid import Cell, Frame, cells_of, lay_frames
+from skyproof.imagery.labels import Labels
+from skyproof.imagery.placed_labels import LabelSettings, PlacedLabels
+from skyproof.imagery.sources import Source, SourceReader, SourceSettings, find_images, gdal_limits, inspect_source
+from skyproof.imagery.splits import assign_splits
+from skyproof.imagery.tile_index import cells_like, write_ground_index
+from skyproof.imagery.warp import read_cell
+from skyproof.scenes.backgrounds import SPLITS, BackgroundTile, save_tile, write_index
+from skyproof.scenes.coco import Annotation, CocoWriter
+
+__all__ = ["TilingRecord", "TilingSettings", "tile_imagery"]
+
+_WAITING = "waiting"
+
+
+@dataclass(frozen=True)
+class TilingSettings:
+    """How imagery is cut.
+
+    Attributes:
+        gsd_m: metres per pixel of the tiles.
+        size_px: their side.
+        minimum_px: how far tiles may shrink so that small images hold some; None for not at all.
+        block_m: width of the blocks that go to one split, see `assign_splits`; None for its default.
+        like: a tiled folder: the same ground is cut into the same tiles and splits.
+    """
+
+    gsd_m: float = 0.125
+    size_px: int = 384
+    minimum_px: int | None = None
+    block_m: float | None = None
+    like: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.gsd_m < math.inf or self.size_px < 1 or not 0 < (self.block_m or 1) < math.inf:
+            raise ConfigurationError(
+                f"--gsd and --block-m expect metres above 0 and --size at least 1 px, got {self.gsd_m}, {self.block_m} "
+                f"and {self.size_px}."
+            )
+
+
+@dataclass(frozen=True)
+class TilingRecord:
+    """What was done: the content of `tiling.json`.
+
+    Attributes:
+        settings: as given.
+        sources: per source its name, size, system, resolution, bands, range, nodata value and licence.
+        blocks_m: per frame the width of its blocks.
+        counts: per split its tiles, vehicles and ignore regions.
+        empty: cells left out because more than 2 % of them is empty.
+        missing: ids of tiles of `like` that the sources do not show.
+        notes: what was assumed, repaired or left out.
+    """
+
+    settings: dict[str, Any]
+    sources: list[dict[str, Any]]
+    blocks_m: dict[str, float]
+    counts: dict[str, dict[str, int]]
+    empty: int
+    missing: list[str]
+    notes: list[str]
+
+
+def tile_imagery(
+    paths: Sequence[Path],
+    folder: Path,
+    *,
+    settings: TilingSettings,
+    generator: torch.Generator,
+    source_settings: SourceSettings | None = None,
+    labels: tuple[Labels, LabelSettings] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TilingRecord:
+    """Cuts orthophotos into a background set: `index.json`, `index.geojson`, `<split>/images/*.png`, `tiling.json`.
+
+    Sources are read window by window: memory does not grow with them. The ground is cut into cells (`lay_frames`),
+    a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of cells go to the splits
+    (`assign_splits`). Every place of georeferenced sources lies in one cell, so in one split, however many of them show
+    it. Images without georeference that show the same ground, such as frames of a flight, cannot be told apart from
+    others: splits may then share it.
+
+    With labels every split also gets `annotations.json`, so that its folder is a dataset to train on. Tiles without any
+    vehicle stay (PAPER 1).
+
+    Args:
+        paths: images, or folders whose images (not those of their sub-folders) are taken.
+        folder: where the set goes; use `finished_folder` around it so that a half-written one does not stay.
+        settings: resolution, size, blocks.
+        generator: shuffles the blocks.
+        source_settings: what images do not say themselves.
+        labels: as read, and what counts as a vehicle.
+        progress: called with (cells done, cells in all).
+
+    Raises:
+        ConfigurationError: settings that cannot work.
+        ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50 cm; images that hold
+            no tile; labels that do not fit the imagery.
+        StoredFileError: `like` is not a tiled folder.
+        RunFolderError: the disk cannot take it.
+    """
+    files, notes = find_images(paths), []
+    source_settings = source_settings or SourceSettings()
+    with gdal_limits(), SourceReader() as reader:
+        sources = [inspect_source(path, source_settings, reader) for path in files]
+        notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
+        cells = _cells(sources, settings, notes)
+        placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
+        notes += placed.notes if placed is not None else []
+        kept: list[tuple[Cell, BackgroundTile]] = []
+        annotations: dict[str, list[Annotation]] = {}
+        for done, cell in enumerate(cells, 1):
+            image = read_cell(cell, sources, reader) if cell.sources else None
+            if image is not None:
+                shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
+                tile = _tile(cell, shown)
+                save_tile(folder, tile, torch.from_numpy(image.pixels))
+                kept.append((cell, tile))
+                if placed is not None:
+                    annotations[cell.id] = placed.on(cell, image.owner)
+            if progress is not None:
+                progress(done, len(cells))
+    if not kept:
+        raise ImageryError(
+            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more than 2 % of each is "
+            "empty (nodata or beyond the border); give larger images or a smaller size."
+        )
+    splits, blocks_m = _splits(kept, settings, generator)
+    tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
+    for split in SPLITS:
+        if split not in splits.values():
+            notes.append(f"{split} is empty: there are not enough tiles; give more imagery or a smaller size")
+    if placed is not None:
+        _write_datasets(folder, tiles, annotations, settings.gsd_m)
+    record = TilingRecord(
+        settings=_plain(dataclasses.asdict(settings) | dataclasses.asdict(source_settings)),
+        sources=[_describe(source) for source in sources],
+        blocks_m=blocks_m,
+        counts=_counts(tiles, annotations),
+        empty=len(cells) - len(kept),
+        missing=[cell.id for cell in cells if cell.id not in splits] if settings.like is not None else [],
+        notes=notes,
+    )
+    write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
+    write_json(folder / "tiling.json", dataclasses.asdict(record))
+    write_index(folder, settings.gsd_m, tiles)
+    return record
+
+
+def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
+    if settings.like is not None:
+        return cells_like(settings.like, sources, notes)
+    frames: list[Frame] = lay_frames(
+        sources,
+        size_px=settings.size_px,
+        minimum_px=settings.minimum_px or settings.size_px,
+        gsd_m=settings.gsd_m,
+        notes=notes,
+    )
+    return [cell for frame in frames for cell in cells_of(frame)]
+
+
+def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
+    licences = list(dict.fromkeys(source.licence for source in shown if source.licence))
+    return BackgroundTile(
+        id=cell.id,
+        file=f"{_WAITING}/{cell.id}.png",
+        split=_WAITING,
+        width_px=cell.size_px,
+        height_px=cell.size_px,
+        source=" + ".join(source.path.name for source in shown),
+        offset_px=cell.offset_px,
+        licence="; ".join(licences) or None,
+    )
+
+
+def _splits(
+    kept: Sequence[tuple[Cell, BackgroundTile]], settings: TilingSettings, generator: torch.Generator
+) -> tuple[dict[str, str], dict[str, float]]:
+    cells = [cell for cell, _ in kept]
+    if settings.like is not None:
+        return {cell.id: str(cell.split) for cell in cells}, {}
+    return assign_splits(cells, block_m=settings.block_m, generator=generator)
+
+
+def _sort_into_splits(folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, str]) -> list[BackgroundTile]:
+    """Moves the pictures, whose splits are known only when all cells have been read."""
+    for split in SPLITS:
+        (folder / split / "images").mkdir(parents=True, exist_ok=True)
+    moved = []
+    for tile in tiles:
+        split = splits[tile.id]
+        file = f"{split}/images/{tile.id}.png"
+        (folder / tile.file).rename(folder / file)
+        moved.append(dataclasses.replace(tile, file=file, split=split))
+    (folder / _WAITING).rmdir()
+    return moved
+
+
+def _write_datasets(
+    folder: Path, tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]], gsd_m: float
+) -> None:
+    with ExitStack() as stack:
+        source = {"description": "skyproof tiles"}
+        writers = {
+            split: stack.enter_context(CocoWriter(folder / split, gsd_m=gsd_m, source=source)) for split in SPLITS
+        }
+        for tile in tiles:
+            writers[tile.split].add_written(tile.id, (tile.width_px, tile.height_px), annotations[tile.id])
+
+
+def _counts(tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]]) -> dict[str, dict[str, int]]:
+    counts = {split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS}
+    for tile in tiles:
+        own = annotations.get(tile.id, [])
+        counts[tile.split]["tiles"] += 1
+        counts[tile.split]["vehicles"] += sum(not one.ignore for one in own)
+        counts[tile.split]["ignored"] += sum(one.ignore for one in own)
+    return counts
+
+
+def _describe(source: Source) -> dict[str, Any]:
+    georeference = source.georeference
+    return {
+        "name": source.path.name,
+        "size_px": [source.width_px, source.height_px],
+        "crs": None if georeference.crs is None else georeference.crs.to_string(),
+        "gsd_m": [round(value, 6) for value in georeference.gsd_m],
+        "bands": list(source.bands),
+        "value_range": None if source.value_range is None else list(source.value_range),
+        "nodata": None if source.nodata is None or math.isnan(source.nodata) else source.nodata,
+        "licence": source.licence,
+    }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return json.loads(json.dumps(values, default=str))

@@ -1,0 +1,158 @@
+"""One cell of ground out of one or several sources, resampled to true metres with anti-aliasing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import Resampling
+from rasterio.io import DatasetReader
+from rasterio.warp import reproject
+from rasterio.windows import Window
+from scipy.ndimage import distance_transform_edt
+
+from skyproof.imagery.georeference import outline, to_reference_system
+from skyproof.imagery.grid import FULL_SHARE, Cell
+from skyproof.imagery.sources import Source, SourceReader, read_mask
+
+__all__ = ["CellImage", "read_cell"]
+
+SHRINKING_FROM = 1.1
+PIECE_PX = 2048
+
+# Two sides in the same system: which one does not matter.
+_NO_SYSTEM = CRS.from_epsg(32631)
+
+
+@dataclass(frozen=True)
+class CellImage:
+    """What sources show of a cell.
+
+    Attributes:
+        pixels: `[3, S, S]` sRGB bytes.
+        owner: `[S, S]` the number of the source of each pixel, -1 where none has data.
+    """
+
+    pixels: NDArray[np.uint8]
+    owner: NDArray[np.int32]
+
+
+def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> CellImage | None:
+    """Reads what is needed of the sources, and nothing else.
+
+    The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of two sheets,
+    each source fills what those before it left empty. Where even all together do not, there is no tile. The
+    2 % that may be empty take the colour of the nearest pixel that is not: a black edge would be learnt as a sign.
+
+    Shrinking averages over the area of a pixel, because point sampling would alias fine structure into coarse
+    patterns; otherwise pixels are interpolated by cubic convolution, which copies them exactly where the grids
+    coincide. Overviews inside the files are not used: many were made by point sampling.
+
+    Raises:
+        ImageryError: a source cannot be read.
+    """
+    parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
+    for number in cell.sources:
+        pixels, valid = _read_from(sources[number], cell, reader)
+        if valid.mean() >= FULL_SHARE:
+            return CellImage(_filled(pixels, valid), np.where(valid, number, -1).astype(np.int32))
+        parts.append((number, pixels, valid))
+    pixels = np.zeros((3, cell.size_px, cell.size_px), np.uint8)
+    owner = np.full((cell.size_px, cell.size_px), -1, np.int32)
+    for number, own, valid in parts:
+        fresh = valid & (owner < 0)
+        pixels[:, fresh], owner[fresh] = own[:, fresh], number
+    valid = owner >= 0
+    return CellImage(_filled(pixels, valid), owner) if valid.mean() >= FULL_SHARE else None
+
+
+def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    if valid.all():
+        return pixels
+    rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return pixels[:, rows, columns]
+
+
+def _read_from(source: Source, cell: Cell, reader: SourceReader) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """A cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
+    size = cell.size_px
+    pixels, valid = np.zeros((3, size, size), np.uint8), np.zeros((size, size), np.bool_)
+    shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
+    # Piece by piece, so that memory does not grow with the cell or the source's fineness.
+    step = max(16, min(size, int(PIECE_PX / max(shrink, 1.0))))
+    with reader.reading(source.path) as dataset:
+        for top in range(0, size, step):
+            for left in range(0, size, step):
+                place = np.s_[..., top : top + step, left : left + step]
+                _fill_piece(
+                    dataset, source, cell, cell.transform * Affine.translation(left, top), pixels[place], valid[place]
+                )
+    return pixels, valid
+
+
+def _fill_piece(
+    dataset: DatasetReader,
+    source: Source,
+    cell: Cell,
+    transform: Affine,
+    pixels: NDArray[np.uint8],
+    valid: NDArray[np.bool_],
+) -> None:
+    """Fills a piece of a cell, whose pixels `transform` takes to coordinates, from a window of the source."""
+    shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
+    window, inside = _window(source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2)
+    if window is None:
+        return
+    bands = sorted({*source.bands})
+    mask = read_mask(dataset, source, window)
+    if not mask.any():
+        return
+    values = dataset.read(bands, window=window)
+    if source.value_range is not None:
+        low, high = source.value_range
+        values = np.nan_to_num((values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0)
+    there = {
+        "src_transform": source.georeference.transform * Affine.translation(window.col_off, window.row_off),
+        "src_crs": source.georeference.crs or _NO_SYSTEM,
+        "dst_transform": transform,
+        "dst_crs": cell.crs or _NO_SYSTEM,
+    }
+    shrinking = shrink > SHRINKING_FROM
+    warped = np.zeros((len(bands), *pixels.shape[1:]), values.dtype)
+    reproject(values, warped, resampling=Resampling.average if shrinking else Resampling.cubic, **there)
+    if warped.dtype != np.uint8:
+        warped = (np.clip(warped, 0, 255) + 0.5).astype(np.uint8)
+    pixels[:] = warped[[bands.index(band) for band in source.bands]]
+    if inside and mask.all():
+        valid[:] = True
+        return
+    shares = np.zeros(valid.shape, np.uint8)
+    reproject(mask, shares, resampling=Resampling.average if shrinking else Resampling.nearest, **there)
+    valid[:] = shares >= 128
+
+
+def _window(
+    source: Source, cell: Cell, transform: Affine, shape: tuple[int, ...], *, margin_px: int
+) -> tuple[Window | None, bool]:
+    """The part of a source that shows a piece, and whether the source reaches all around it."""
+    border = [transform * point for point in outline(shape[1], shape[0])]
+    places = to_reference_system(cell.crs, source.georeference.crs, border)
+    if not all(math.isfinite(value) for place in places for value in place):
+        return None, False
+    inverse = ~source.georeference.transform
+    pixels = [inverse * place for place in places]
+    left, right = min(x for x, _ in pixels), max(x for x, _ in pixels)
+    top, bottom = min(y for _, y in pixels), max(y for _, y in pixels)
+    tiny = 1e-3
+    inside = left >= -tiny and top >= -tiny and right <= source.width_px + tiny and bottom <= source.height_px + tiny
+    first_column, first_row = max(0, math.floor(left) - margin_px), max(0, math.floor(top) - margin_px)
+    last_column = min(source.width_px, math.ceil(right) + margin_px)
+    last_row = min(source.height_px, math.ceil(bottom) + margin_px)
+    if first_column >= last_column or first_row >= last_row:
+        return None, False
+    return Window(first_column, first_row, last_column - first_column, last_row - first_row), inside

@@ -1,0 +1,62 @@
+"""Small orthophotos that tests make themselves."""
+
+import warnings
+
+import numpy as np
+import rasterio
+import torch
+from rasterio.transform import Affine
+
+from skyproof.imagery.sources import SourceSettings
+from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
+
+
+def write_image(path, array, *, crs=None, transform=None, colours=None, tags=None, **options):
+    """Writes `[bands, H, W]` as GeoTIFF; `colours` sets the bands' colour interpretation."""
+    count, height, width = array.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(
+            path, "w", driver="GTiff", width=width, height=height, count=count, dtype=array.dtype.name, crs=crs,
+            transform=transform or Affine.identity(), **options,
+        ) as dataset:  # fmt: skip
+            if colours is not None:
+                dataset.colorinterp = colours
+            dataset.write(array)
+            dataset.update_tags(**(tags or {}))
+    return path
+
+
+def noise(height, width, count=3):
+    """Bytes from 1 to 254."""
+    return np.random.default_rng(0).integers(1, 255, (count, height, width), dtype=np.uint8)
+
+
+def smooth_noise(height, width):
+    """Patches of 16 px, blended: a shift by one pixel hardly changes it, another place does."""
+    coarse = np.random.default_rng(0).uniform(20, 235, (3, height // 16 + 2, width // 16 + 2))
+    tensor = torch.nn.functional.interpolate(
+        torch.from_numpy(coarse)[None], size=(height, width), mode="bilinear", align_corners=True
+    )
+    return tensor[0].round().to(torch.uint8).numpy()
+
+
+def tile(
+    paths, folder, *, labels=None, seed=0, gsd_m=0.125, size_px=64, minimum_px=None, block_m=None, like=None, **sources
+):
+    """Tiles with small tiles; what is left goes to the sources. Returns the set and the record."""
+    record = tile_imagery(
+        paths,
+        folder,
+        settings=TilingSettings(gsd_m, size_px, minimum_px, block_m, like),
+        generator=torch.Generator().manual_seed(seed),
+        source_settings=SourceSettings(**sources),
+        labels=labels,
+    )
+    return BackgroundSet.open(folder), record
+
+
+def all_tiles(backgrounds):
+    """Tiles of all splits."""
+    return [one for split in SPLITS for one in backgrounds.tiles(split)]

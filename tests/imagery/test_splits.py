@@ -1,0 +1,58 @@
+"""Splits by place: disjoint blocks, shares, none empty, determinism."""
+
+import torch
+
+from skyproof.imagery.grid import Cell
+from skyproof.imagery.splits import SPLIT_SHARES, assign_splits
+from skyproof.scenes.backgrounds import SPLITS
+
+
+def cells(rows, columns, frame="f"):
+    """A grid of cells of 48 m."""
+    return [
+        Cell(f"{frame}-{row}-{column}", None, 48.0 * column, -48.0 * row, 384, 0.125, (0,), block=(frame, row, column))
+        for row in range(rows)
+        for column in range(columns)
+    ]
+
+
+def divide(grid, block_m=None, seed=0):
+    return assign_splits(grid, block_m=block_m, generator=torch.Generator().manual_seed(seed))
+
+
+def test_blocks_are_whole_and_shares_come_out():
+    grid = cells(48, 64)
+    splits, widths_m = divide(grid)
+    assert widths_m == {"f": 384.0}
+    for cell in grid:
+        _, row, column = cell.block
+        assert splits[cell.id] == splits[f"f-{row // 8 * 8}-{column // 8 * 8}"]
+    for split in SPLITS:
+        share = sum(one == split for one in splits.values()) / len(grid)
+        assert abs(share - SPLIT_SHARES[split]) <= 64 / len(grid)
+
+
+def test_neighbours_are_mostly_together():
+    grid = cells(64, 64)
+    splits, _ = divide(grid)
+    together = [splits[f"f-{r}-{c}"] == splits[f"f-{r}-{c + 1}"] for r in range(64) for c in range(63)]
+    # Independent cells would agree in 35 % of the cases.
+    assert sum(together) / len(together) > 0.85
+
+
+def test_blocks_shrink_until_every_split_has_one():
+    for count, block_m in ((4, None), (4, 5000.0), (7, 200.0)):
+        splits, widths_m = divide(cells(1, count), block_m)
+        assert {*splits.values()} == {*SPLITS}, (count, block_m)
+        assert widths_m["f"] >= 48
+    # What is given is kept where it can be.
+    assert divide(cells(20, 20), 480.0)[1] == {"f": 480.0}
+    assert len({*divide(cells(1, 2))[0].values()}) == 2
+
+
+def test_the_seed_alone_decides_and_frames_are_apart():
+    grid = cells(12, 12, "a") + cells(12, 12, "b")
+    assert divide(grid) == divide(grid)
+    assert divide(grid)[0] != divide(grid, seed=1)[0]
+    splits = divide(grid)[0]
+    assert any(splits[f"a-{r}-{c}"] != splits[f"b-{r}-{c}"] for r in range(12) for c in range(12))

@@ -1,0 +1,176 @@
+"""Labels on the way to tiles: through the source's transform and through map coordinates, at borders, out of place."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rasterio.transform import Affine, from_origin
+from rasterio.warp import transform as transform_places
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.labels import GroundLabels, ImageLabels, Label
+from skyproof.imagery.placed_labels import LabelSettings
+from skyproof.scenes.coco import read_coco
+from tests.imagery.made import all_tiles, noise, tile, write_image
+
+NZTM = "EPSG:2193"
+EAST, NORTH = 1_550_000.0, 5_190_000.0
+PLACE = {"crs": NZTM, "transform": from_origin(EAST, NORTH, 0.125, 0.125)}
+WHERE = Path("labels.geojson")
+
+
+def box(left, top, right, bottom, name="car", ignore=False):
+    left, top, right, bottom = map(float, (left, top, right, bottom))
+    return Label(name, ((left, top), (right, top), (right, bottom), (left, bottom)), ignore)
+
+
+def pixels(*labels, stem="a", classes=("car", "truck"), sizes=None):
+    return ImageLabels(classes, {stem: labels}, sizes or {})
+
+
+def ground(*points, crs=NZTM):
+    return GroundLabels(("vehicle",), tuple(Label("vehicle", (point,)) for point in points), crs)
+
+
+def boxes(folder, kind):
+    """Per tile id its vehicles (`iscrowd` 0) or ignore regions (1) as xyxy."""
+    found = {}
+    for split in ("train", "validation", "attack", "test"):
+        document = json.loads((folder / split / "annotations.json").read_text())
+        names = {image["id"]: image["scene_id"] for image in document["images"]}
+        for row in document["annotations"]:
+            if row["iscrowd"] == kind:
+                x, y, width, height = row["bbox"]
+                found.setdefault(names[row["image_id"]], []).append(
+                    (round(x, 3), round(y, 3), round(x + width, 3), round(y + height, 3))
+                )
+    return found
+
+
+def one_image(tmp_path, labels, **settings):
+    """One image of 256 x 128 px, eight tiles of 64 px."""
+    write_image(tmp_path / "a.tif", noise(128, 256))
+    given = {"classes": ("car",), **settings}
+    _, record = tile(
+        [tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125, labels=(labels, LabelSettings(WHERE, **given))
+    )
+    return record
+
+
+def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
+    record = one_image(tmp_path, pixels(box(50, 10, 70, 20), box(100, 80, 110, 90)))
+    assert boxes(tmp_path / "set", 0) == {"a-00000-00000": [(50, 10, 64, 20)], "a-00064-00064": [(36, 16, 46, 26)]}
+    assert boxes(tmp_path / "set", 1) == {"a-00000-00064": [(0, 10, 6, 20)]}
+    rows = [
+        row
+        for file in (tmp_path / "set").glob("*/annotations.json")
+        for row in json.loads(file.read_text())["annotations"]
+        if row["bbox"][0] == 50
+    ]
+    assert rows[0]["centre_px"] == [60, 15]
+    assert rows[0]["visible_fraction"] == pytest.approx(0.7)
+    # All tiles stay, those without a vehicle as well (PAPER 1).
+    assert sum(count["tiles"] for count in record.counts.values()) == 8
+    assert sum(len(read_coco(tmp_path / "set" / split)) for split in record.counts) == 8
+
+
+def test_other_classes_and_what_the_file_ignores_become_ignore_regions(tmp_path):
+    one_image(tmp_path, pixels(box(10, 10, 20, 20, "truck"), box(30, 30, 40, 40, ignore=True)))
+    assert boxes(tmp_path / "set", 0) == {}
+    assert sorted(boxes(tmp_path / "set", 1)["a-00000-00000"]) == [(10, 10, 20, 20), (30, 30, 40, 40)]
+
+
+def test_the_border_band_is_the_sources_not_the_tiles(tmp_path):
+    one_image(tmp_path, pixels(box(2, 2, 8, 8), box(60, 60, 66, 66)), border_px=16.0)
+    # The second lies where four tiles meet, in the middle of the image.
+    # Its centre (63, 63) is in the first tile.
+    assert boxes(tmp_path / "set", 0) == {"a-00000-00000": [(60, 60, 64, 64)]}
+    ignored = boxes(tmp_path / "set", 1)
+    assert (0, 0, 64, 16) in ignored["a-00000-00000"]
+    assert (0, 0, 16, 64) in ignored["a-00000-00000"]
+    assert (2, 2, 8, 8) in ignored["a-00000-00000"]
+    assert (0, 48, 64, 64) in ignored["a-00064-00064"]
+
+
+def test_pixel_labels_follow_a_turned_image(tmp_path):
+    # A bright square in the picture must lie in its box, whatever the image's turn and scale.
+    array = np.full((3, 600, 600), 40, np.uint8)
+    array[:, 300:330, 250:290] = 240
+    affine = Affine.translation(EAST, NORTH) * Affine.rotation(25) * Affine.scale(0.1, -0.1)
+    write_image(tmp_path / "a.tif", array, crs=NZTM, transform=affine)
+    labels = pixels(box(250, 300, 290, 330)), LabelSettings(WHERE, ("car",))
+    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels, size_px=128)
+    (tile_id, ((left, top, right, bottom),)) = next(iter(boxes(tmp_path / "set", 0).items()))
+    bright = (backgrounds.pixels(tile_id)[0] > 140).numpy()
+    rows, columns = np.nonzero(bright)
+    found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+    expected = max(left, 0), max(top, 0), min(right, 128), min(bottom, 128)
+    assert found == pytest.approx(expected, abs=1.5)
+
+
+@pytest.mark.parametrize("crs", [NZTM, "EPSG:4326"])
+def test_ground_points_of_two_systems(tmp_path, crs):
+    write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
+    xs, ys = [EAST + 10.0, EAST + 21.0, EAST + 500], [NORTH - 5.0, NORTH - 21.0, NORTH]
+    if crs != NZTM:
+        xs, ys = transform_places(NZTM, crs, xs, ys)
+    labels = ground(*zip(xs, ys, strict=True), crs=crs), LabelSettings(WHERE, point_box_m=2.0)
+    _, record = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
+    # Tiles begin at the image's corner: 10 m is pixel 80, in the second tile pixel 16; the box is 16 px wide.
+    found = boxes(tmp_path / "set", 0)
+    assert len(found) == 2
+    expected = {
+        f"epsg2193-e{int(EAST) + 8}-n{int(NORTH)}": (8, 32, 24, 48),
+        f"epsg2193-e{int(EAST) + 16}-n{int(NORTH) - 16}": (32, 32, 48, 48),
+    }
+    for tile_id, values in expected.items():
+        assert found[tile_id][0] == pytest.approx(values, abs=0.02)
+    assert any("1 labels of labels.geojson lie outside" in note for note in record.notes)
+
+
+def test_of_overlapping_sources_only_the_one_shown_labels(tmp_path):
+    for stem in ("a", "b"):
+        write_image(tmp_path / f"{stem}.tif", noise(128, 128), **PLACE)
+    labels = ImageLabels(("car",), {"a": (box(10, 10, 20, 20),), "b": (box(11, 11, 21, 21),)}, {})
+    tile([tmp_path], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
+    assert [*boxes(tmp_path / "set", 0).values()] == [[(10, 10, 20, 20)]]
+
+
+def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
+    write_image(tmp_path / "a.tif", noise(64, 256))
+    write_image(tmp_path / "b.tif", noise(64, 128))
+    labels = pixels(box(10, 10, 20, 20)), LabelSettings(WHERE, ("car",))
+    backgrounds, record = tile([tmp_path], tmp_path / "set", source_gsd_m=0.125, labels=labels)
+    ignored = boxes(tmp_path / "set", 1)
+    assert {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"} == {*ignored}
+    assert {tuple(*found) for found in ignored.values()} == {(0, 0, 64, 64)}
+    assert any(note.startswith("b.tif has no labels") for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("labels", "settings", "message"),
+    [
+        (pixels(box(0, 0, 5, 5)), {"classes": ("lorry",)}, "no class 'lorry'; it names car, truck"),
+        (pixels(box(0, 0, 5, 5)), {"classes": ()}, "--classes"),
+        (pixels(box(900, 900, 910, 910)), {}, "None of the 1 labels"),
+        (pixels(box(0, 0, 5, 5), stem="z"), {}, "none of these is among the imagery"),
+        (pixels(box(0, 0, 5, 5), sizes={"a": (100, 100)}), {}, r"made for a of \(100, 100\) px"),
+        (ground((172.0, -43.0), crs="EPSG:4326"), {"classes": ()}, "no image says where it lies"),
+    ],
+)
+def test_labels_that_do_not_fit_are_one_clear_sentence(tmp_path, labels, settings, message):
+    with pytest.raises(ImageryError, match=message) as caught:
+        one_image(tmp_path, labels, **settings)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "set").exists()
+
+
+def test_ground_labels_of_the_wrong_system(tmp_path):
+    write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
+    # Coordinates of NZTM that say they are UTM.
+    labels = ground((EAST + 10, NORTH - 5), (EAST + 20, NORTH - 5), crs="EPSG:32633")
+    with pytest.raises(ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"):
+        tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
+    with pytest.raises(ConfigurationError, match="--border-px"):
+        LabelSettings(WHERE, border_px=-1.0)
