@@ -11,6 +11,7 @@ from PIL import Image
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import Resampling, reproject
 from rasterio.warp import transform as transform_places
+from scipy import ndimage
 
 from skyproof.errors import ImageryError
 from skyproof.scenes.backgrounds import SPLITS
@@ -210,3 +211,13 @@ def test_png_and_determinism(tmp_path):
     assert len(files) > 8
     for file in files:
         assert (tmp_path / "s1" / file).read_bytes() == (tmp_path / "s2" / file).read_bytes()
+
+
+def test_vehicles_will_be_drawn_as_sharp_as_the_imagery(tmp_path):
+    checks = np.kron(np.indices((16, 16)).sum(0) % 2, np.ones((40, 40)))
+    light = ndimage.gaussian_filter(np.where(checks > 0, 0.5, 0.1), 1.0)
+    srgb = ((1.055 * light ** (1 / 2.4) - 0.055) * 255).round().astype(np.uint8)
+    write_image(tmp_path / "a.tif", np.repeat(srgb[None], 3, 0), crs=UTM[0], transform=UTM[1])
+    backgrounds, record = tile([tmp_path / "a.tif"], tmp_path / "set", gsd_m=0.25, size_px=128)
+    assert backgrounds.sensor.blur_sigma_px == pytest.approx(1.0, rel=0.1)
+    assert any("blur measured" in note for note in record.notes)

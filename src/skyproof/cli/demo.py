@@ -63,6 +63,8 @@ class Demo:
         imagery: orthophotos to use as ground instead of procedural ones: GeoTIFFs, or JPEG/PNG with --gsd; a folder
             stands for the images in it.
         gsd: metres per pixel of images that do not say it themselves.
+        blur_sigma_px: blur of the vehicles; where not given, the paper's 2.4 on procedural ground and the imagery's own
+            on imagery.
         frames: real annotated frames to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD (COCO, YOLO or
             DOTA labels), e.g. kit/MOS*@0.116.
         frame_classes: class names that count as vehicles in them; other classes are ignored, not counted as mistakes.
@@ -80,6 +82,7 @@ class Demo:
     out: Path = Path("runs/demo")
     imagery: tuple[Path, ...] = ()
     gsd: float | None = None
+    blur_sigma_px: float | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
     detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
@@ -137,7 +140,15 @@ def _attack_and_compare(demo: Demo, run: RunFolder, device: torch.device) -> Non
     run.start(str(device))
     say(f"skyproof demo on {device}, detectors {', '.join(demo.detectors)}, run folder {out}")
 
-    ground = partial(write_ground, out, sizes, seed, imagery=demo.imagery, assumed_gsd_m=demo.gsd)
+    ground = partial(
+        write_ground,
+        out,
+        sizes,
+        seed,
+        imagery=demo.imagery,
+        assumed_gsd_m=demo.gsd,
+        blur_sigma_px=demo.blur_sigma_px,
+    )
     run.stage("backgrounds", out / "backgrounds", ground)
     for split in SPLITS:
         run.stage("vehicles", out / "fleets" / split, partial(write_fleet, out, sizes, seed, split))

@@ -13,7 +13,7 @@ from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
 from skyproof.imagery.sources import SourceSettings
 from skyproof.imagery.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds, write_sensor
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import write_scenes
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -35,6 +35,7 @@ class WorldSizes:
         validation_images: to choose weights and threshold by.
         test_images: to attack and report on.
         training_vehicles: at most so many in one training image; validation and test have 1 to 5 (PAPER 5).
+        parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
     """
 
     image_px: int = 192
@@ -44,6 +45,7 @@ class WorldSizes:
     validation_images: int = 120
     test_images: int = 120
     training_vehicles: int = 7
+    parked_share: float = 0.0
 
     def __post_init__(self) -> None:
         counts = (self.training_images, self.validation_images, self.test_images, self.training_vehicles)
@@ -59,6 +61,8 @@ class World:
         out: folder to write them to; what is there already is kept.
         imagery: orthophotos to use as ground instead of procedural ones, as in the demo.
         gsd: metres per pixel of images that do not say it themselves.
+        blur_sigma_px: blur of the vehicles; where not given, the paper's 2.4 on procedural ground and the imagery's own
+            on imagery.
         seed: of everything.
         sizes: how much of everything.
     """
@@ -66,13 +70,21 @@ class World:
     out: Path
     imagery: tuple[Path, ...] = ()
     gsd: float | None = None
+    blur_sigma_px: float | None = None
     seed: int = 0
     sizes: WorldSizes = field(default_factory=WorldSizes)
 
     def run(self) -> None:
         """Makes what is not there yet."""
         if not (self.out / "backgrounds").exists():
-            write_ground(self.out, self.sizes, self.seed, imagery=self.imagery, assumed_gsd_m=self.gsd)
+            write_ground(
+                self.out,
+                self.sizes,
+                self.seed,
+                imagery=self.imagery,
+                assumed_gsd_m=self.gsd,
+                blur_sigma_px=self.blur_sigma_px,
+            )
         for split in SPLITS:
             if not (self.out / "fleets" / split).exists():
                 write_fleet(self.out, self.sizes, self.seed, split)
@@ -82,7 +94,13 @@ class World:
 
 
 def write_ground(
-    out: Path, sizes: WorldSizes, seed: int, *, imagery: Sequence[Path] = (), assumed_gsd_m: float | None = None
+    out: Path,
+    sizes: WorldSizes,
+    seed: int,
+    *,
+    imagery: Sequence[Path] = (),
+    assumed_gsd_m: float | None = None,
+    blur_sigma_px: float | None = None,
 ) -> None:
     """Writes `backgrounds/`: procedural tiles, or tiles of the imagery."""
     window_px = math.ceil(sizes.image_px * math.sqrt(2)) + 2
@@ -108,6 +126,8 @@ def write_ground(
         else:
             counts = dict(zip(SPLITS, sizes.tiles, strict=True))
             write_procedural_backgrounds(folder, counts, window_px + 112, seed=seed, progress=update)
+        if blur_sigma_px is not None:
+            write_sensor(folder, replace(BackgroundSet.open(folder).sensor, blur_sigma_px=blur_sigma_px))
 
 
 def write_fleet(out: Path, sizes: WorldSizes, seed: int, split: str) -> None:
@@ -130,7 +150,9 @@ def write_scene_files(out: Path, sizes: WorldSizes, seed: int) -> None:
     backgrounds = BackgroundSet.open(out / "backgrounds")
     usual = scene_settings(sizes)
     # Some training images are empty, so that ground alone is learnt too.
-    training = replace(usual, vehicles_minimum=0, vehicles_maximum=sizes.training_vehicles)
+    training = replace(
+        usual, vehicles_minimum=0, vehicles_maximum=sizes.training_vehicles, parked_share=sizes.parked_share
+    )
     wanted = {
         "train": (sizes.training_images, training),
         "validation": (sizes.validation_images, usual),

@@ -19,16 +19,19 @@ from skyproof.files import write_json
 from skyproof.imagery.grid import Cell, Frame, cells_of, lay_frames
 from skyproof.imagery.labels import Labels
 from skyproof.imagery.placed_labels import LabelSettings, PlacedLabels
+from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.sources import Source, SourceReader, SourceSettings, find_images, gdal_limits, inspect_source
 from skyproof.imagery.splits import assign_splits
 from skyproof.imagery.tile_index import cells_like, write_ground_index
 from skyproof.imagery.warp import read_cell
-from skyproof.scenes.backgrounds import SPLITS, BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.coco import Annotation, CocoWriter
+from skyproof.scenes.sensor import Sensor
 
 __all__ = ["TilingRecord", "TilingSettings", "tile_imagery"]
 
 _WAITING = "waiting"
+_TILES_MEASURED = 40
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ def tile_imagery(
     it. Images without georeference that show the same ground, such as frames of a flight, cannot be told apart from
     others: splits may then share it.
 
+    Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are (`measure_sensor`).
+
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train on. Tiles without any
     vehicle stay (PAPER 1).
 
@@ -150,6 +155,7 @@ def tile_imagery(
             notes.append(f"{split} is empty: there are not enough tiles; give more imagery or a smaller size")
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
+    sensor = _sensor(folder, tiles, settings.gsd_m, notes)
     record = TilingRecord(
         settings=_plain(dataclasses.asdict(settings) | dataclasses.asdict(source_settings)),
         sources=[_describe(source) for source in sources],
@@ -161,8 +167,22 @@ def tile_imagery(
     )
     write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
     write_json(folder / "tiling.json", dataclasses.asdict(record))
-    write_index(folder, settings.gsd_m, tiles)
+    write_index(folder, settings.gsd_m, tiles, sensor)
     return record
+
+
+def _sensor(folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]) -> Sensor:
+    """As sharp and noisy as some of the tiles; the usual sensor where they show too few edges to tell."""
+    backgrounds = BackgroundSet(folder, gsd_m, tiles)
+    try:
+        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in tiles[:: max(1, len(tiles) // _TILES_MEASURED)])
+    except ImageryError:
+        notes.append(
+            f"too few clear edges to measure the blur; vehicles will be drawn with {Sensor().blur_sigma_px} px"
+        )
+        return Sensor()
+    notes.append(f"blur measured as {sensor.blur_sigma_px} px, noise as {sensor.noise}; vehicles will be drawn alike")
+    return sensor
 
 
 def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
