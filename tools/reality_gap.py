@@ -170,8 +170,16 @@ class RealityGap:
                 print(f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s", flush=True)
 
     def _photographs(self) -> tuple[LabelledImages, LabelledImages]:
-        """The tuning frames' tiles, by `skyproof imagery tile` (docs/results/reality/README.md)."""
-        return read_coco(self.out / "tiles" / "train"), read_coco(self.out / "tiles" / "validation")
+        """The tuning frames' tiles (docs/results/reality/README.md): one place, so three splits serve the training."""
+        parts = [read_coco(self.out / "tiles" / split) for split in ("train", "attack", "test")]
+        training = LabelledImages(
+            images=[image for part in parts for image in part.images],
+            boxes=[boxes for part in parts for boxes in part.boxes],
+            ignore=[regions for part in parts for regions in part.ignore],
+            ids=[name for part in parts for name in part.ids],
+            gsd_m=GSD_M,
+        )
+        return training, read_coco(self.out / "tiles" / "validation")
 
     def _look(self) -> None:
         """Every final detector on the held-out frames, and on the rendered test images that are there."""
