@@ -49,7 +49,14 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": Bench,
 }
 
-# Commands of two words, by their first.
+
+def _imagery() -> None:
+    """Real imagery: tile it, convert labels, clear it of vehicles, measure its sensor; see `skyproof imagery --help`."""
+
+
+_COMMANDS["imagery"] = _imagery
+
+# Commands of two words, by their first, which stands in `_COMMANDS` for its line of help alone.
 _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "imagery": {
         "tile": Tile,
