@@ -51,7 +51,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 def _imagery() -> None:
-    """Real imagery: tile it, convert labels, clear it of vehicles, measure its sensor; see `skyproof imagery --help`."""
+    """Real imagery: tile it, convert labels, clear it, measure its sensor; see `skyproof imagery --help`."""
 
 
 _COMMANDS["imagery"] = _imagery
