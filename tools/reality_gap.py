@@ -114,8 +114,10 @@ DETECTORS = ("retinanet", "faster_rcnn", "yolov5")
 PHOTOGRAPHS = "photographs"
 FINAL: dict[str, Trial] = {
     "before": TRIALS["as the demo"],
-    "renders": Trial(images=3000, steps=2400),
+    # Both grounds, all weather and more vehicles cost nothing on the tuning frames; other places may need them.
+    "renders": Trial(ground=("procedural", "cleared"), conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
     PHOTOGRAPHS: Trial(steps=1000),
+    "drawn ground alone": Trial(conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
 }
 
 
