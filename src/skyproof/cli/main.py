@@ -17,6 +17,7 @@ from skyproof.cli.demo import Demo
 from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
 from skyproof.cli.tables import Tables
+from skyproof.cli.vehicles import Mix, Wrap
 from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
 
@@ -42,7 +43,9 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 # Commands of two words.
-_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {}
+_GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "vehicles": {"wrap": Wrap, "mix": Mix},
+}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
-from torch import Tensor
-
 import torch
+from jaxtyping import Float, UInt8
 from PIL import Image
+from torch import Tensor
 
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrap_baking import bake, to_bytes
-from skyproof.vehicles.wrap_meshes import SourceMesh, read_mesh
+from skyproof.vehicles.wrap_meshes import SourceMesh
 from skyproof.vehicles.wrap_orientation import orient
 from skyproof.vehicles.wrap_outer import look_around
 from skyproof.vehicles.wrap_parts import PLAIN_COLOURS, label_parts
 from skyproof.vehicles.wrap_quality import measure_wrapping
+from skyproof.vehicles.wrap_reading import read_mesh
 from skyproof.vehicles.wrap_surface import wrap_surface
 
 __all__ = ["WrappedVehicle", "wrap_mesh"]
@@ -78,11 +78,10 @@ def wrap_mesh(
     masked = mask is not None or _ALPHA_SHARE < (texels.alpha < 0.5).mean() < 1 - _ALPHA_SHARE
     if masked and mask is None:
         notes.append("the texture's alpha is taken as a mask of what is paint.")
-    parts, shares, doubts = label_parts(mesh, texels, wrapping, masked=masked)
-    colour = texels.colour
     plain = np.array([m.plain for m in mesh.materials])[mesh.material[texels.face]]
     plain &= np.isnan(mesh.colours[texels.face, 0, 0])
-    colour = np.where(plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], colour)
+    parts, shares, doubts = label_parts(mesh, texels, wrapping, plain, masked=masked)
+    colour = np.where(plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour)
     low, high = wrapping.vertices.amin(0), wrapping.vertices.amax(0)
     report = {
         "mesh": str(path),

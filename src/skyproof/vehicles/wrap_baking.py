@@ -44,9 +44,7 @@ class Texels:
     colour: Float[np.ndarray, "512 512 3"]
 
 
-def bake(
-    mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None
-) -> Texels:
+def bake(mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None) -> Texels:
     """Gives every texel the colour of the mesh's outer surface nearest to it that faces alike.
 
     Args:
@@ -57,7 +55,9 @@ def bake(
     """
     points, normals = _texel_places(wrapping)
     kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
-    tree = cKDTree(np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]), balanced_tree=False, compact_nodes=False)
+    tree = cKDTree(
+        np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]), balanced_tree=False, compact_nodes=False
+    )
     wanted = np.concatenate([points, _TURN_M / 2 * normals], axis=-1).reshape(-1, 6)
     distance, found = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
     found = kept[found]

@@ -162,7 +162,9 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
     colour = np.array((diffuse.findtext("color") or "").split(), float)
     if len(colour) < 3:
         return Material(name, GREY, plain=True)
-    opacity = float(effect.findtext(".//transparency/float") or 1.0) if effect.find(".//transparent") is not None else 1.0
+    opacity = (
+        float(effect.findtext(".//transparency/float") or 1.0) if effect.find(".//transparent") is not None else 1.0
+    )
     r, g, b = colour[:3].clip(0.0, 1.0).tolist()
     return Material(name, (r, g, b), opacity=min(max(opacity, 0.0), 1.0))
 

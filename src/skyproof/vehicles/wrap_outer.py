@@ -77,6 +77,4 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
     face, weight = np.concatenate(faces), np.concatenate(weights)
     points = np.einsum("nk,nkc->nc", weight, corners[face])
     normals = normal[face] * np.concatenate(signs)[:, None]
-    return Outer(
-        points, normals, face, weight, np.concatenate(below), int((votes < 0).sum()), int((votes != 0).sum())
-    )
+    return Outer(points, normals, face, weight, np.concatenate(below), int((votes < 0).sum()), int((votes != 0).sum()))

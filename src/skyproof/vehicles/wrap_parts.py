@@ -46,7 +46,7 @@ def name_part(name: str) -> Part | None:
 
 
 def label_parts(
-    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, *, masked: bool
+    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, plain: Bool[np.ndarray, "512 512"], *, masked: bool
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
@@ -59,6 +59,7 @@ def label_parts(
        end (with a mask only: stripes of a livery stay paint), bumper low at an end, trim elsewhere.
 
     Args:
+        plain: where the mesh has no colour of its own.
         masked: `texels.alpha` is a paint mask.
 
     Returns:
@@ -74,7 +75,7 @@ def label_parts(
     by_name = float(decided.mean())
 
     notes: list[str] = []
-    paint = texels.alpha >= 0.5 if masked else ~_dark(texels.colour)
+    paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
     open_ = ~decided
     if not masked and paint[open_].mean() < 0.4:
         notes.append("most of the surface is dark: colour does not tell glass from paint, which is left as paint")
@@ -91,7 +92,7 @@ def label_parts(
     outwards = texels.normals[..., 1] * np.sign(y) > -0.3
     other[(z > window_z) & (texels.normals[..., 2] < 0.975) & outwards] = Part.GLASS
     if masked:
-        other[at_end & (z < window_z + 0.15) & (bright | red)] = Part.LIGHT
+        other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
     parts = np.where(paint, parts, other)
 
     discs = _wheels(wrapping, x, y, z)

@@ -31,13 +31,11 @@ def outline_iou(
     return float((one & other).sum() / (one | other).sum())
 
 
-def measure_wrapping(
-    corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping: Wrapping
-) -> dict[str, float | int]:
+def measure_wrapping(corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping: Wrapping) -> dict[str, float | int]:
     """Compares the wrapped template with the mesh.
 
-    Distances run from points about 3 cm apart on each outer surface (what is seen from the sides and from above, so neither
-    interior nor underside) to the other's surface.
+    Distances run from points about 3 cm apart on each outer surface (what is seen from the sides and from above, so
+    neither interior nor underside) to the other's surface.
 
     Returns:
         iou_above, iou_side, iou_front: of outlines, mirrors included; hausdorff_m: the largest distance either way;

@@ -49,28 +49,42 @@ def z_buffer(
     a, b, c = place.transpose(1, 0, 2)
     area = _cross(b - a, c - a)
     counts[np.abs(area) < 1e-12] = 0
+    # Second and third barycentric weight and depth of each triangle as planes: per x, per y, constant.
+    safe = np.where(np.abs(area) < 1e-12, 1.0, area)[:, None]
+    to_b, to_c = b - a, c - a
+    second = np.stack([to_c[:, 1], -to_c[:, 0], _cross(to_c, a)], axis=1) / safe
+    third = np.stack([-to_b[:, 1], to_b[:, 0], _cross(a, to_b)], axis=1) / safe
+    rise = corners[:, 1:, 2] - corners[:, :1, 2]
+    depth = second * rise[:, :1] + third * rise[:, 1:]
+    depth[:, 2] += corners[:, 0, 2]
+
     best = np.full(height * width, np.inf)
     face = np.full(height * width, -1, np.int64)
-    weights = np.zeros((height * width, 3))
     for group in _groups(counts):
         index = np.repeat(group, counts[group])
         step = np.arange(len(index)) - np.repeat(counts[group].cumsum() - counts[group], counts[group])
         columns = high[index, 0] - low[index, 0] + 1
-        x, y = low[index, 0] + step % columns, low[index, 1] + step // columns
-        p = np.stack([x, y], axis=1)
-        second = _cross(c[index] - a[index], p - a[index]) / -area[index]
-        third = _cross(b[index] - a[index], p - a[index]) / area[index]
-        bary = np.stack([1 - second - third, second, third], axis=1)
-        inside = bary.min(1) >= -1e-9
-        index, bary, at = index[inside], bary[inside], (y * width + x)[inside]
-        depth = (bary * corners[index, :, 2]).sum(1)
-        order = np.lexsort((depth, at))
-        at, depth, index, bary = at[order], depth[order], index[order], bary[order]
-        first = np.r_[True, at[1:] != at[:-1]] if len(at) else np.zeros(0, bool)
-        at, depth, index, bary = at[first], depth[first], index[first], bary[first]
-        nearer = depth < best[at]
-        best[at[nearer]], face[at[nearer]], weights[at[nearer]] = depth[nearer], index[nearer], bary[nearer]
+        down = step // columns
+        x, y = low[index, 0] + step - down * columns, low[index, 1] + down
+        two, three = _plane(second, index, x, y), _plane(third, index, x, y)
+        inside = (two >= -1e-9) & (three >= -1e-9) & (two + three <= 1 + 1e-9)
+        index, x, y = index[inside], x[inside], y[inside]
+        at, near = y * width + x, _plane(depth, index, x, y)
+        np.minimum.at(best, at, near)
+        first = near == best[at]
+        face[at[first]] = index[first]
+    weights = np.zeros((height * width, 3))
+    hit = np.flatnonzero(face >= 0)
+    y, x = np.divmod(hit, width)
+    weights[hit, 1], weights[hit, 2] = _plane(second, face[hit], x, y), _plane(third, face[hit], x, y)
+    weights[hit, 0] = 1 - weights[hit, 1] - weights[hit, 2]
     return View(face.reshape(size), weights.reshape(*size, 3))
+
+
+def _plane(
+    planes: Float[np.ndarray, "F 3"], index: Int[np.ndarray, " N"], x: Int[np.ndarray, " N"], y: Int[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    return planes[index, 0] * x + planes[index, 1] * y + planes[index, 2]
 
 
 def _groups(counts: Int[np.ndarray, " F"]) -> list[np.ndarray]:

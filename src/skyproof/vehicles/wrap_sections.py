@@ -196,7 +196,7 @@ def _directions() -> Float[np.ndarray, "D 2"]:
 
 def cut_sections(hull: Hull) -> Sections:
     """An outline for every x at which the hull has cells: where rays from the axis leave it for the last time."""
-    count_x, count_y = hull.top.shape
+    count_y = hull.top.shape[1]
     count_z = hull.sides.shape[2]
     rows = np.flatnonzero(np.isfinite(hull.top).any(1) & (hull.sides.max((0, 2)) > 0.05))
     middle = np.abs(hull.start[1] + (np.arange(count_y) + 0.5) * hull.cell) < 0.12

@@ -19,7 +19,7 @@ _CAP_RINGS = 2  # rings inside each bumper's face, as on drawn bodies
 _CAP_SCALES = (0.45, 0.86)
 _BODY_RINGS = RINGS - 2 * _CAP_RINGS
 _HALF = COLUMNS // 2
-_SPACING = (0.45, 1.6)  # smallest and largest distance between rings, as a share of the mean
+_SPACING = (0.25, 1.6)  # smallest and largest distance between rings, as a share of the mean
 _EVEN = 0.06  # how much evenly spaced rings are worth, in metres of misfit
 _TYRE_M = 0.24
 
@@ -120,7 +120,7 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
 
 
 def _belt_height(sections: Sections) -> float:
-    """Shoulder height: where the sides of the middle half begin to lean in; 0.6 of the height where they are upright."""
+    """Shoulder height: where the sides of the middle half begin to lean in; 0.6 of the height if upright."""
     y, z = sections.points()
     middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
     side, wide = z[middle].ravel(), np.abs(y[middle]).ravel()
@@ -159,7 +159,9 @@ def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -
     arcs, rails = [], np.empty(len(z))
     for row in range(len(z)):
         s = shoulder[row]
-        along = np.r_[0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()] + 1e-7 * np.arange(len(y[row, s:]))
+        along = np.r_[0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()] + 1e-7 * np.arange(
+            len(y[row, s:])
+        )
         # The rail is the corner of the outline above the shoulder: farthest from the straight line over it.
         run, rise = y[row, -1] - y[row, s], z[row, -1] - z[row, s]
         off = np.abs((y[row, s:] - y[row, s]) * rise - (z[row, s:] - z[row, s]) * run)
@@ -212,7 +214,7 @@ def _ring(
 
 
 def _cap(hull: Hull, end: Float[np.ndarray, "32 3"], *, nose: bool) -> Float[np.ndarray, "3 32 3"]:
-    """A pole and two shrinking rings on the face before the foremost (behind the last) ring; the first row is the pole."""
+    """A pole (as the first row) and two shrinking rings on the face before the foremost, or behind the last, ring."""
     sign = 1.0 if nose else -1.0
     pole = np.array([end[0, 0], 0.0, (end[0, 2] + end[_HALF, 2]) / 2])
     rings = []
