@@ -10,9 +10,8 @@ from typing import Any, Literal
 import torch
 import tyro
 from PIL import Image
-from rich.table import Table
 
-from skyproof.cli.console import console, progress_bar, say
+from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.render.turntable import turntable_row, turntable_sheet
@@ -26,7 +25,7 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 _COLUMNS = {
     "iou_above": "IoU above",
-    "iou_side": "side",
+    "iou_side": "IoU side",
     "hausdorff_m": "Hausdorff (m)",
     "median_m": "median (m)",
     "p95_m": "p95 (m)",
@@ -146,11 +145,12 @@ def _caption(name: str, report: dict[str, Any]) -> str:
 
 
 def _print_reports(reports: dict[str, dict[str, Any]]) -> None:
-    table = Table("vehicle", "size (m)", *_COLUMNS.values())
+    width = max(len(name) for name in reports)
+    say(f"{'':{width}}  {'length x width x height':>23}" + "".join(f"{title:>15}" for title in _COLUMNS.values()))
     for name, report in reports.items():
-        size = " x ".join(f"{value:.2f}" for value in report["size_m"])
-        table.add_row(name, size, *(f"{report[key]:.3f}".removesuffix(".000") for key in _COLUMNS))
-    console.print(table)
+        size = " x ".join(f"{value:.2f}" for value in report["size_m"]) + " m"
+        numbers = (f"{report[key]:.3f}".removesuffix(".000") for key in _COLUMNS)
+        say(f"{name:{width}}  {size:>23}" + "".join(f"{number:>15}" for number in numbers))
     for name, report in reports.items():
         say(f"{name}: up {report['up']}, nose {report['forward']} ({report['nose']}), {report['scale']:g} m per unit.")
         for note in report["notes"]:

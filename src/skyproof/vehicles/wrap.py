@@ -65,6 +65,7 @@ def wrap_mesh(
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
     """
+    mask = None if paintable is None else _read_mask(paintable)
     mesh, facts = orient(read_mesh(path), scale=scale, up=up, forward=forward)
     notes = list(mesh.notes)
     outer = look_around(mesh.corners)
@@ -73,9 +74,9 @@ def wrap_mesh(
     if not any(m.picture is not None for m in mesh.materials) and np.isnan(mesh.colours).any():
         notes.append("no texture: plain colours of materials or parts are used.")
     wrapping = wrap_surface(mesh.corners)
-    mask = None if paintable is None else _read_mask(paintable)
     texels = bake(mesh, outer, wrapping, mask)
-    masked = mask is not None or _ALPHA_SHARE < (texels.alpha < 0.5).mean() < 1 - _ALPHA_SHARE
+    clear = float((texels.alpha < 0.5).mean())
+    masked = mask is not None or _ALPHA_SHARE < clear < 1 - _ALPHA_SHARE
     if masked and mask is None:
         notes.append("the texture's alpha is taken as a mask of what is paint.")
     plain = np.array([m.plain for m in mesh.materials])[mesh.material[texels.face]]

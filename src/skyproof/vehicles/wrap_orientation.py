@@ -148,9 +148,9 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
 
     (front, front_run), (rear, rear_run) = ways(top[::-1]), ways(top)
     if max(front_run, rear_run) > 2 * min(front_run, rear_run) + 0.05:
-        return front_run > rear_run, "the windscreen slopes more than the rear"
+        return bool(front_run > rear_run), "the windscreen slopes more than the rear"
     if max(front, rear) > 1.2 * min(front, rear) + 0.15:
-        return front > rear, "bonnet and windscreen are longer than boot and rear window"
+        return bool(front > rear), "bonnet and windscreen are longer than boot and rear window"
     out = np.flatnonzero(wide > np.median(wide) + 0.05)
     if len(out) and abs(out.mean() - 99.5) > 20:
         return bool(out.mean() > 99.5), "the mirrors are in front"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, median_filter
 
 from skyproof.vehicles.wrap_raster import z_buffer
@@ -45,9 +45,9 @@ class Hull:
     low: Float[np.ndarray, " X"]
     floor: Float[np.ndarray, " X"]
 
-    def index(self, values: Float[np.ndarray, " N"] | float, axis: int, count: int) -> np.ndarray:
+    def index(self, values: Float[np.ndarray, "*N"], axis: int, count: int) -> Int[np.ndarray, "*N"]:
         """Cell along one axis, held inside the grid."""
-        return np.floor((np.asarray(values) - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
+        return np.floor((values - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
 
     def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Points within a cell of the surface moved onto it, up or down or sideways, whichever is nearer."""

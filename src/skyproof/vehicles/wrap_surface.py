@@ -58,7 +58,7 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     places = _places(every, outlines.mean(0), belt)
     chosen = _choose_stations(every)[::-1]
     station = every.station[chosen]
-    rings = np.stack([_ring(every, outlines[:, row], places[row], row) for row in chosen])
+    rings = np.stack([_ring(every, outlines[:, row], places[row], row) for row in chosen.tolist()])
     upper = [column for column in range(COLUMNS) if min(column, COLUMNS - column) > TOPOLOGY_SILL]
     rings[:, upper] = hull.snap(rings[:, upper].reshape(-1, 3)).reshape(_BODY_RINGS, -1, 3)
     rings[:, _HALF, 1] = 0.0
@@ -155,7 +155,7 @@ def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -
     split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
     y = mean * np.cos(_ANGLE)
     z = sections.axis_z[:, None] + mean * np.sin(_ANGLE)
-    shoulder = np.array([_shoulder(z[row], sections.axis_z[row], belt) for row in range(len(z))])
+    shoulder = np.array([_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))])
     arcs, rails = [], np.empty(len(z))
     for row in range(len(z)):
         s = shoulder[row]
