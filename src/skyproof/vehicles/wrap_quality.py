@@ -47,9 +47,9 @@ def measure_wrapping(corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping
     clouds = [(cloud.points[~cloud.below], cloud.normals[~cloud.below]) for cloud in (outer, skin)]
     there, back = _distances(*clouds), _distances(*clouds[::-1])
     return {
-        "iou_above": round(outline_iou(corners, wrapped, azimuth_deg=-90, elevation_deg=90), 4),
-        "iou_side": round(outline_iou(corners, wrapped, azimuth_deg=-90, elevation_deg=0), 4),
-        "iou_front": round(outline_iou(corners, wrapped, azimuth_deg=0, elevation_deg=0), 4),
+        "iou_above": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=90.0), 4),
+        "iou_side": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=0.0), 4),
+        "iou_front": round(outline_iou(corners, wrapped, azimuth_deg=0.0, elevation_deg=0.0), 4),
         "hausdorff_m": round(float(max(there.max(), back.max())), 4),
         "median_m": round(float(np.median(there)), 4),
         "p95_m": round(float(np.percentile(there, 95)), 4),
@@ -60,8 +60,8 @@ def measure_wrapping(corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping
 def _distances(
     start: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
     goal: tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]],
-) -> Float[np.ndarray, " N"]:
-    """From each point to the other surface: to the plane of its nearest point if that lies within a pixel or two."""
+) -> Float[np.ndarray, " K"]:
+    """From one in five points to the other surface: to the plane of its nearest point if that lies within a pixel or two."""
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
     distance, found = tree.query(points)
