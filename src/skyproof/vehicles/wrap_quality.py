@@ -61,7 +61,7 @@ def _distances(
     start: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
     goal: tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]],
 ) -> Float[np.ndarray, " K"]:
-    """From one in five points to the other surface: to the plane of its nearest point if that lies within a pixel or two."""
+    """From one in five points to the other surface: to its nearest point's plane if that is within two pixels."""
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
     distance, found = tree.query(points)
