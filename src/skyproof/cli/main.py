@@ -23,6 +23,7 @@ from skyproof.cli.plan import Plan
 from skyproof.cli.reproduce import Reproduce
 from skyproof.cli.sensor import SetSensor
 from skyproof.cli.tables import Tables
+from skyproof.cli.vehicles import Mix, Wrap
 from skyproof.cli.world import World
 from skyproof.errors import SkyproofError
 
@@ -54,7 +55,11 @@ def _imagery() -> None:
     """Real imagery: tile it, convert labels, clear it, measure its sensor; see `skyproof imagery --help`."""
 
 
-_COMMANDS["imagery"] = _imagery
+def _vehicles() -> None:
+    """Fleets from meshes: wrap them onto the template, mix fleets; see `skyproof vehicles --help`."""
+
+
+_COMMANDS |= {"imagery": _imagery, "vehicles": _vehicles}
 
 # Commands of two words, by their first, which stands in `_COMMANDS` for its line of help alone.
 _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
@@ -64,6 +69,10 @@ _GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
         "clear": Clear,
         "drop": Drop,
         "sensor": SetSensor,
+    },
+    "vehicles": {
+        "wrap": Wrap,
+        "mix": Mix,
     },
 }
 

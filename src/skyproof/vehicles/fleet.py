@@ -1,8 +1,9 @@
-"""A fleet: many procedural vehicles on one template, drawn from a seed, stored compactly, handed out in batches."""
+"""A fleet: many vehicles on one template, drawn or wrapped, stored compactly, handed out in batches."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -22,7 +23,7 @@ from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import Template, VehicleBatch
 
-__all__ = ["Fleet", "FleetSettings", "sample_fleet"]
+__all__ = ["Fleet", "FleetSettings", "mix_fleets", "sample_fleet"]
 
 _FORMAT_VERSION = 1
 
@@ -61,20 +62,22 @@ class Fleet:
     """Vehicles by id.
 
     Attributes:
-        settings: what it was drawn from.
+        settings: what it was drawn from; None if some of it was wrapped or mixed.
         template: the shared mesh.
         ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the last hyphen.
         vertices: `[N, V, 3]` metres, vehicle frame.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
+        sources: for each wrapped vehicle its mesh file and licence; drawn ones have none.
     """
 
-    settings: FleetSettings
+    settings: FleetSettings | None
     template: Template
     ids: tuple[str, ...]
     vertices: Float[Tensor, "N V 3"]
     textures: UInt8[Tensor, "N 3 512 512"]
     parts: UInt8[Tensor, "N 512 512"]
+    sources: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -105,11 +108,20 @@ class Fleet:
         Raises:
             RunFolderError: the folder exists already, or the disk cannot take it.
         """
-        tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
         with finished_folder(Path(folder)) as partial:
-            write_bytes(partial / "fleet.safetensors", save_tensors({k: v.contiguous() for k, v in tensors.items()}))
-            description = {"format": _FORMAT_VERSION, "ids": list(self.ids), "settings": asdict(self.settings)}
-            write_json(partial / "fleet.json", description)
+            self.write_into(partial)
+
+    def write_into(self, folder: Path) -> None:
+        """Writes the same two files into a folder that is being made."""
+        tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
+        write_bytes(folder / "fleet.safetensors", save_tensors({k: v.contiguous() for k, v in tensors.items()}))
+        description = {
+            "format": _FORMAT_VERSION,
+            "ids": list(self.ids),
+            "settings": self.settings and asdict(self.settings),
+            "sources": self.sources,
+        }
+        write_json(folder / "fleet.json", description)
 
     @staticmethod
     def load(folder: Path) -> Fleet:
@@ -129,8 +141,17 @@ class Fleet:
         try:
             tensors = load_tensors((folder / "fleet.safetensors").read_bytes())
             ids = tuple(str(vehicle_id) for vehicle_id in description["ids"])
-            settings = FleetSettings(**description["settings"])
-            fleet = Fleet(settings, make_template(), ids, tensors["vertices"], tensors["textures"], tensors["parts"])
+            drawn_from = description["settings"]
+            fleet = Fleet(
+                None if drawn_from is None else FleetSettings(**drawn_from),
+                make_template(),
+                ids,
+                tensors["vertices"],
+                tensors["textures"],
+                tensors["parts"],
+                # Fleets written before vehicles could be wrapped have none.
+                dict(description.get("sources", {})),
+            )
             fleet._check_shapes()
         except Exception as error:  # safetensors raises its own type, and whatever a damaged file provokes means damage
             raise StoredFileError(f"{folder} holds a damaged fleet ({error}); make the fleet again.") from error
@@ -182,4 +203,30 @@ def sample_fleet(
             progress(len(ids), settings.count)
     return Fleet(
         settings, make_template(), tuple(ids), torch.stack(vertices), torch.stack(textures), torch.stack(parts)
+    )
+
+
+def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
+    """All vehicles of several fleets as one, in the order given.
+
+    Raises:
+        ConfigurationError: no fleet, or an id in two of them.
+    """
+    if not fleets:
+        raise ConfigurationError("Mixing needs at least one fleet; give fleet folders.")
+    ids = tuple(name for fleet in fleets for name in fleet.ids)
+    twice = [name for name, count in Counter(ids).items() if count > 1]
+    if twice:
+        raise ConfigurationError(
+            f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; make one of the fleets with "
+            "another first number."
+        )
+    return Fleet(
+        None,
+        fleets[0].template,
+        ids,
+        torch.cat([fleet.vertices for fleet in fleets]),
+        torch.cat([fleet.textures for fleet in fleets]),
+        torch.cat([fleet.parts for fleet in fleets]),
+        {name: source for fleet in fleets for name, source in fleet.sources.items()},
     )

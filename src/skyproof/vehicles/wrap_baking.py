@@ -1,0 +1,105 @@
+"""Which point of a mesh each texel of the shared map shows, and its colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from skyproof.geometry.meshes import vertex_normals
+from skyproof.vehicles.template import make_template
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
+from skyproof.vehicles.wrap_meshes import SourceMesh
+from skyproof.vehicles.wrap_outer import Outer
+from skyproof.vehicles.wrap_raster import z_buffer
+from skyproof.vehicles.wrap_surface import Wrapping
+
+__all__ = ["Texels", "bake", "to_bytes"]
+
+# How many metres apart a point counts that faces the opposite way: two thin walls are not mixed up.
+_TURN_M = 0.15
+_NEIGHBOURS = 3
+_OUTSIDE_M = 0.03
+
+
+@dataclass(frozen=True)
+class Texels:
+    """What the 512 x 512 texels show, row by row.
+
+    Attributes:
+        points, normals: `[512, 512, 3]` where they lie on the wrapped template.
+        face: `[512, 512]` the mesh's triangle they show.
+        alpha: `[512, 512]` opacity, or value of the paint mask, there.
+        colour: `[512, 512, 3]` sRGB in [0, 1].
+    """
+
+    points: Float[np.ndarray, "512 512 3"]
+    normals: Float[np.ndarray, "512 512 3"]
+    face: Int[np.ndarray, "512 512"]
+    alpha: Float[np.ndarray, "512 512"]
+    colour: Float[np.ndarray, "512 512 3"]
+
+
+def bake(mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None) -> Texels:
+    """Gives every texel the colour of the mesh's outer surface nearest to it that faces alike.
+
+    Args:
+        mesh: in the vehicle frame.
+        outer: its outer surface; what the wrapped hull leaves out, such as mirrors, is not taken.
+        wrapping: the template on it.
+        mask: paint mask on the mesh's own UVs.
+    """
+    points, normals = _texel_places(wrapping)
+    kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
+    tree = cKDTree(
+        np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]), balanced_tree=False, compact_nodes=False
+    )
+    wanted = np.concatenate([points, _TURN_M / 2 * normals], axis=-1).reshape(-1, 6)
+    distance, found = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
+    found = kept[found]
+    colours, alphas = mesh.look(outer.face, outer.weights, mask)
+    weight = 1 / (distance + 0.004)
+    # Only points on the nearest one's own material are averaged: a tyre does not bleed into the arch.
+    weight *= mesh.material[outer.face[found]] == mesh.material[outer.face[found[:, :1]]]
+    weight /= weight.sum(1, keepdims=True)
+    shape = (TEXTURE_SIZE, TEXTURE_SIZE)
+    return Texels(
+        points,
+        normals,
+        outer.face[found[:, 0]].reshape(shape),
+        (weight * alphas[found]).sum(1).reshape(shape),
+        (weight[..., None] * colours[found]).sum(1).reshape(*shape, 3),
+    )
+
+
+def _texel_places(wrapping: Wrapping) -> tuple[Float[np.ndarray, "512 512 3"], Float[np.ndarray, "512 512 3"]]:
+    """Where on the wrapped template each texel's centre lies, and the surface's direction there."""
+    template = make_template()
+    uv = template.uvs[template.face_uvs].double().numpy()
+    flat = np.concatenate([uv, np.zeros_like(uv[..., :1])], axis=-1)
+    seen = z_buffer(flat, np.zeros(2), 1 / TEXTURE_SIZE, (TEXTURE_SIZE, TEXTURE_SIZE))
+    face, weights = seen.face, seen.weights
+    face, weights = _fill(face >= 0, face, weights)
+    vertices = wrapping.vertices
+    normal = vertex_normals(vertices[None], template.faces)[0]
+    corners, corner_normals = (v[template.faces].double().numpy() for v in (vertices, normal))
+    points = np.einsum("hwk,hwkc->hwc", weights, corners[face])
+    normals = np.einsum("hwk,hwkc->hwc", weights, corner_normals[face])
+    return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True).clip(1e-9)
+
+
+def _fill(known: Bool[np.ndarray, "H W"], *maps: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The nearest known texel's values where none are: between the teeth at the two poles."""
+    if known.all():
+        return maps
+    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return tuple(values[rows, columns] for values in maps)
+
+
+def to_bytes(colour: Float[np.ndarray, "512 512 3"]) -> UInt8[torch.Tensor, "3 512 512"]:
+    """As `Fleet` stores textures."""
+    return torch.from_numpy((colour.clip(0.0, 1.0) * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()

@@ -1,0 +1,167 @@
+"""Puts a mesh into the vehicle frame: metres, nose along +x, left along +y, standing on z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.wrap_meshes import SourceMesh
+
+__all__ = ["AXES", "orient"]
+
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+# Lengths, widths and heights of road vehicles from a small car to a coach, with and without mirrors.
+_LENGTH_M, _WIDTH_M, _HEIGHT_M = (2.4, 15.0), (1.2, 3.8), (0.9, 4.5)
+_USUAL_UNITS = (1.0, 0.0254, 0.01, 0.001, 0.1, 0.3048)
+_USUAL_LENGTH_M = 4.5
+
+
+def orient(
+    mesh: SourceMesh, *, scale: float | None = None, up: str | None = None, forward: str | None = None
+) -> tuple[SourceMesh, dict[str, str | float]]:
+    """Turns, scales and moves a mesh, and says how.
+
+    What is not given is taken from the format, or guessed: forward is the longest axis but up; of the other two up is
+    the one about which the mesh is *not* symmetric, pointing along its positive direction; the nose is found by
+    `_nose_is_first`.
+
+    Args:
+        mesh: as read.
+        scale: metres per unit; None takes what the file says, else 1.
+        up: one of `AXES`.
+        forward: one of `AXES`, where the nose points.
+
+    Returns:
+        the mesh in the vehicle frame, and {"scale", "up", "forward", "nose"}: the last says how the nose was found.
+
+    Raises:
+        ConfigurationError: the axes do not fit together, or the mesh has not a vehicle's size.
+    """
+    points = mesh.corners.reshape(-1, 3)
+    extent = np.ptp(points, axis=0)
+    up = up or mesh.up or _guess_up(points)
+    across = [axis for axis in range(3) if axis != _axis(up)[0]]
+    guessed = forward is None
+    if forward is None:
+        forward = "xyz"[max(across, key=lambda axis: extent[axis])]
+    if _axis(up)[0] == _axis(forward)[0]:
+        raise ConfigurationError(f"--up {up} and --forward {forward} lie along one axis; give two different ones.")
+    unit_m = scale if scale is not None else mesh.unit_m or 1.0
+    turned = _turn(mesh.corners, up, forward) * unit_m
+    _check_size(np.ptp(turned.reshape(-1, 3), axis=0), unit_m)
+    how = "as given"
+    if guessed:
+        first, how = _nose_is_first(turned)
+        if not first:
+            forward = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
+            turned = turned * [-1.0, -1.0, 1.0]
+    flat = turned.reshape(-1, 3)
+    low, high = flat.min(0), flat.max(0)
+    turned = turned - [(low[0] + high[0]) / 2, _middle_y(flat), low[2]]
+    facts: dict[str, str | float] = {"scale": unit_m, "up": up, "forward": forward, "nose": how}
+    return replace(mesh, corners=turned), facts
+
+
+def _axis(name: str) -> tuple[int, float]:
+    if name not in AXES:
+        raise ConfigurationError(f"{name!r} is no axis; choose from {', '.join(AXES)}.")
+    return "xyz".index(name[-1]), -1.0 if name.startswith("-") else 1.0
+
+
+def _turn(corners: Float[np.ndarray, "F 3 3"], up: str, forward: str) -> Float[np.ndarray, "F 3 3"]:
+    rows = np.zeros((3, 3))
+    for row, name in ((0, forward), (2, up)):
+        axis, sign = _axis(name)
+        rows[row, axis] = sign
+    rows[1] = np.cross(rows[2], rows[0])
+    return corners @ rows.T
+
+
+def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
+    """The plane of symmetry: where the mirror image fits best, so that one mirror or an aerial does not count."""
+    sample = points[:: max(len(points) // 6000, 1)]
+    middle = (sample[:, 1].min() + sample[:, 1].max()) / 2
+    shifts = middle + np.linspace(-0.12, 0.12, 49)
+    tree = cKDTree(sample)
+    costs = [np.minimum(tree.query(sample * [1, -1, 1] + [0, 2 * y, 0])[0], 0.1).mean() for y in shifts]
+    best = int(np.argmin(costs))
+    return float(shifts[best] if costs[best] < costs[24] - 1e-4 else middle)
+
+
+def _guess_up(points: Float[np.ndarray, "N 3"]) -> str:
+    """Of the two shorter axes, the one about which mirroring fits worse."""
+    extent = np.ptp(points, axis=0)
+    sample = points[:: max(len(points) // 4000, 1)]
+    tree = cKDTree(sample)
+    misfit = []
+    shorter = [axis for axis in range(3) if axis != int(extent.argmax())]
+    for axis in shorter:
+        image = sample.copy()
+        image[:, axis] = points[:, axis].min() + points[:, axis].max() - image[:, axis]
+        misfit.append(tree.query(image)[0].mean())
+    return "xyz"[shorter[int(np.argmax(misfit))]]
+
+
+def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
+    """Refuses what is no vehicle, and names a scale that would make it one."""
+    limits = (_LENGTH_M, _WIDTH_M, _HEIGHT_M)
+    if all(low <= size <= high for size, (low, high) in zip(extent_m, limits, strict=True)):
+        return
+    size = " x ".join(f"{value:.3g}" for value in extent_m)
+    fitting = [
+        unit
+        for unit in _USUAL_UNITS
+        if all(low <= s * unit / unit_m <= high for s, (low, high) in zip(extent_m, limits, strict=True))
+    ]
+    if fitting:
+        scale = min(fitting, key=lambda unit: abs(np.log(extent_m[0] * unit / unit_m / _USUAL_LENGTH_M)))
+    else:
+        scale = unit_m * _USUAL_LENGTH_M / extent_m[0]
+    raise ConfigurationError(
+        f"The mesh measures {size} m (length, width, height), not a vehicle's size; give --scale (--scale {scale:.4g} "
+        f"would make it {extent_m[0] * scale / unit_m:.2f} m long), or --up and --forward if it lies otherwise."
+    )
+
+
+def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
+    """Whether +x is the nose, and by what: windscreen, bonnet, mirrors, or by nothing.
+
+    1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the windscreen. 2. Else the way
+       from the end to where the vehicle is 85 % as high as it gets is longer at the nose: bonnet and windscreen against
+       boot and rear window. 3. Else mirrors, which stick out by more than 5 cm, are in the front half.
+    """
+    points = _spread(corners)
+    low, high = points[:, 0].min(), points[:, 0].max()
+    length, height = high - low, points[:, 2].max() - points[:, 2].min()
+    at = np.clip(((points[:, 0] - low) / length * 200).astype(int), 0, 199)
+    top, wide = np.full(200, -np.inf), np.zeros(200)
+    np.maximum.at(top, at, points[:, 2] - points[:, 2].min())
+    np.maximum.at(wide, at, np.abs(points[:, 1] - np.median(points[:, 1])))
+
+    def ways(profile: np.ndarray) -> tuple[float, float]:
+        reach = [int(np.argmax(profile >= share * height)) / 200 * length for share in (0.75, 0.85)]
+        return reach[1], reach[1] - reach[0]
+
+    (front, front_run), (rear, rear_run) = ways(top[::-1]), ways(top)
+    if max(front_run, rear_run) > 2 * min(front_run, rear_run) + 0.05:
+        return bool(front_run > rear_run), "the windscreen slopes more than the rear"
+    if max(front, rear) > 1.2 * min(front, rear) + 0.15:
+        return bool(front > rear), "bonnet and windscreen are longer than boot and rear window"
+    out = np.flatnonzero(wide > np.median(wide) + 0.05)
+    if len(out) and abs(out.mean() - 99.5) > 20:
+        return bool(out.mean() > 99.5), "the mirrors are in front"
+    return True, "nothing tells nose from tail: check it, and give --forward"
+
+
+def _spread(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "N 3"]:
+    """Points all over the triangles, 12 x 12 halves of each."""
+    steps = np.linspace(0.0, 1.0, 12)
+    u, v = np.meshgrid(steps, steps)
+    inside = u + v <= 1.0
+    u, v = u[inside], v[inside]
+    weights = np.stack([1 - u - v, u, v], axis=-1)
+    return np.einsum("wk,fkc->fwc", weights, corners).reshape(-1, 3)

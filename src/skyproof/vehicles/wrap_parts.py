@@ -1,0 +1,154 @@
+"""Part labels of a wrapped mesh: from names where they say it, from place and paint mask or colour elsewhere."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import uniform_filter
+
+from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
+from skyproof.vehicles.wrap_baking import Texels
+from skyproof.vehicles.wrap_meshes import SourceMesh
+from skyproof.vehicles.wrap_surface import Wrapping
+
+__all__ = ["PLAIN_COLOURS", "label_parts", "name_part"]
+
+# What a mesh without colours is painted in.
+PLAIN_COLOURS = {
+    Part.BODY: (0.66, 0.67, 0.69),
+    Part.GLASS: (0.115, 0.14, 0.165),
+    Part.LIGHT: (0.80, 0.82, 0.84),
+    Part.WHEEL: (0.075, 0.075, 0.075),
+    Part.BUMPER: (0.13, 0.13, 0.135),
+    Part.TRIM: (0.06, 0.06, 0.065),
+    Part.UNDERSIDE: (0.07, 0.07, 0.07),
+}
+
+_NAMES = (
+    (Part.WHEEL, r"wheel(?!.?arch)|tyre|tire(?!d)|\brims?\b"),
+    (Part.GLASS, r"glass|window|windscreen|windshield"),
+    (Part.LIGHT, r"light|lamp|indicator|blinker"),
+    (Part.BUMPER, r"bumper"),
+    (Part.UNDERSIDE, r"underside|underbody|undercarriage|chassis|axle"),
+    (Part.TRIM, r"trim|chrome|grill|mirror|interior|plastic|rubber|plate"),
+)
+_DARK, _GREY = 0.30, 0.10
+_END_M = 0.6
+_MODE_PX = 7
+
+
+def name_part(name: str) -> Part | None:
+    """What a material's or object's name says it is; None for nothing, which is mostly paint."""
+    return next((part for part, pattern in _NAMES if re.search(pattern, name.lower().replace("_", " "))), None)
+
+
+def label_parts(
+    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, plain: Bool[np.ndarray, "512 512"], *, masked: bool
+) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
+    """Labels every texel.
+
+    1. A material or object whose name says wheel, glass, light, bumper, trim or chassis is that; a material less than
+       half opaque is glass.
+    2. Columns of the floor are underside, as on drawn bodies.
+    3. Round areas that stand on the ground at the sides are wheels, if no name says so.
+    4. What is left is paint, unless the paint mask is below half there, or, without a mask, its colour is dark and
+       grey. What is not paint is glass at window height and not lying flat, light if bright or red within 60 cm of an
+       end (with a mask only: stripes of a livery stay paint), bumper low at an end, trim elsewhere.
+
+    Args:
+        plain: where the mesh has no colour of its own.
+        masked: `texels.alpha` is a paint mask.
+
+    Returns:
+        labels, the share of texels that each rule decided, and notes.
+    """
+    names = np.array([int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials])
+    clear = np.array([m.opacity < 0.5 for m in mesh.materials])
+    material = mesh.material[texels.face]
+    named = np.where(clear[material], int(Part.GLASS), names[material])
+    parts = np.full((TEXTURE_SIZE, TEXTURE_SIZE), int(Part.BODY), np.int64)
+    x, y, z = np.moveaxis(texels.points, -1, 0)
+    decided = named >= 0
+    by_name = float(decided.mean())
+
+    notes: list[str] = []
+    paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
+    open_ = ~decided
+    if not masked and paint[open_].mean() < 0.4:
+        notes.append("most of the surface is dark: colour does not tell glass from paint, which is left as paint")
+        paint = np.ones_like(paint)
+    height = float(z.max())
+    window_z = min(wrapping.belt_m - 0.05, (0.57 if height < 2.5 else 0.5) * height)
+    ends = np.minimum(x - x.min(), x.max() - x)
+    bright = texels.colour.max(-1) > 0.55
+    red = texels.colour[..., 0] - texels.colour[..., 1:].max(-1) > 0.2
+    other = np.full_like(parts, int(Part.TRIM))
+    at_end = ends < _END_M
+    other[at_end & (z < 0.33 * height + 0.12)] = Part.BUMPER
+    # Walls of a load bed look inwards.
+    outwards = texels.normals[..., 1] * np.sign(y) > -0.3
+    other[(z > window_z) & (texels.normals[..., 2] < 0.975) & outwards] = Part.GLASS
+    if masked:
+        other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
+    parts = np.where(paint, parts, other)
+
+    discs = _wheels(wrapping, x, y, z)
+    if not (named == int(Part.WHEEL)).any():
+        parts[discs] = Part.WHEEL
+    parts = np.where(decided, named, parts)
+    floor = _floor(z, wrapping) & ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
+    parts[floor] = Part.UNDERSIDE
+    parts = _mode(parts)
+    shares = {
+        "name": by_name,
+        "place": float((~decided & floor).mean()),
+        "paint mask" if masked else "colour": float((~decided & ~floor).mean()),
+    }
+    return parts.astype(np.uint8), {key: round(value, 3) for key, value in shares.items()}, notes
+
+
+def _dark(colour: Float[np.ndarray, "512 512 3"]) -> Bool[np.ndarray, "512 512"]:
+    return (colour.max(-1) < _DARK) & (np.ptp(colour, axis=-1) < _GREY)
+
+
+def _column() -> Float[np.ndarray, " 512"]:
+    """Each texel's column coordinate, 0 in the middle of the floor to 16 in the middle of the roof."""
+    centre = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
+    column = np.interp(centre, column_u().numpy(), np.arange(COLUMNS + 1))
+    return np.minimum(column, COLUMNS - column)
+
+
+def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarray, "512 512"]:
+    """Texels of the underside; on the two end faces the columns of the underside run up to the poles."""
+    ring = np.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
+    end_face = (ring < 3) | (ring > RINGS - 2)
+    clearance = float(np.median(wrapping.hull.low))
+    return (_column() <= TOPOLOGY_SILL)[None] & ~(end_face & (z > clearance + 0.12))
+
+
+def _wheels(wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Bool[np.ndarray, "512 512"]:
+    """Discs on the sides where the lower edge comes down to the ground."""
+    hull = wrapping.hull
+    low, at = hull.low, hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
+    found = np.zeros_like(x, bool)
+    grounded = np.flatnonzero(low < 0.15)
+    if not len(grounded):
+        return found
+    half = np.abs(y).max()
+    side = (np.abs(y) > 0.55 * half) & (_column() <= TOPOLOGY_BELT)[None]
+    for run in np.split(grounded, np.flatnonzero(np.diff(grounded) > 1) + 1):
+        reach = (at[run[-1]] - at[run[0]]) / 2
+        # A circle on the ground that is `2 reach` wide at a height of 0.15 m.
+        radius = float(np.clip((reach**2 + 0.15**2) / (2 * 0.15), 0.25, 0.6))
+        middle = (at[run[0]] + at[run[-1]]) / 2
+        found |= side & (np.hypot(x - middle, z - radius) < 1.03 * radius)
+    return found
+
+
+def _mode(parts: np.ndarray) -> np.ndarray:
+    """The most frequent label around each texel: takes specks away."""
+    counts = np.stack([uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part])
+    return counts.argmax(0)

@@ -1,0 +1,226 @@
+"""A vehicle's hull from above, from its sides and from below, and cross-sections of it: no interior, no wheel gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, median_filter
+
+from skyproof.vehicles.wrap_raster import z_buffer
+
+__all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull"]
+
+DIRECTIONS = 360  # around the axis: one degree, 16 mm at 0.9 m
+_CELL_M = 0.01
+_THIN_M = 0.32  # what stands out of the outline and is narrower: mirrors, aerials
+_WHEEL_GAP_M = 0.14  # between tyre and arch, and other gaps in the sides
+_RUNGS_M = 0.26  # between what stands on a roof: rungs of a ladder, bars of a rack
+_CLEAR_M = 0.4
+
+
+@dataclass(frozen=True)
+class Hull:
+    """The outer surface as four height fields over square cells, smoothed of what a coarse skin cannot follow.
+
+    Cell `[i, j]` has its centre at `start + (i + 0.5, j + 0.5) * cell` on the two axes it lies on.
+
+    Attributes:
+        cell: side of a cell, metres.
+        start: x, y, z of the cells' first corner.
+        top: `[X, Y]` height of the surface seen from above; -inf where nothing is.
+        sides: `[2, X, Z]` distance of the surface from y = 0 seen from the left and the right; 0 where nothing is.
+        front, rear: `[Y, Z]` x of the surface seen from the front and from behind; NaN where nothing is.
+        low: `[X]` lower edge as seen from the side: tyres, sills, bumpers.
+        floor: `[X]` height of the underside between the wheels.
+    """
+
+    cell: float
+    start: Float[np.ndarray, " 3"]
+    top: Float[np.ndarray, "X Y"]
+    sides: Float[np.ndarray, "2 X Z"]
+    front: Float[np.ndarray, "Y Z"]
+    rear: Float[np.ndarray, "Y Z"]
+    low: Float[np.ndarray, " X"]
+    floor: Float[np.ndarray, " X"]
+
+    def index(self, values: Float[np.ndarray, "*N"], axis: int, count: int) -> Int[np.ndarray, "*N"]:
+        """Cell along one axis, held inside the grid."""
+        return np.floor((values - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
+
+    def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+        """Points within a cell of the surface moved onto it, up or down or sideways, whichever is nearer."""
+        column = self.index(points[:, 0], 0, self.top.shape[0])
+        top = _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5) - points[:, 2]
+        own = self.sides[(points[:, 1] < 0).astype(np.int64), column]
+        out = _between(own, (points[:, 2] - self.start[2]) / self.cell - 0.5) - np.abs(points[:, 1])
+        up = np.abs(top) <= np.abs(out)
+        near = np.minimum(np.abs(top), np.abs(out)) < self.cell
+        snapped = points.copy()
+        snapped[near & up, 2] += top[near & up]
+        snapped[near & ~up, 1] += (np.sign(points[:, 1]) * out)[near & ~up]
+        return snapped
+
+    def inside(self, points: Float[np.ndarray, "N 3"], slack_m: float) -> np.ndarray:
+        """Which points lie inside the outline from above and the sides, or at most `slack_m` outside."""
+        column = self.index(points[:, 0], 0, self.top.shape[0])
+        own = self.sides[(points[:, 1] < 0).astype(np.int64), column, self.index(points[:, 2], 2, self.sides.shape[2])]
+        ends = np.flatnonzero(np.isfinite(self.top).any(1))[[0, -1]] * self.cell + self.start[0]
+        along = (points[:, 0] > ends[0] - slack_m) & (points[:, 0] < ends[1] + self.cell + slack_m)
+        return along & (np.abs(points[:, 1]) < own + slack_m)
+
+    def face(self, points: Float[np.ndarray, "N 3"], *, nose: bool) -> Float[np.ndarray, " N"]:
+        """x of the surface in front of (or behind) points; NaN where nothing is."""
+        seen = self.front if nose else self.rear
+        return seen[self.index(points[:, 1], 1, seen.shape[0]), self.index(points[:, 2], 2, seen.shape[1])]
+
+
+def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
+    """Looks at a mesh from six sides.
+
+    From the outline seen from above, what is narrower than 32 cm and stands out is taken off: mirrors. Gaps in the
+    sides up to 14 cm and on top up to 26 cm are closed: wheel arches, ladders.
+
+    Args:
+        corners: triangles in the vehicle frame.
+    """
+    points = corners.reshape(-1, 3)
+    extent = np.ptp(points, axis=0)
+    cell = max(_CELL_M, float(extent[0]) / 700)
+    margin = 2 * cell
+    start = points.min(0) - margin
+    counts = np.ceil((extent + 2 * margin) / cell).astype(int)
+
+    def look(first: int, second: int, depth: int, sign: float) -> np.ndarray:
+        """The largest `sign * depth` over cells of two axes; -inf where nothing is."""
+        view = corners[..., [second, first, depth]] * [1.0, 1.0, -sign]
+        seen = z_buffer(view, start[[second, first]], cell, (int(counts[first]), int(counts[second])))
+        value = np.einsum("xyk,xyk->xy", seen.weights, corners[seen.face][..., depth]) * sign
+        return np.where(seen.face >= 0, value, -np.inf)
+
+    top = look(0, 1, 2, 1.0)
+    footprint = _largest(binary_opening(np.isfinite(top), _disc(_THIN_M / 2 / cell)))
+    # Thin aerials go; a few millimetres of noise may stay.
+    top = grey_opening(np.where(footprint, top, -1.0), 3)
+    top = grey_closing(top, round(_RUNGS_M / cell), mode="nearest")
+    top = np.where(footprint, top, -np.inf)
+
+    y = start[1] + (np.arange(counts[1]) + 0.5) * cell
+    reach = np.stack([np.where(footprint, side, 0.0).max(1) + cell / 2 for side in (y, -y)])
+    reach[:, ~footprint.any(1)] = 0.0
+    sides = np.stack([look(0, 2, 1, 1.0), look(0, 2, 1, -1.0)]).clip(0.0)
+    # A mirror's foot is left by the outline; tyres, lower down, are as short where they touch the ground.
+    z = start[2] + (np.arange(counts[2]) + 0.5) * cell
+    upper = z > 0.4 * extent[2]
+    for side in sides:
+        side[:, upper] = grey_opening(side[:, upper], (round(_THIN_M / cell), 1), mode="constant")
+    close = round(_WHEEL_GAP_M / cell)
+    sides = np.stack([grey_closing(np.minimum(side, r[:, None]), close) for side, r in zip(sides, reach, strict=True)])
+    sides = np.minimum(sides, reach[:, :, None])
+
+    solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
+    low = np.where(solid.any(1), z[solid.argmax(1)] - cell / 2, np.nan).clip(0.0)
+    low = np.interp(np.arange(len(low)), np.flatnonzero(np.isfinite(low)), low[np.isfinite(low)])
+    under = -look(0, 1, 2, -1.0)
+    middle = np.abs(y) < 0.3 * extent[1] / 2
+    under = np.where(np.isfinite(under[:, middle]), under[:, middle], np.nan)
+    floor = np.array([np.nanmedian(row) if np.isfinite(row).any() else np.nan for row in under])
+    floor = np.where(np.isfinite(floor), floor, low)
+    floor = median_filter(floor, round(_CLEAR_M / cell), mode="nearest")
+    # Without a floor of its own one sees up into the roof.
+    floor = np.minimum(floor, np.median(low) + 0.25)
+
+    ends = start[0] + (np.flatnonzero(footprint.any(1))[[0, -1]] + [0, 1]) * cell
+    front, rear = look(1, 2, 0, 1.0), -look(1, 2, 0, -1.0)
+    front, rear = (np.where(np.isfinite(side), side.clip(*ends), np.nan) for side in (front, rear))
+    return Hull(cell, start, top, sides, front, rear, low, floor)
+
+
+def _between(rows: Float[np.ndarray, "N C"], at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """One value of each row, linear between two cells; not finite where one of them is not."""
+    left = np.floor(at).astype(np.int64).clip(0, rows.shape[1] - 2)
+    each = np.arange(len(rows))
+    low, high = rows[each, left], rows[each, left + 1]
+    with np.errstate(invalid="ignore"):
+        value = low + (at - left) * (high - low)
+    return np.where(np.isfinite(low) & np.isfinite(high), value, np.inf)
+
+
+def _disc(radius: float) -> np.ndarray:
+    reach = int(np.ceil(radius))
+    step = np.arange(-reach, reach + 1)
+    return step[:, None] ** 2 + step[None] ** 2 <= radius**2
+
+
+def _largest(mask: np.ndarray) -> np.ndarray:
+    """The largest connected piece."""
+    pieces, count = label(mask)
+    if count < 2:
+        return mask
+    return pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+
+
+@dataclass(frozen=True)
+class Sections:
+    """Outlines of the hull in planes across the long axis, around a point in y = 0.
+
+    Attributes:
+        station: `[S]` x of the planes, ascending, metres.
+        axis_z: `[S]` height of the point that the directions start from.
+        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees, from straight down (0) over
+            the left side (90) and straight up (180) to the right side (270).
+        low, floor: `[S]` as in `Hull`.
+    """
+
+    station: Float[np.ndarray, " S"]
+    axis_z: Float[np.ndarray, " S"]
+    radius: Float[np.ndarray, "S D"]
+    low: Float[np.ndarray, " S"]
+    floor: Float[np.ndarray, " S"]
+
+    def points(self) -> tuple[Float[np.ndarray, "S D"], Float[np.ndarray, "S D"]]:
+        """y and z of the outlines."""
+        direction = _directions()
+        return self.radius * direction[:, 0], self.axis_z[:, None] + self.radius * direction[:, 1]
+
+    def at(self, rows: np.ndarray) -> Sections:
+        """Some of the planes."""
+        return Sections(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def _directions() -> Float[np.ndarray, "D 2"]:
+    angle = np.radians(-90 + np.arange(DIRECTIONS))
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def cut_sections(hull: Hull) -> Sections:
+    """An outline for every x at which the hull has cells: where rays from the axis leave it for the last time."""
+    count_y = hull.top.shape[1]
+    count_z = hull.sides.shape[2]
+    rows = np.flatnonzero(np.isfinite(hull.top).any(1) & (hull.sides.max((0, 2)) > 0.05))
+    middle = np.abs(hull.start[1] + (np.arange(count_y) + 0.5) * hull.cell) < 0.12
+    roof = np.where(np.isfinite(hull.top), hull.top, np.nan)
+    height = np.array([_height(roof[row], middle) for row in rows])
+    # Below a pickup's bed; without steps that would shear the surface from one plane to the next.
+    axis_z = median_filter((height + hull.low[rows]) / 2, 9, mode="nearest")
+    direction = _directions()
+    reach = float(np.hypot(hull.sides.max(), count_z * hull.cell))
+    steps = (np.arange(int(reach / hull.cell)) + 0.5) * hull.cell
+    y = direction[:, :1] * steps
+    right = np.broadcast_to((y < 0).astype(np.int64), y.shape)
+    across = hull.index(y, 1, count_y)
+    radius = np.empty((len(rows), DIRECTIONS))
+    for index, row in enumerate(rows):
+        z = axis_z[index] + direction[:, 1:] * steps
+        up = hull.index(z, 2, count_z)
+        inside = (np.abs(y) <= hull.sides[right, row, up]) & (z <= hull.top[row, across]) & (z >= hull.low[row])
+        last = np.where(inside.any(1), len(steps) - 1 - inside[:, ::-1].argmax(1), 0)
+        radius[index] = steps[last] + hull.cell / 2
+    station = hull.start[0] + (rows + 0.5) * hull.cell
+    return Sections(station, axis_z, radius, hull.low[rows], hull.floor[rows])
+
+
+def _height(roof: Float[np.ndarray, " Y"], middle: np.ndarray) -> float:
+    some = roof[middle] if np.isfinite(roof[middle]).any() else roof
+    return float(np.nanmedian(some))

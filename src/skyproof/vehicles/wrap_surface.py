@@ -1,0 +1,227 @@
+"""Lays the template on a hull: where its rings stand, and where the 32 points of each ring lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.ndimage import gaussian_filter1d
+from torch import Tensor
+
+from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_RAIL, TOPOLOGY_SILL, column_u
+from skyproof.vehicles.wrap_sections import DIRECTIONS, Hull, Sections, cut_sections, find_hull
+
+__all__ = ["Wrapping", "wrap_surface"]
+
+_CAP_RINGS = 2  # rings inside each bumper's face, as on drawn bodies
+_CAP_SCALES = (0.45, 0.86)
+_BODY_RINGS = RINGS - 2 * _CAP_RINGS
+_HALF = COLUMNS // 2
+_SPACING = (0.25, 1.6)  # smallest and largest distance between rings, as a share of the mean
+_EVEN = 0.06  # how much evenly spaced rings are worth, in metres of misfit
+_TYRE_M = 0.24
+
+
+@dataclass(frozen=True)
+class Wrapping:
+    """The template on a mesh.
+
+    Attributes:
+        vertices: `[994, 3]` float32, vehicle frame, in template order.
+        station: `[27]` x of the rings that lie in planes, from nose to tail.
+        belt_m: shoulder height that column 7 follows along the windows.
+        hull: what it was laid on.
+    """
+
+    vertices: Float[Tensor, "994 3"]
+    station: Float[np.ndarray, " 27"]
+    belt_m: float
+    hull: Hull
+
+
+def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
+    """Wraps the template around a mesh.
+
+    27 rings lie in planes across the long axis, two more and a pole close each end, as on drawn bodies. Columns follow
+    the drawn bodies': 0 and 1 on the floor, 2 at the lower edge (a tyre's bottom, or the sill), 7 at the shoulder, 11
+    along the roof rail, 16 in the middle. Between 2 and 7 they lie at even heights, elsewhere at even distances.
+
+    Args:
+        corners: triangles in the vehicle frame.
+    """
+    hull = find_hull(corners)
+    every = cut_sections(hull)
+    belt = _belt_height(every)
+    outlines = np.stack([_half_outlines(every, side) for side in (1, -1)])
+    places = _places(every, outlines.mean(0), belt)
+    chosen = _choose_stations(every)[::-1]
+    station = every.station[chosen]
+    rings = np.stack([_ring(every, outlines[:, row], places[row], row) for row in chosen.tolist()])
+    upper = [column for column in range(COLUMNS) if min(column, COLUMNS - column) > TOPOLOGY_SILL]
+    rings[:, upper] = hull.snap(rings[:, upper].reshape(-1, 3)).reshape(_BODY_RINGS, -1, 3)
+    rings[:, _HALF, 1] = 0.0
+    nose, tail = _cap(hull, rings[0], nose=True), _cap(hull, rings[-1], nose=False)
+    body = np.concatenate([nose[1:], rings, tail[:0:-1]])
+    vertices = np.concatenate([body.reshape(-1, 3), nose[:1, 0], tail[:1, 0]])
+    vertices[:, 2] = (vertices[:, 2] - vertices[:, 2].min()).clip(0.0)
+    return Wrapping(torch.from_numpy(vertices).float(), station, belt, hull)
+
+
+def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
+    """What the rings must follow, in metres: outline from above, roof lines, lower edge, windows."""
+    y, z = sections.points()
+    up = DIRECTIONS // 2
+    roof = [z[:, up], (z[:, up - 30] + z[:, up + 30]) / 2, z.max(1)]
+    sides = [(sections.radius[:, up - turn] + sections.radius[:, up + turn]) / 2 for turn in (50, 65)]
+    # The outline counts most: it is what an overhead view shows.
+    return np.stack([3 * y.max(1), -3 * y.min(1), *roof, 0.6 * sections.low, *(0.4 * side for side in sides)], axis=1)
+
+
+def _end(sections: Sections, step: int) -> int:
+    """The first plane behind an end that cuts the bumper's face well: over half as wide as the vehicle."""
+    y, _ = sections.points()
+    width = np.ptp(y, axis=1)
+    cell = sections.station[1] - sections.station[0]
+    limit = max(round(0.15 / cell), 3)
+    order = range(1, limit) if step > 0 else range(len(width) - 2, len(width) - 1 - limit, -1)
+    return next((index for index in order if width[index] > 0.6 * width.max()), order[-1])
+
+
+def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
+    """The 27 planes between which straight lines follow the profiles best, by dynamic programming."""
+    first, last = _end(sections, 1), _end(sections, -1)
+    profiles = _profiles(sections)[first : last + 1]
+    cell = float(sections.station[1] - sections.station[0])
+    count = len(profiles)
+    mean = (count - 1) / (_BODY_RINGS - 1)
+    least, most = max(int(_SPACING[0] * mean), 1), max(int(np.ceil(_SPACING[1] * mean)), 2)
+    cost = np.full((most + 1, count), np.inf)  # of a gap that is j planes long and ends at i
+    for gap in range(least, most + 1):
+        misfit = np.zeros(count - gap)
+        for step in range(1, gap):
+            straight = profiles[:-gap] + step / gap * (profiles[gap:] - profiles[:-gap])
+            misfit += np.abs(profiles[step : count - gap + step] - straight).sum(1)
+        cost[gap, gap:] = misfit * cell + _EVEN * mean * cell * (gap / mean - 1) ** 2
+    best = np.full((_BODY_RINGS, count), np.inf)
+    came = np.zeros((_BODY_RINGS, count), np.int64)
+    best[0, 0] = 0.0
+    for ring in range(1, _BODY_RINGS):
+        for gap in range(least, most + 1):
+            total = best[ring - 1, : count - gap] + cost[gap, gap:]
+            better = total < best[ring, gap:]
+            best[ring, gap:][better] = total[better]
+            came[ring, gap:][better] = gap
+    path = [count - 1]
+    for ring in range(_BODY_RINGS - 1, 0, -1):
+        path.append(path[-1] - came[ring, path[-1]])
+    return first + np.array(path[::-1])
+
+
+def _belt_height(sections: Sections) -> float:
+    """Shoulder height: where the sides of the middle half begin to lean in; 0.6 of the height if upright."""
+    y, z = sections.points()
+    middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
+    side, wide = z[middle].ravel(), np.abs(y[middle]).ravel()
+    top = float(np.median(z[middle].max(1)))
+    levels = np.linspace(0.45, 0.9, 46) * top
+    width = np.array([np.median(wide[np.abs(side - level) < 0.02 * top]) for level in levels])
+    if width[0] - width[-1] < 0.1:
+        return 0.6 * top
+    # The corner of the profile: farthest outside the straight line between its ends.
+    chord = np.interp(levels, levels[[0, -1]], width[[0, -1]])
+    return float(levels[int(np.nanargmax(width - chord))])
+
+
+def _half_outlines(sections: Sections, side: int) -> Float[np.ndarray, "S 181"]:
+    """Distances from straight down to straight up, over the left side (1) or the right side (-1)."""
+    radius = sections.radius
+    if side > 0:
+        return radius[:, : DIRECTIONS // 2 + 1]
+    return np.concatenate([radius[:, :1], radius[:, : DIRECTIONS // 2 - 1 : -1]], axis=1)
+
+
+_ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))
+
+
+def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -> Float[np.ndarray, "S 17"]:
+    """For every plane where on the half outline columns 7 to 16 lie: (fractional) directions, both sides alike.
+
+    Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the columns run evenly.
+    """
+    u = column_u().numpy()[: _HALF + 1]
+    upper = (u[TOPOLOGY_BELT:] - u[TOPOLOGY_BELT]) / (u[_HALF] - u[TOPOLOGY_BELT])
+    split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
+    y = mean * np.cos(_ANGLE)
+    z = sections.axis_z[:, None] + mean * np.sin(_ANGLE)
+    shoulder = np.array([_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))])
+    arcs, rails = [], np.empty(len(z))
+    for row in range(len(z)):
+        s = shoulder[row]
+        along = np.r_[0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()] + 1e-7 * np.arange(
+            len(y[row, s:])
+        )
+        # The rail is the corner of the outline above the shoulder: farthest from the straight line over it.
+        run, rise = y[row, -1] - y[row, s], z[row, -1] - z[row, s]
+        off = np.abs((y[row, s:] - y[row, s]) * rise - (z[row, s:] - z[row, s]) * run)
+        corner = along[int(np.argmax(off))] / along[-1]
+        share = np.clip((z[row].max() - z[row, s] - 0.06) / 0.2, 0.0, 1.0)
+        rails[row] = split + share * (np.clip(corner, 0.25, 0.75) - split)
+        arcs.append(along)
+    cell = float(sections.station[1] - sections.station[0])
+    rails = gaussian_filter1d(rails, 0.08 / cell, mode="nearest")
+    places = np.zeros((len(z), _HALF + 1))
+    for row, along in enumerate(arcs):
+        rail = rails[row]
+        share = rail * (upper / split).clip(0, 1) + (1 - rail) * ((upper - split) / (1 - split)).clip(0, 1)
+        places[row, TOPOLOGY_BELT:] = shoulder[row] + np.interp(share * along[-1], along, np.arange(len(along)))
+    return places
+
+
+def _shoulder(z: Float[np.ndarray, " 181"], axis_z: float, belt: float) -> int:
+    """The direction in which an outline first reaches the belt; lower where bonnet or boot are lower."""
+    wanted = min(belt, axis_z + 0.72 * (float(z[90:].max()) - axis_z))
+    above = np.flatnonzero((z >= wanted) & (np.arange(len(z)) >= 90))
+    return min(int(above[0]), 165) if len(above) else 120
+
+
+def _ring(
+    sections: Sections, halves: Float[np.ndarray, "2 181"], place: Float[np.ndarray, " 17"], row: int
+) -> Float[np.ndarray, "32 3"]:
+    """The 32 points of one ring."""
+    points = np.zeros((COLUMNS, 3))
+    points[:, 0] = sections.station[row]
+    axis_z, low = sections.axis_z[row], sections.low[row]
+    index = np.arange(len(_ANGLE))
+    for half, sign in zip(halves, (1.0, -1.0), strict=True):
+        y, z = half * np.cos(_ANGLE), axis_z + half * np.sin(_ANGLE)
+        along_y, along_z = np.interp(place, index, y), np.interp(place, index, z)
+        top = along_z[TOPOLOGY_BELT]
+        heights = np.linspace(low, top, TOPOLOGY_BELT - TOPOLOGY_SILL + 1)
+        # The side as a height field; the bottom edge takes the width just above it.
+        lower = index[: int(np.ceil(place[TOPOLOGY_BELT])) + 1]
+        lower = lower[int(np.argmax(np.where(z[lower] < low + 0.03, y[lower], 0.0))) :]
+        order = np.argsort(z[lower], kind="stable")
+        widths = np.interp(heights, z[lower][order], y[lower][order])
+        along_y[TOPOLOGY_SILL : TOPOLOGY_BELT + 1], along_z[TOPOLOGY_SILL : TOPOLOGY_BELT + 1] = widths, heights
+        along_y[:2] = 0.0, max(widths[0] - _TYRE_M, 0.4 * widths[0])
+        along_z[:2] = min(max(sections.floor[row], low + 0.01), low + 0.5 * (top - low))
+        columns = np.arange(_HALF + 1) if sign > 0 else (COLUMNS - np.arange(_HALF + 1)) % COLUMNS
+        points[columns, 1], points[columns, 2] = sign * along_y, along_z
+    points[[0, _HALF], 1] = 0.0
+    return points
+
+
+def _cap(hull: Hull, end: Float[np.ndarray, "32 3"], *, nose: bool) -> Float[np.ndarray, "3 32 3"]:
+    """A pole (as the first row) and two shrinking rings on the face before the foremost, or behind the last, ring."""
+    sign = 1.0 if nose else -1.0
+    pole = np.array([end[0, 0], 0.0, (end[0, 2] + end[_HALF, 2]) / 2])
+    rings = []
+    for scale in (0.0, *_CAP_SCALES):
+        ring = pole + scale * (end - pole)
+        face = hull.face(ring, nose=nose)
+        # Where the face is open, and under it, the cap stays flat.
+        ring[:, 0] = sign * np.fmax(sign * face, sign * end[:, 0] + 0.004 * (1 - scale))
+        rings.append(ring)
+    return np.stack(rings)

@@ -1,0 +1,192 @@
+"""Meshes in several formats, and what is wrong with them: a stated repair or one sentence."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from skyproof.cli.main import run
+from skyproof.errors import ConfigurationError
+from skyproof.vehicles.vehicle import Part
+from skyproof.vehicles.wrap_meshes import SourceMesh, find_texture
+from skyproof.vehicles.wrap_orientation import orient
+from skyproof.vehicles.wrap_outer import look_around
+from skyproof.vehicles.wrap_parts import name_part
+from skyproof.vehicles.wrap_raster import z_buffer
+from skyproof.vehicles.wrap_reading import read_mesh
+from tests.vehicles.model_car import GLASS, HEIGHT_M, LENGTH_M, PAINTS, WIDTH_M, car, write_dae, write_obj
+
+Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+
+
+def colour_at(mesh: SourceMesh, x: float, y: float, z_above: float) -> np.ndarray:
+    """Colour in bytes of the highest surface below a point, by brute force over the triangles."""
+    best, found = -np.inf, np.full(3, np.nan)
+    for face, (a, b, c) in enumerate(mesh.corners):
+        across = np.array([b - a, c - a])[:, :2].T
+        if abs(np.linalg.det(across)) < 1e-9:
+            continue
+        u, v = np.linalg.solve(across, np.array([x, y]) - a[:2])
+        z = a[2] + u * (b - a)[2] + v * (c - a)[2]
+        if min(u, v, 1 - u - v) >= 0 and best < z < z_above:
+            best = z
+            found = mesh.look(np.array([face]), np.array([[1 - u - v, u, v]]))[0][0] * 255
+    return found
+
+
+def expected_paint(x: float, y: float) -> tuple[int, int, int]:
+    return PAINTS[f"{'front' if x > 0 else 'rear'} {'left' if y > 0 else 'right'}"]
+
+
+def files(folder: Path) -> dict[str, Path]:
+    car(Y_UP).export(folder / "car.glb")
+    return {"obj": write_obj(folder / "obj"), "glb": folder / "car.glb", "dae": write_dae(folder / "dae")}
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb", "dae"])
+def test_every_format_gives_the_same_car(tmp_path: Path, kind: str) -> None:
+    mesh, facts = orient(read_mesh(files(tmp_path)[kind]))
+    extent = np.ptp(mesh.corners.reshape(-1, 3), axis=0)
+    assert extent.tolist() == pytest.approx([LENGTH_M, WIDTH_M, HEIGHT_M], abs=1e-3)
+    assert mesh.corners[..., 2].min() == pytest.approx(0.0)
+    assert (facts["up"], facts["forward"]) == (("z", "x") if kind == "obj" else ("y", "z"))
+    for x, y in ((2.0, 0.7), (2.0, -0.7), (-2.1, 0.7), (-2.1, -0.7)):
+        assert colour_at(mesh, x, y, 1.0) == pytest.approx(expected_paint(x, y), abs=1.5), (x, y)
+    # The windscreen.
+    assert colour_at(mesh, 0.6, 0.0, 2.0) == pytest.approx([255 * value for value in GLASS], abs=1.5)
+    assert any("objects were joined" in note for note in mesh.notes)
+    assert any(str(tmp_path) in note for note in mesh.notes) == (kind == "dae")  # its picture was elsewhere
+
+
+def test_axes_are_turned_not_mirrored(tmp_path: Path) -> None:
+    """Whichever way the car lies in the file, front left stays front left; what is given beats what is guessed."""
+    for turn, up, forward in (
+        (np.diag([-1.0, -1.0, 1.0]), "z", "-x"),
+        (np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), "z", "y"),
+        (np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]), "-y", "-z"),
+    ):
+        assert np.linalg.det(turn) == pytest.approx(1.0)
+        path = write_obj(tmp_path / f"{up}{forward}", car(turn))
+        guessed = up == "z"
+        mesh, facts = orient(read_mesh(path), up=None if guessed else up, forward=None if guessed else forward)
+        assert (facts["up"], facts["forward"]) == (up, forward)
+        for x, y in ((2.0, 0.7), (-2.1, 0.7), (-2.1, -0.7)):
+            assert colour_at(mesh, x, y, 1.0) == pytest.approx(expected_paint(x, y), abs=1.5)
+    with pytest.raises(ConfigurationError, match="one axis"):
+        orient(read_mesh(path), up="z", forward="-z")
+
+
+def test_a_mesh_of_another_size_is_refused_with_a_scale_that_fits(tmp_path: Path) -> None:
+    path = write_obj(tmp_path, car(unit=0.0254))
+    with pytest.raises(ConfigurationError, match=r"173 x 70\.\d x 59\.\d m") as caught:
+        orient(read_mesh(path))
+    scale = float(re.search(r"--scale ([\d.]+) would", str(caught.value)).group(1))
+    assert scale == 0.0254
+    orient(read_mesh(path), scale=scale)
+    with pytest.raises(ConfigurationError, match="not a vehicle's size"):
+        orient(read_mesh(path), scale=0.001)
+
+
+def test_textures_are_looked_for_by_name(tmp_path: Path) -> None:
+    mesh = tmp_path / "models/bus/meshes/bus.obj"
+    near, far = tmp_path / "models/bus/materials/textures/Bus.PNG", tmp_path / "models/suv/materials/textures/w.png"
+    for path in (mesh, near, far):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    assert find_texture(mesh, "bus.png") == near
+    assert find_texture(mesh, r"C:\work\bus.png") == near
+    assert find_texture(mesh, "model://suv/materials/textures/w.png") == far
+    assert find_texture(mesh, "w.png") is None
+
+
+def test_a_missing_texture_and_missing_uvs_are_logged(tmp_path: Path) -> None:
+    path = write_obj(tmp_path / "one")
+    (path.parent / "paint_body.png").unlink()
+    mesh = read_mesh(path)
+    assert any("paint_body.png was not found" in note for note in mesh.notes)
+    bare = tmp_path / "bare.obj"
+    car().to_geometry().export(bare, include_texture=False, include_normals=False)
+    mesh = read_mesh(bare)
+    assert all(material.picture is None for material in mesh.materials)
+    assert all(material.plain for material in mesh.materials)
+    assert np.isfinite(mesh.look(np.array([0]), np.full((1, 3), 1 / 3))[0]).all()
+
+
+def test_vertex_colours_are_taken(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((4.4, 1.8, 1.5))
+    mesh.visual.vertex_colors = np.tile([10, 200, 30, 255], (8, 1))
+    mesh.export(tmp_path / "box.ply")
+    read = read_mesh(tmp_path / "box.ply")
+    assert (read.look(np.array([3]), np.array([[0.2, 0.3, 0.5]]))[0] * 255).tolist() == [pytest.approx([10, 200, 30])]
+
+
+@pytest.mark.parametrize("what", ["missing", "text", "points", "empty", "cut", "flat", "no scene"])
+def test_what_is_no_mesh_is_named_in_one_sentence(
+    tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / {"text": "car.obj", "cut": "car.glb", "no scene": "car.dae"}.get(what, "car.ply")
+    if what == "text":
+        path.write_text("hello\n")
+    elif what == "points":
+        trimesh.PointCloud(np.random.default_rng(0).uniform(size=(20, 3))).export(path)
+    elif what == "empty":
+        path.touch()
+    elif what == "cut":
+        car(Y_UP).export(path)
+        path.write_bytes(path.read_bytes()[:500])
+    elif what == "flat":
+        trimesh.Trimesh(np.zeros((3, 3)), [[0, 1, 2]], process=False).export(path)
+    elif what == "no scene":
+        path.write_text("<COLLADA><library_geometries/></COLLADA>")
+    assert run(["vehicles", "wrap", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(path) in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = str(write_obj(tmp_path / "mesh"))
+    out = ["--out", str(tmp_path / "out")]
+    for words, expected in (
+        (["--scale", "1", "2"], "--scale expects one value per mesh"),
+        (["--scale", "0"], "above 0"),
+        (["--names", "a", "b"], "--names expects one value per mesh"),
+        (["--paintable", mesh], "cannot be read as a picture"),
+    ):
+        assert run(["vehicles", "wrap", mesh, *out, *words]) == 2
+        assert expected in capsys.readouterr().err
+
+
+def test_inside_out_triangles_are_counted_and_turned() -> None:
+    box = trimesh.creation.box((4.0, 1.8, 1.5))
+    corners = np.asarray(box.vertices)[box.faces]
+    assert look_around(corners, pixel_m=0.1).inverted == 0
+    corners[:3] = corners[:3, ::-1]
+    seen = look_around(corners, pixel_m=0.1)
+    assert (seen.inverted, seen.seen) == (3, 12)
+    assert ((seen.points * seen.normals).sum(1) > 0).all()  # outward, however they are wound
+
+
+def test_names_say_parts() -> None:
+    said = {name: name_part(name) for name in ("Wheels3", "Tyre_FL", "Windows", "head_lights", "Hybrid", "BodyPaint")}
+    assert list(said.values()) == [Part.WHEEL, Part.WHEEL, Part.GLASS, Part.LIGHT, None, None]
+
+
+def test_the_nearest_triangle_is_seen() -> None:
+    """Against a solver per pixel and triangle."""
+    corners = np.random.default_rng(0).uniform(-1, 1, (40, 3, 3))
+    seen = z_buffer(corners, np.array([-1.0, -1.0]), 0.1, (20, 20))
+    for row in range(20):
+        for column in range(20):
+            place = -1 + 0.1 * (np.array([column, row]) + 0.5)
+            depths = np.full(len(corners), np.inf)
+            for face, (a, b, c) in enumerate(corners):
+                u, v = np.linalg.solve(np.array([b - a, c - a])[:, :2].T, place - a[:2])
+                if min(u, v, 1 - u - v) >= 0:
+                    depths[face] = a[2] + u * (b - a)[2] + v * (c - a)[2]
+            expected = int(depths.argmin()) if np.isfinite(depths).any() else -1
+            assert seen.face[row, column] == expected
