@@ -63,6 +63,7 @@ class Trial:
         blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
+        wrapped: real meshes are in the fleet, too: RUN/fleets/train-mixed, by `skyproof vehicles wrap` and `mix`.
         jitter: of the training's augmentation.
         images, steps, seed: of the training.
     """
@@ -78,6 +79,7 @@ class Trial:
     tilt_maximum_deg: float = 20.0
     conditions: tuple[str, ...] = ("clear",)
     vehicles: int = 64
+    wrapped: bool = False
     jitter: float = 1.0
     images: int = 1600
     steps: int = 700
@@ -107,6 +109,7 @@ TRIALS: dict[str, Trial] = {
     "no noise": Trial(noise=0.0),
     "16 vehicles": Trial(vehicles=16),
     "colours of the tuning frames": Trial(match_colours=True),
+    "wrapped meshes too": Trial(wrapped=True),
     "ground without clutter": Trial(ground=("without-clutter",)),
 }
 
@@ -235,7 +238,10 @@ def _fleet(run: Path, split: str, count: int) -> Fleet:
 @torch.no_grad()
 def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: int) -> LabelledImages:
     """A split's images with vehicles, in memory; the grounds share them out."""
-    fleet = _fleet(run, split, trial.vehicles if split == "train" else 16)
+    if split == "train" and trial.wrapped:
+        fleet = Fleet.load(run / "fleets" / "train-mixed")
+    else:
+        fleet = _fleet(run, split, trial.vehicles if split == "train" else 16)
     images: list[torch.Tensor] = []
     boxes: list[torch.Tensor] = []
     for name in trial.ground:
