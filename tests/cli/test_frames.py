@@ -73,6 +73,9 @@ def test_a_tiled_set_has_its_sources_as_places(tmp_path):
     (one,) = read_frames([f"{tmp_path}/set/test@0.125"], ["vehicle"], 0.125)
     assert one.places == ("north.tif", "north.tif", "south.tif")
     assert one.real
+    # All that reaches into our own tiles is labelled: no border is ignored.
+    assert not sum(map(len, one.images.ignore))
+    assert "border" not in one.note
 
 
 def test_rendered_frames_are_not_called_real(folder):

@@ -53,6 +53,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
             gsd_m=one.gsd_m,
             target_gsd_m=gsd_m,
             classes=tuple(classes),
+            border_px=_border_px(one),
             pattern=one.pattern,
         )
         parts.append(read)
@@ -66,11 +67,17 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
     )
     own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
     rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
+    bordered = any(map(_border_px, given))
     note = (
         f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to {gsd_m * 100:.1f} cm/px; vehicles: "
-        f"{', '.join(classes)}; {BORDER_PX:.0f} px border ignored"
+        f"{', '.join(classes)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
     )
     return CleanSet(name, images, note, places=tuple(places), real=not rendered)
+
+
+def _border_px(given: _Given) -> float:
+    """None in our own datasets: whatever reaches into their images is labelled."""
+    return 0.0 if given.labels is None and (given.folder / "annotations.json").is_file() else BORDER_PX
 
 
 def _parse(text: str) -> _Given:
