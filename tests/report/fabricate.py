@@ -126,6 +126,7 @@ def _write_rest(folder, rng):
     for d in DETECTORS:
         validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
         about = {"name": d, "size": "slim", "threshold": 0.5, "parameters": 712_345, "validation": validation}
+        about["trained_on"] = f"renders for {d}"
         write_json(folder / "detectors" / d / "detector.json", about)
         losses = 2 * np.exp(-np.arange(400) / 80) + 0.1 + 0.05 * rng.random(400)
         rows = [{"step": i, "loss": float(loss)} for i, loss in enumerate(losses)]

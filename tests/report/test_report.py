@@ -234,6 +234,10 @@ def test_damaged_files_name_the_file(run_folder):
         write_report(run_folder)
 
 
+def test_it_says_what_each_detector_was_trained_on(page):
+    assert "renders for retinanet" in words_of(page)
+
+
 def test_text_from_files_is_escaped(run_folder):
     config = read_json(run_folder / "config.json")
     write_json(run_folder / "config.json", config | {"title": "<script>alert(1)</script>"})
