@@ -4,7 +4,7 @@
     python tools/make_pictures.py runs/demo
     python tools/make_pictures.py runs/reproduce
 
-The first writes fleet.png, scenes.png and weather.png into docs/pictures; the same code gives the same pictures. The
+The first writes fleet.png, scenes.png, weather.png, sharpness.png and clearing.png into docs/pictures; the same code gives the same pictures. The
 second writes docs/pictures/demo-result.png from a finished demo on procedural ground, the third attacks.png from the
 camouflages of a reproduction.
 """
@@ -23,9 +23,12 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
+from skyproof.imagery.inpainting import Exemplar, apply_inpainting
+from skyproof.imagery.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.report.pairs import make_pairs
 from skyproof.report.run import read_run
 from skyproof.scenes.backgrounds import write_procedural_backgrounds
@@ -45,6 +48,7 @@ PER_TYPE = 4
 COLUMNS = 12
 PAPER, INK = (255, 255, 255), (30, 30, 30)
 WEATHER_TILE_SEED, WEATHER_SCENE_SEED = 3, 11
+SHARPNESS_SCENE_SEED, CLEARING_SEED = 11, 5
 
 
 class PlainGround:
@@ -169,14 +173,59 @@ def draw_weather_sheet() -> Image.Image:
             scenes = sample_scenes(settings, backgrounds, "test", sizes, 1, generator=generator)
             frames = renderer(scenes, placed_vehicles(fleet, scenes))
             pictures.append((_caption(scenes[0]), as_image((frames.image[0] * 255).round().byte())))
+    return _grid(pictures, columns=columns, side_px=size_px)
+
+
+@torch.no_grad()
+def draw_sharpness_sheet() -> Image.Image:
+    """One scene of 144 px with vehicles blurred by six widths, enlarged twice: 2 x 3 pictures."""
+    size_px, widths = 144, (0.4, 0.7, 1.0, 1.4, 1.8, 2.4)
+    fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
+    with tempfile.TemporaryDirectory() as folder:
+        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 1}, 500, seed=WEATHER_TILE_SEED)
+        settings = SceneSettings(size_px=size_px, vehicles_minimum=5)
+        generator = torch.Generator().manual_seed(SHARPNESS_SCENE_SEED)
+        scenes = sample_scenes(settings, backgrounds, "test", fleet.sizes_m, 1, generator=generator)
+        pictures = []
+        for sigma_px in widths:
+            renderer = TorchRenderer(backgrounds, RenderSettings(blur_sigma_px=sigma_px))
+            frames = renderer(scenes, placed_vehicles(fleet, scenes))
+            pictures.append((f"blur {sigma_px} px", as_image((frames.image[0] * 255).round().byte())))
+    return _grid(pictures, columns=3, side_px=2 * size_px)
+
+
+@torch.no_grad()
+def draw_clearing_sheet() -> Image.Image:
+    """Rendered vehicles on procedural ground, the ground that `imagery clear` fills in, and the true ground."""
+    size_px, count = 200, 3
+    fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
+    pictures = []
+    with tempfile.TemporaryDirectory() as folder:
+        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 6}, 500, seed=CLEARING_SEED)
+        renderer = TorchRenderer(backgrounds, RenderSettings(blur_sigma_px=0.7))
+        settings = SceneSettings(size_px=size_px, vehicles_minimum=5)
+        generator = torch.Generator().manual_seed(CLEARING_SEED)
+        for scene in sample_scenes(settings, backgrounds, "test", fleet.sizes_m, count, generator=generator):
+            frames = renderer([scene], placed_vehicles(fleet, [scene]))
+            image = (frames.image[0] * 255).round().byte()
+            shadow = estimate_shadow([darkness_profiles(image, frames.boxes, gsd_m=GSD_M)])
+            mask = vehicle_mask((size_px, size_px), frames.boxes, shadow, gsd_m=GSD_M, margin_m=0.4)
+            true = (backgrounds.window(scene.background, size_px) * 255).round().byte()
+            filled = apply_inpainting(Exemplar(), image, mask)
+            pictures += [("rendered", as_image(image)), ("cleared", as_image(filled)), ("true ground", as_image(true))]
+    return _grid(pictures, columns=3, side_px=2 * size_px)
+
+
+def _grid(pictures: list[tuple[str, Image.Image]], *, columns: int, side_px: int) -> Image.Image:
+    """Square pictures with their captions, row by row."""
     gap, label = 6, 30
     rows = math.ceil(len(pictures) / columns)
-    sheet = Image.new("RGB", (columns * (size_px + gap) + gap, rows * (size_px + label) + gap), PAPER)
+    sheet = Image.new("RGB", (columns * (side_px + gap) + gap, rows * (side_px + label) + gap), PAPER)
     pen = ImageDraw.Draw(sheet)
     for index, (title, picture) in enumerate(pictures):
-        x, y = gap + index % columns * (size_px + gap), gap + index // columns * (size_px + label)
-        sheet.paste(picture, (x, y))
-        pen.text((x, y + size_px + 3), title, fill=INK, font=font(17))
+        x, y = gap + index % columns * (side_px + gap), gap + index // columns * (side_px + label)
+        sheet.paste(picture.resize((side_px, side_px), Image.Resampling.NEAREST), (x, y))
+        pen.text((x, y + side_px + 3), title, fill=INK, font=font(17))
     return sheet
 
 
@@ -258,7 +307,13 @@ def main() -> None:
     elif len(sys.argv) > 1:
         sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
     else:
-        sheets = {"fleet.png": draw_fleet(), "scenes.png": draw_scenes(), "weather.png": draw_weather_sheet()}
+        sheets = {
+            "fleet.png": draw_fleet(),
+            "scenes.png": draw_scenes(),
+            "weather.png": draw_weather_sheet(),
+            "sharpness.png": draw_sharpness_sheet(),
+            "clearing.png": draw_clearing_sheet(),
+        }
     for name, sheet in sheets.items():
         path = FOLDER / name
         sheet.save(path, optimize=True)
