@@ -4,9 +4,9 @@
     python tools/make_pictures.py runs/demo
     python tools/make_pictures.py runs/reproduce
 
-The first writes fleet.png, scenes.png, weather.png, sharpness.png and clearing.png into docs/pictures; the same code gives the same pictures. The
-second writes docs/pictures/demo-result.png from a finished demo on procedural ground, the third attacks.png from the
-camouflages of a reproduction.
+The first writes fleet, scenes, weather, sharpness and clearing.png into docs/pictures; the same code gives
+the same pictures. The second writes docs/pictures/demo-result.png from a finished demo on procedural ground, the third
+attacks.png from the camouflages of a reproduction.
 """
 
 from __future__ import annotations
