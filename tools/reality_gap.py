@@ -35,7 +35,7 @@ from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
 from skyproof.scenes.coco import read_coco
-from skyproof.scenes.labelled import LabelledImages
+from skyproof.scenes.labelled import LabelledImages, join
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
@@ -177,14 +177,7 @@ class RealityGap:
     def _photographs(self) -> tuple[LabelledImages, LabelledImages]:
         """The tuning frames' tiles (docs/results/reality/README.md): one place, so three splits serve the training."""
         parts = [read_coco(self.out / "tiles" / split) for split in ("train", "attack", "test")]
-        training = LabelledImages(
-            images=[image for part in parts for image in part.images],
-            boxes=[boxes for part in parts for boxes in part.boxes],
-            ignore=[regions for part in parts for regions in part.ignore],
-            ids=[name for part in parts for name in part.ids],
-            gsd_m=GSD_M,
-        )
-        return training, read_coco(self.out / "tiles" / "validation")
+        return join(parts), read_coco(self.out / "tiles" / "validation")
 
     def _look(self) -> None:
         """Every final detector on the held-out frames, and on the rendered test images that are there."""

@@ -11,7 +11,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.evaluate.clean import CleanSet
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.labelled import LabelledImages
+from skyproof.scenes.labelled import join
 
 __all__ = ["read_frames"]
 
@@ -58,13 +58,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
         )
         parts.append(read)
         places += _sources(one.folder, read.ids) or [str(number)] * len(read)
-    images = LabelledImages(
-        images=[image for part in parts for image in part.images],
-        boxes=[boxes for part in parts for boxes in part.boxes],
-        ignore=[ignore for part in parts for ignore in part.ignore],
-        ids=[name for part in parts for name in part.ids],
-        gsd_m=gsd_m,
-    )
+    images = join(parts)
     own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
     rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
     bordered = any(map(_border_px, given))

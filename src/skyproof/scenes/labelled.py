@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-__all__ = ["LabelledImages"]
+__all__ = ["LabelledImages", "join"]
 
 
 @dataclass(frozen=True)
@@ -31,3 +31,14 @@ class LabelledImages:
 
     def __len__(self) -> int:
         return len(self.images)
+
+
+def join(parts: Sequence[LabelledImages]) -> LabelledImages:
+    """Several sets of one resolution as one, in their order."""
+    return LabelledImages(
+        images=[image for part in parts for image in part.images],
+        boxes=[boxes for part in parts for boxes in part.boxes],
+        ignore=[regions for part in parts for regions in part.ignore],
+        ids=[name for part in parts for name in part.ids],
+        gsd_m=parts[0].gsd_m,
+    )
