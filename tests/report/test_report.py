@@ -223,6 +223,16 @@ def test_missing_results_name_the_file(run_folder, name):
         write_report(run_folder)
 
 
+def test_an_evaluation_by_itself_does_not_claim_to_know_the_ground(run_folder):
+    (run_folder / "results.json").rename(run_folder / "evaluation" / "results.json")
+    (run_folder / "config.json").unlink()
+    text = words_of(rebuilt(run_folder))
+    assert "It is not recorded what the ground is." in text
+    assert "over ground that is not recorded" in text
+    assert "Synthetic data only" not in text
+    assert "The ground is real" not in text
+
+
 def test_damaged_files_name_the_file(run_folder):
     (run_folder / "datasets" / "test" / "images" / "scene-0001.png").write_bytes(b"no")
     for picture in (run_folder / "datasets" / "test" / "images").iterdir():

@@ -87,6 +87,15 @@ def standing(run: Run, detectors: Sequence[str]) -> Standing:
             "computer-generated world, not what painted vehicles would do.",
             f"On real images without camouflage they score {scores}.",
         ]
+    elif not run.ground_known:
+        heading = "It is not recorded what the ground is."
+        sentences = [
+            "Every vehicle that is tested is computer-generated; whether the ground under it is, this evaluation does "
+            "not say.",
+            f"On real images without camouflage the detectors score {scores}."
+            if real
+            else "The detectors were not checked on real vehicles, so nothing here says whether they find any.",
+        ]
     else:
         heading = "Real ground, rendered vehicles."
         sentences = [

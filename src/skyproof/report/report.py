@@ -179,7 +179,9 @@ def _training(run: Run) -> Markup | None:
 
 
 def _imagery(run: Run) -> str:
-    imagery = run.config.get("imagery", "procedural")
+    if not run.ground_known:
+        return "ground that is not recorded"
+    imagery = run.config["imagery"]
     if imagery == "procedural":
         return "procedurally generated ground"
     return "real imagery (" + ", ".join(imagery if isinstance(imagery, list) else [str(imagery)]) + ")"
@@ -262,7 +264,7 @@ def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
         limits.append(
             "Ground and vehicles are synthetic. How far these rates carry over to real cameras is not measured here."
         )
-    else:
+    elif run.ground_known:
         limits.append(
             "The ground is real, the vehicles are rendered. Success on painted vehicles is not measured here."
         )

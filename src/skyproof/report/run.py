@@ -75,7 +75,12 @@ class Run:
     @property
     def synthetic_only(self) -> bool:
         """Whether the ground is procedural, so that no pixel comes from a real camera."""
-        return self.config.get("imagery", "procedural") == "procedural"
+        return self.config.get("imagery") == "procedural"
+
+    @property
+    def ground_known(self) -> bool:
+        """Whether it is recorded what the ground is; an evaluation made in Python does not say."""
+        return "imagery" in self.config
 
     @property
     def checked_on_real(self) -> bool:
@@ -130,8 +135,8 @@ def read_run(folder: Path) -> Run:
     """
     folder = Path(folder)
     # An evaluation made in Python leaves only its own folder.
-    results = folder / "results.json"
-    rows = _results(results if results.exists() else folder / "evaluation" / "results.json")
+    own = not (folder / "results.json").exists()
+    rows = _results(folder / "evaluation" / "results.json" if own else folder / "results.json")
     outcomes_path = folder / "evaluation" / "outcomes.parquet"
     clean = _optional(folder / "evaluation" / "clean.json", _rows, [])
     outcomes = read_outcomes(outcomes_path) if outcomes_path.exists() else None
@@ -153,7 +158,7 @@ def read_run(folder: Path) -> Run:
             outcomes += read_outcomes(cycles / "outcomes.parquet")
     return Run(
         folder=folder,
-        config=_optional(folder / "config.json", _mapping, {}),
+        config=_optional(folder / "config.json", _mapping, {}) if own else _mapping(folder / "config.json"),
         environment=_optional(folder / "environment.json", _mapping, {}),
         rows=rows,
         timings=_optional(folder / "timings.json", _rows, []),
