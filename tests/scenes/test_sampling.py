@@ -123,7 +123,7 @@ def test_same_seed_same_scenes_and_prefixes_of_longer_sets(backgrounds):
         ({}, {}, "no vehicle"),
         ({"vehicles_minimum": 3, "vehicles_maximum": 2}, SIZES, "minimum"),
         ({"size_px": 24}, SIZES, "margin"),
-        ({"size_px": 500}, SIZES, "no test tile"),
+        ({"size_px": 570}, SIZES, "no test tile"),
     ],
 )
 def test_impossible_settings_raise(backgrounds, settings, sizes, message):
