@@ -120,7 +120,6 @@ FINAL: dict[str, Trial] = {
     # Both grounds, all weather and more vehicles cost nothing on the tuning frames; other places may need them.
     "renders": Trial(ground=("procedural", "cleared"), conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
     PHOTOGRAPHS: Trial(steps=1000),
-    "drawn ground alone": Trial(conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
 }
 
 
@@ -186,6 +185,8 @@ class RealityGap:
             if (folder := self.out / "datasets" / dataset).exists():
                 sets += read_frames([f"{name}={folder}@{GSD_M}"], ("vehicle",), GSD_M)
         folders = [self.out / "final" / name / detector for name in FINAL for detector in DETECTORS]
+        # The one that saw no pixel of any photograph.
+        folders.insert(len(DETECTORS), self.out / "trials" / "recipe" / "retinanet")
         looks = self.out / "looks.jsonl"
         past = list(read_jsonl(looks)) if looks.exists() else []
         write_jsonl(looks, [*past, {"time": time.strftime("%Y-%m-%d %H:%M"), "detectors": len(folders)}])
