@@ -5,12 +5,13 @@ python tools/reality_tables.py --run RUN --out docs/results/reality
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import tyro
+from reality_gap import Trial
 
 from skyproof.files import read_json, write_beside, write_json
 
@@ -35,6 +36,8 @@ class RealityTables:
     def write(self) -> None:
         """Reads, writes."""
         trials = [read_json(path) for path in sorted(self.run.glob("trials/*/check.json"))]
+        # Trials of before a setting existed had its default.
+        trials = [{**row, "trial": {**asdict(Trial()), **row["trial"]}} for row in trials]
         final = read_json(self.run / "final.json")
         self.out.mkdir(parents=True, exist_ok=True)
         write_json(self.out / "trials.json", {"rows": trials})
@@ -80,9 +83,7 @@ def _final_table(rows: list[Row]) -> str:
 
 def _draw_blur(trials: list[Row], path: Path) -> None:
     """AP against the blur of rendered vehicles, all else as in the recipe (PAPER 13)."""
-    recipe = next(row["trial"] for row in trials if row["name"] == "recipe")
-    others = {key: value for key, value in recipe.items() if key != "blur_sigma_px"}
-    swept = [row for row in trials if {k: v for k, v in row["trial"].items() if k != "blur_sigma_px"} == others]
+    swept = [row for row in trials if row["name"] == "recipe" or row["name"].startswith("blur ")]
     swept.sort(key=lambda row: row["trial"]["blur_sigma_px"])
     sigma = [row["trial"]["blur_sigma_px"] for row in swept]
     figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
@@ -95,6 +96,7 @@ def _draw_blur(trials: list[Row], path: Path) -> None:
     axes.plot(sigma, [100 * row["ap_rendered"] for row in swept], "s--", color="0.6", label="own renders")
     axes.axvline(2.4, color="0.8", zorder=0)
     axes.annotate("the paper's σ", (2.4, 5), rotation=90, ha="right", color="0.4", fontsize=8)
+    axes.set_xticks([0.4, 0.7, 1.0, 1.4, 1.8, 2.4])
     axes.set(xlabel="blur of the rendered vehicles, σ in px", ylabel="AP, centre within 1 m (%)", ylim=(0, 102))
     axes.legend(loc="lower left", frameon=False)
     for side in ("top", "right"):
