@@ -117,7 +117,7 @@ DETECTORS = ("retinanet", "faster_rcnn", "yolov5")
 PHOTOGRAPHS = "photographs"
 FINAL: dict[str, Trial] = {
     "before": TRIALS["as the demo"],
-    # Both grounds, all weather and more vehicles cost nothing on the tuning frames; other places may need them.
+    # Both grounds and all weather cost nothing on the tuning frames; other places may need them, and more vehicles.
     "renders": Trial(ground=("procedural", "cleared"), conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
     PHOTOGRAPHS: Trial(steps=1000),
 }
