@@ -23,8 +23,8 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
-from skyproof.imagery.inpainting import Exemplar, apply_inpainting
-from skyproof.imagery.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
+from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer

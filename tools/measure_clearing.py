@@ -20,8 +20,8 @@ from torch.nn import functional
 from skyproof.detectors.folder import load_detector
 from skyproof.detectors.training import detect_all
 from skyproof.evaluate.clean import Judge
-from skyproof.imagery.inpainting import Diffusion, Exemplar, apply_inpainting
-from skyproof.imagery.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, apply_inpainting
+from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import SceneSettings, sample_scenes

@@ -7,8 +7,8 @@ import rasterio
 import torch
 from rasterio.transform import Affine
 
-from skyproof.imagery.sources import SourceSettings
-from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.tiles.sources import SourceSettings
+from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
 
 

@@ -9,8 +9,8 @@ from PIL import Image
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
-from skyproof.imagery.clear import ClearSettings, clear_backgrounds, drop_tiles
-from skyproof.imagery.vehicle_finder import VehicleFinder
+from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
+from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, write_index
 from skyproof.scenes.coco import Annotation, CocoWriter
 

@@ -8,8 +8,14 @@ import torch
 from torch import nn
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.exemplar import fill_by_exemplar
-from skyproof.imagery.inpainting import Diffusion, Exemplar, LearntInpainting, apply_inpainting, inpainting_record
+from skyproof.imagery.clearing.exemplar import fill_by_exemplar
+from skyproof.imagery.clearing.inpainting import (
+    Diffusion,
+    Exemplar,
+    LearntInpainting,
+    apply_inpainting,
+    inpainting_record,
+)
 
 
 def hole(height=140, width=180, place=(slice(50, 80), slice(60, 100))):

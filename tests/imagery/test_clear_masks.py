@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.imagery.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.imagery.clearing.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

@@ -15,9 +15,9 @@ from skyproof.cli.main import run
 from skyproof.errors import ImageryError, RunFolderError, StoredFileError
 from skyproof.files import write_json
 from skyproof.imagery.frames import read_frames_folder
-from skyproof.imagery.label_export import Exported, export_labels
-from skyproof.imagery.label_files import read_labels
-from skyproof.imagery.labels import GroundLabels, bounds
+from skyproof.imagery.labels.export import Exported, export_labels
+from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.label import GroundLabels, bounds
 from skyproof.scenes.coco import Annotation, CocoWriter, read_coco
 
 CORNERS = ((70.0, 20.0), (74.0, 23.0), (59.0, 43.0), (55.0, 40.0))

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_files import read_labels
-from skyproof.imagery.labels import GroundLabels, ImageLabels, Label
+from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 
 UPRIGHT = ((30.0, 15.0), (50.0, 15.0), (50.0, 25.0), (30.0, 25.0))
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels import ImageLabels, Label, bounds, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels.label import ImageLabels, Label, bounds, require_classes, require_inside, sort_labels
 
 
 def label_of(name, *corners, **options):

@@ -2,8 +2,8 @@
 
 import torch
 
-from skyproof.imagery.grid import Cell
-from skyproof.imagery.splits import SPLIT_SHARES, assign_splits
+from skyproof.imagery.tiles.grid import Cell
+from skyproof.imagery.tiles.splits import SPLIT_SHARES, assign_splits
 from skyproof.scenes.backgrounds import SPLITS
 
 

@@ -9,8 +9,8 @@ from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.labels import GroundLabels, ImageLabels, Label
-from skyproof.imagery.placed_labels import LabelSettings
+from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
+from skyproof.imagery.tiles.placed_labels import LabelSettings
 from skyproof.scenes.coco import read_coco
 from tests.imagery.made import all_tiles, noise, tile, write_image
 

@@ -101,7 +101,7 @@ def test_fine_checkerboard_becomes_its_mean(tmp_path, gsd_m):
 def test_large_shrinking_is_read_in_pieces_without_seams(tmp_path, monkeypatch):
     path = write_image(tmp_path / "a.tif", smooth_noise(960, 960))
     whole, _ = tile([path], tmp_path / "whole", source_gsd_m=0.025)
-    monkeypatch.setattr("skyproof.imagery.warp.PIECE_PX", 100)
+    monkeypatch.setattr("skyproof.imagery.tiles.warp.PIECE_PX", 100)
     pieces, _ = tile([path], tmp_path / "pieces", source_gsd_m=0.025)
     for one in all_tiles(whole):
         assert torch.equal(whole.pixels(one.id), pieces.pixels(one.id))

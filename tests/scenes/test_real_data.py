@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skyproof.imagery.frames import read_frames_folder
-from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
 
 FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))

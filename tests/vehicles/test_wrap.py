@@ -24,7 +24,7 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings, mix_fleets, sample_fle
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.texels import texel_regions, texel_sizes
 from skyproof.vehicles.vehicle import Part
-from skyproof.vehicles.wrap import WrappedVehicle, wrap_mesh
+from skyproof.vehicles.wrapping.wrap import WrappedVehicle, wrap_mesh
 from tests.vehicles.model_car import HEIGHT_M, LENGTH_M, PAINTS, WHEEL_M, WHEEL_X_M, WIDTH_M, car, write_obj
 
 # Half a turn about z, then z to the side: length along -y, so nothing of the frame is right by chance.

@@ -10,12 +10,12 @@ import trimesh
 from skyproof.cli.main import run
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part
-from skyproof.vehicles.wrap_meshes import SourceMesh, find_texture
-from skyproof.vehicles.wrap_orientation import orient
-from skyproof.vehicles.wrap_outer import look_around
-from skyproof.vehicles.wrap_parts import name_part
-from skyproof.vehicles.wrap_raster import z_buffer
-from skyproof.vehicles.wrap_reading import read_mesh
+from skyproof.vehicles.wrapping.meshes import SourceMesh, find_texture
+from skyproof.vehicles.wrapping.orientation import orient
+from skyproof.vehicles.wrapping.outer import look_around
+from skyproof.vehicles.wrapping.parts import name_part
+from skyproof.vehicles.wrapping.raster import z_buffer
+from skyproof.vehicles.wrapping.reading import read_mesh
 from tests.vehicles.model_car import GLASS, HEIGHT_M, LENGTH_M, PAINTS, WIDTH_M, car, write_dae, write_obj
 
 Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])

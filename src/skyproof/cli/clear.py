@@ -13,9 +13,9 @@ from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import choose_device
 from skyproof.detectors.folder import load_detector, weights_digest
 from skyproof.files import finished_folder, refuse_existing
-from skyproof.imagery.clear import ClearSettings, clear_backgrounds, drop_tiles
-from skyproof.imagery.inpainting import Diffusion, Exemplar, Inpainting, LearntInpainting
-from skyproof.imagery.vehicle_finder import VehicleFinder
+from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
+from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, Inpainting, LearntInpainting
+from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
 __all__ = ["Clear", "Drop"]
 

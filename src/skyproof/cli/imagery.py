@@ -11,10 +11,10 @@ import tyro
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import generator_of
 from skyproof.files import finished_folder
-from skyproof.imagery.label_files import read_labels
-from skyproof.imagery.placed_labels import LabelSettings
-from skyproof.imagery.sources import SourceSettings
-from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.tiles.placed_labels import LabelSettings
+from skyproof.imagery.tiles.sources import SourceSettings
+from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
 from skyproof.scenes.backgrounds import SPLITS
 
 __all__ = ["Tile"]

@@ -9,7 +9,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.imagery.label_export import export_labels
+from skyproof.imagery.labels.export import export_labels
 
 __all__ = ["Labels"]
 

@@ -17,7 +17,7 @@ from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.render.turntable import turntable_row, turntable_sheet
 from skyproof.vehicles.fleet import Fleet, mix_fleets
 from skyproof.vehicles.template import make_template
-from skyproof.vehicles.wrap import WrappedVehicle, wrap_mesh
+from skyproof.vehicles.wrapping.wrap import WrappedVehicle, wrap_mesh
 
 __all__ = ["Mix", "Wrap"]
 

@@ -11,8 +11,8 @@ from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import generator_of
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
-from skyproof.imagery.sources import SourceSettings
-from skyproof.imagery.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.tiles.sources import SourceSettings
+from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds, write_sensor
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import write_scenes

@@ -10,9 +10,9 @@ import torch
 from PIL import Image
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_files import read_labels
-from skyproof.imagery.label_text import IMAGE_SUFFIXES
-from skyproof.imagery.labels import GroundLabels, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels.text import IMAGE_SUFFIXES
 from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["BORDER_PX", "read_frames_folder"]

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from skyproof.render.portrait import close_up
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
-from skyproof.vehicles.wrap_meshes import SourceMesh
-from skyproof.vehicles.wrap_raster import view_axes, z_buffer
+from skyproof.vehicles.wrapping.meshes import SourceMesh
+from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
 
 __all__ = ["PART_COLOURS", "turntable_row", "turntable_sheet"]
 

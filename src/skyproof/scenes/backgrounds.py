@@ -88,7 +88,7 @@ class BackgroundSet:
 
     @classmethod
     def open(cls, folder: Path) -> BackgroundSet:
-        """Opens a set that `write_procedural_backgrounds` or `skyproof.imagery.tiling.tile_imagery` wrote.
+        """Opens a set that `write_procedural_backgrounds` or `skyproof.imagery.tiles.tiling.tile_imagery` wrote.
 
         Raises:
             StoredFileError: the index is missing, damaged or of another version.

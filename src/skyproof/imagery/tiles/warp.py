@@ -16,9 +16,9 @@ from rasterio.warp import reproject
 from rasterio.windows import Window
 from scipy.ndimage import distance_transform_edt
 
-from skyproof.imagery.georeference import outline, to_reference_system
-from skyproof.imagery.grid import FULL_SHARE, Cell
-from skyproof.imagery.sources import Source, SourceReader, read_mask
+from skyproof.imagery.tiles.georeference import outline, to_reference_system
+from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
+from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
 
 __all__ = ["CellImage", "read_cell"]
 

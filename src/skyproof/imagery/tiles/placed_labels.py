@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.georeference import Point, to_reference_system
-from skyproof.imagery.grid import Cell, Extent, extent_of, plane_of
-from skyproof.imagery.labels import GroundLabels, ImageLabels, Label, Labels, require_classes, sort_labels
-from skyproof.imagery.sources import Source
+from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label, Labels, require_classes, sort_labels
+from skyproof.imagery.tiles.georeference import Point, to_reference_system
+from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
+from skyproof.imagery.tiles.sources import Source
 from skyproof.scenes.coco import Annotation
 
 __all__ = ["LabelSettings", "PlacedLabels"]

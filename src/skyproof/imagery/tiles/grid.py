@@ -10,8 +10,8 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.georeference import is_true_to_scale, outline, to_reference_system
-from skyproof.imagery.sources import Source
+from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.tiles.sources import Source
 from skyproof.scenes.backgrounds import SPLITS
 
 __all__ = ["Cell", "Extent", "Frame", "cells_of", "extent_of", "lay_frames", "plane_of"]

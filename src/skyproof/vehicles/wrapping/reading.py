@@ -13,8 +13,8 @@ from jaxtyping import Float
 from trimesh.resolvers import Resolver
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.wrap_collada import read_collada
-from skyproof.vehicles.wrap_meshes import GREY, Material, SourceMesh, find_texture, picture_bytes
+from skyproof.vehicles.wrapping.collada import read_collada
+from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, picture_bytes
 
 __all__ = ["read_mesh"]
 

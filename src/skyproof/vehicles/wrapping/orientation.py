@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.wrap_meshes import SourceMesh
+from skyproof.vehicles.wrapping.meshes import SourceMesh
 
 __all__ = ["AXES", "orient"]
 

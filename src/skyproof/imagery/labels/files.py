@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_coco import parse_coco_labels
-from skyproof.imagery.label_dota import is_dota_line, read_dota_labels
-from skyproof.imagery.label_geojson import parse_geojson_labels
-from skyproof.imagery.label_text import LABEL_FOLDERS, text_lines
-from skyproof.imagery.label_yolo import class_file, read_yolo_labels
-from skyproof.imagery.labels import Labels
+from skyproof.imagery.labels.coco import parse_coco_labels
+from skyproof.imagery.labels.dota import is_dota_line, read_dota_labels
+from skyproof.imagery.labels.geojson import parse_geojson_labels
+from skyproof.imagery.labels.label import Labels
+from skyproof.imagery.labels.text import LABEL_FOLDERS, text_lines
+from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
 
 __all__ = ["read_labels"]
 

@@ -10,9 +10,9 @@ from scipy.ndimage import uniform_filter
 
 from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
-from skyproof.vehicles.wrap_baking import Texels
-from skyproof.vehicles.wrap_meshes import SourceMesh
-from skyproof.vehicles.wrap_surface import Wrapping
+from skyproof.vehicles.wrapping.baking import Texels
+from skyproof.vehicles.wrapping.meshes import SourceMesh
+from skyproof.vehicles.wrapping.surface import Wrapping
 
 __all__ = ["PLAIN_COLOURS", "label_parts", "name_part"]
 

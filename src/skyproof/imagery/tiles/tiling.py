@@ -16,14 +16,21 @@ import torch
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
-from skyproof.imagery.grid import Cell, Frame, cells_of, lay_frames
-from skyproof.imagery.labels import Labels
-from skyproof.imagery.placed_labels import LabelSettings, PlacedLabels
+from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.sharpness import measure_sensor
-from skyproof.imagery.sources import Source, SourceReader, SourceSettings, find_images, gdal_limits, inspect_source
-from skyproof.imagery.splits import assign_splits
-from skyproof.imagery.tile_index import cells_like, write_ground_index
-from skyproof.imagery.warp import read_cell
+from skyproof.imagery.tiles.grid import Cell, Frame, cells_of, lay_frames
+from skyproof.imagery.tiles.placed_labels import LabelSettings, PlacedLabels
+from skyproof.imagery.tiles.sources import (
+    Source,
+    SourceReader,
+    SourceSettings,
+    find_images,
+    gdal_limits,
+    inspect_source,
+)
+from skyproof.imagery.tiles.splits import assign_splits
+from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
+from skyproof.imagery.tiles.warp import read_cell
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.coco import Annotation, CocoWriter
 from skyproof.scenes.sensor import Sensor

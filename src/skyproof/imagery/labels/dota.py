@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_text import finite_numbers, image_of, image_size_px, text_lines
-from skyproof.imagery.labels import ImageLabels, Label, bounds, require_inside
+from skyproof.imagery.labels.label import ImageLabels, Label, bounds, require_inside
+from skyproof.imagery.labels.text import finite_numbers, image_of, image_size_px, text_lines
 
 __all__ = ["is_dota_line", "read_dota_labels"]
 

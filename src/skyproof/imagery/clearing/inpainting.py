@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.exemplar import ExemplarSettings, fill_by_exemplar
+from skyproof.imagery.clearing.exemplar import ExemplarSettings, fill_by_exemplar
 
 __all__ = ["Diffusion", "Exemplar", "Inpainting", "LearntInpainting", "apply_inpainting", "inpainting_record"]
 

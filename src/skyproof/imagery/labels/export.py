@@ -14,8 +14,8 @@ from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError, StoredFileError
 from skyproof.files import finished_folder, read_json, refuse_existing, write_json
-from skyproof.imagery.label_text import LABEL_FOLDERS
-from skyproof.imagery.labels import Point
+from skyproof.imagery.labels.label import Point
+from skyproof.imagery.labels.text import LABEL_FOLDERS
 
 __all__ = ["LABEL_FORMS", "Exported", "export_labels"]
 

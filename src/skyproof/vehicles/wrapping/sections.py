@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, median_filter
 
-from skyproof.vehicles.wrap_raster import z_buffer
+from skyproof.vehicles.wrapping.raster import z_buffer
 
 __all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull"]
 

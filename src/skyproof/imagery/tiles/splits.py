@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
-from skyproof.imagery.grid import Cell
+from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.backgrounds import SPLITS
 
 __all__ = ["SPLIT_SHARES", "assign_splits"]

@@ -10,9 +10,9 @@ from rasterio.crs import CRS
 
 from skyproof.errors import ImageryError, StoredFileError
 from skyproof.files import read_json, write_json
-from skyproof.imagery.georeference import outline, to_reference_system
-from skyproof.imagery.grid import Cell, extent_of
-from skyproof.imagery.sources import Source
+from skyproof.imagery.tiles.georeference import outline, to_reference_system
+from skyproof.imagery.tiles.grid import Cell, extent_of
+from skyproof.imagery.tiles.sources import Source
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
 
 __all__ = ["cells_like", "write_ground_index"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from skyproof.vehicles.wrap_raster import view_axes, z_buffer
+from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
 
 __all__ = ["Outer", "look_around"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.wrap_meshes import GREY, Material, SourceMesh, find_texture, open_texture
+from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, open_texture
 
 __all__ = ["read_collada"]
 

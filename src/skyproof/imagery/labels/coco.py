@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_text import stem_once
-from skyproof.imagery.labels import ImageLabels, Label, require_inside
+from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
+from skyproof.imagery.labels.text import stem_once
 
 __all__ = ["parse_coco_labels"]
 

@@ -22,7 +22,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.georeference import Georeference, read_georeference
+from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
 __all__ = ["Source", "SourceReader", "SourceSettings", "find_images", "gdal_limits", "inspect_source", "read_mask"]
 

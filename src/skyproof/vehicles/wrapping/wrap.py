@@ -13,14 +13,14 @@ from PIL import Image
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.wrap_baking import bake, to_bytes
-from skyproof.vehicles.wrap_meshes import SourceMesh
-from skyproof.vehicles.wrap_orientation import orient
-from skyproof.vehicles.wrap_outer import look_around
-from skyproof.vehicles.wrap_parts import PLAIN_COLOURS, label_parts
-from skyproof.vehicles.wrap_quality import measure_wrapping
-from skyproof.vehicles.wrap_reading import read_mesh
-from skyproof.vehicles.wrap_surface import wrap_surface
+from skyproof.vehicles.wrapping.baking import bake, to_bytes
+from skyproof.vehicles.wrapping.meshes import SourceMesh
+from skyproof.vehicles.wrapping.orientation import orient
+from skyproof.vehicles.wrapping.outer import look_around
+from skyproof.vehicles.wrapping.parts import PLAIN_COLOURS, label_parts
+from skyproof.vehicles.wrapping.quality import measure_wrapping
+from skyproof.vehicles.wrapping.reading import read_mesh
+from skyproof.vehicles.wrapping.surface import wrap_surface
 
 __all__ = ["WrappedVehicle", "wrap_mesh"]
 

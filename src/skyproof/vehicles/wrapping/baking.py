@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from skyproof.geometry.meshes import vertex_normals
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
-from skyproof.vehicles.wrap_meshes import SourceMesh
-from skyproof.vehicles.wrap_outer import Outer
-from skyproof.vehicles.wrap_raster import z_buffer
-from skyproof.vehicles.wrap_surface import Wrapping
+from skyproof.vehicles.wrapping.meshes import SourceMesh
+from skyproof.vehicles.wrapping.outer import Outer
+from skyproof.vehicles.wrapping.raster import z_buffer
+from skyproof.vehicles.wrapping.surface import Wrapping
 
 __all__ = ["Texels", "bake", "to_bytes"]
 

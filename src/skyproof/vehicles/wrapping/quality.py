@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 
 from skyproof.geometry.intersections import self_intersections
 from skyproof.vehicles.template import make_template
-from skyproof.vehicles.wrap_outer import Outer, look_around
-from skyproof.vehicles.wrap_raster import view_axes, z_buffer
-from skyproof.vehicles.wrap_surface import Wrapping
+from skyproof.vehicles.wrapping.outer import Outer, look_around
+from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
+from skyproof.vehicles.wrapping.surface import Wrapping
 
 __all__ = ["measure_wrapping", "outline_iou"]
 

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_RAIL, TOPOLOGY_SILL, column_u
-from skyproof.vehicles.wrap_sections import DIRECTIONS, Hull, Sections, cut_sections, find_hull
+from skyproof.vehicles.wrapping.sections import DIRECTIONS, Hull, Sections, cut_sections, find_hull
 
 __all__ = ["Wrapping", "wrap_surface"]
 

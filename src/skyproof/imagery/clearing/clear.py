@@ -14,10 +14,10 @@ from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import read_json, write_json
-from skyproof.imagery.inpainting import Inpainting, apply_inpainting, inpainting_record
-from skyproof.imagery.sheet import ContactSheet, SheetRow
-from skyproof.imagery.vehicle_finder import VehicleFinder, check_resolution, other_vehicles, read_boxes
-from skyproof.imagery.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.imagery.clearing.inpainting import Inpainting, apply_inpainting, inpainting_record
+from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
+from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, check_resolution, other_vehicles, read_boxes
+from skyproof.imagery.clearing.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
 
 __all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]

@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels import GroundLabels, Label, Point
+from skyproof.imagery.labels.label import GroundLabels, Label, Point
 
 __all__ = ["CLASS_KEYS", "UNNAMED", "parse_geojson_labels"]
 

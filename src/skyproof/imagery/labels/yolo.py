@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.label_text import LABEL_FOLDERS, finite_numbers, image_of, image_size_px, stem_once, text_lines
-from skyproof.imagery.labels import ImageLabels, Label, require_inside
+from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
+from skyproof.imagery.labels.text import LABEL_FOLDERS, finite_numbers, image_of, image_size_px, stem_once, text_lines
 
 __all__ = ["class_file", "read_yolo_labels"]
 

@@ -1,0 +1,1 @@
+"""Vehicle-free backgrounds: find, mask, fill, check, show."""

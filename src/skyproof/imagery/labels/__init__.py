@@ -1,0 +1,1 @@
+"""Labels of vehicles in the forms that other tools use, in and out."""

@@ -1,0 +1,1 @@
+"""Orthophotos cut into tiles of true metres, in splits by place."""

@@ -1,0 +1,1 @@
+"""Real meshes on the shared template: read, turned, laid around, baked, judged."""
