@@ -237,7 +237,7 @@ def test_another_light_path_count_or_blender_is_another_result():
 def test_a_real_process_killed_in_the_middle_of_its_job(blender, workers, tmp_path):
     easy, hard = (
         one_job(scene((0, 0, 0)), vehicles(), settings=CyclesSettings(samples=samples), margin_m=0.25)
-        for samples in (1, 40)
+        for samples in (1, 800)
     )
     killed = []
 
