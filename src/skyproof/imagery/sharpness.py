@@ -22,6 +22,8 @@ LEAST_STEP = 0.08
 """In linear light: fainter edges drown in noise."""
 SHARPEST_SHARE = 0.25
 REACH_PX = 12
+LARGEST_PX = 768
+"""Of an image no more than its middle is looked at: memory must not grow with it."""
 STEP_PX = 0.25
 
 
@@ -45,7 +47,8 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     """
     sigmas: list[NDArray[np.float64]] = []
     spreads: list[float] = []
-    for image in images:
+    for whole in images:
+        image = _middle(whole)
         grey = srgb_to_linear(image.double() / 255).mean(0).numpy()
         sigmas.append(_edge_blurs(grey))
         spreads.append(_noise(image.double().mean(0).numpy() / 255))
@@ -58,6 +61,11 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     return Sensor(
         blur_sigma_px=round(float(np.quantile(found, SHARPEST_SHARE)), 2), noise=round(float(np.median(spreads)), 4)
     )
+
+
+def _middle(image: UInt8[Tensor, "3 H W"]) -> UInt8[Tensor, "3 h w"]:
+    top, left = (max(0, (side - LARGEST_PX) // 2) for side in image.shape[1:])
+    return image[:, top : top + LARGEST_PX, left : left + LARGEST_PX]
 
 
 def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ from skyproof.scenes.sensor import Sensor
 __all__ = ["TilingRecord", "TilingSettings", "tile_imagery"]
 
 _WAITING = "waiting"
-_TILES_MEASURED = 40
+_TILES_MEASURED = 16
 
 
 @dataclass(frozen=True)
