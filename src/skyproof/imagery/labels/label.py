@@ -17,6 +17,7 @@ __all__ = [
     "Label",
     "Labels",
     "Point",
+    "border_strips",
     "bounds",
     "require_classes",
     "require_inside",
@@ -118,6 +119,18 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
         raise ImageryError(f"{where} has a box outside its image of {width} x {height} px; correct it.")
 
 
+def border_strips(size_px: tuple[int, int], border_px: float) -> list[tuple[float, float, float, float]]:
+    """The band along an image's border as four boxes, pixel xyxy: top, bottom, left, right."""
+    width, height = map(float, size_px)
+    x, y = min(border_px, width), min(border_px, height)
+    return [
+        (0.0, 0.0, width, y),
+        (0.0, height - y, width, height),
+        (0.0, 0.0, x, height),
+        (width - x, 0.0, width, height),
+    ]
+
+
 def sort_labels(
     labels: Sequence[Label],
     *,
@@ -157,11 +170,5 @@ def sort_labels(
         wanted = inner and not label.ignore and label.class_name in classes
         (truths if wanted else ignored).append(cut)
     if border_px:
-        far_x, far_y = max(0.0, width - border_px), max(0.0, height - border_px)
-        ignored += [
-            (0.0, 0.0, float(width), min(border_px, float(height))),
-            (0.0, far_y, float(width), float(height)),
-            (0.0, 0.0, min(border_px, float(width)), float(height)),
-            (far_x, 0.0, float(width), float(height)),
-        ]
+        ignored += border_strips(size_px, border_px)
     return torch.tensor(truths).float().reshape(-1, 4), torch.tensor(ignored).float().reshape(-1, 4)

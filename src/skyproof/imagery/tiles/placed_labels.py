@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label, Labels, require_classes, sort_labels
+from skyproof.imagery.labels.label import (
+    GroundLabels,
+    ImageLabels,
+    Label,
+    Labels,
+    border_strips,
+    require_classes,
+    sort_labels,
+)
 from skyproof.imagery.tiles.georeference import Point, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
@@ -102,7 +110,8 @@ class PlacedLabels:
         if settings.border_px:
             for plane, (crs, numbers) in planes.items():
                 for number in numbers:
-                    self._add_regions(plane, crs, number, BORDER, _strips(sources[number], settings.border_px))
+                    size_px = sources[number].width_px, sources[number].height_px
+                    self._add_regions(plane, crs, number, BORDER, border_strips(size_px, settings.border_px))
 
     def _place_ground(self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]) -> int:
         path, count = self._settings.path, len(labels.labels)
@@ -276,14 +285,3 @@ def _within(places: NDArray[np.float64], extent: Extent) -> NDArray[np.bool_]:
     left, bottom, right, top = extent
     x, y = places[:, 0], places[:, 1]
     return (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
-
-
-def _strips(source: Source, border_px: float) -> list[tuple[float, float, float, float]]:
-    width, height = float(source.width_px), float(source.height_px)
-    x, y = min(border_px, width), min(border_px, height)
-    return [
-        (0.0, 0.0, width, y),
-        (0.0, height - y, width, height),
-        (0.0, 0.0, x, height),
-        (width - x, 0.0, width, height),
-    ]
