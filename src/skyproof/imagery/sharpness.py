@@ -32,9 +32,9 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
 
     Blur: across each of the strongest edges light is read along the gradient; a step seen through a Gaussian blur
     rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but none is sharper than the sensor:
-    the lower quartile over all edges is taken. On drawn rectangles (tests) it is within 12 % for σ of 0.6 to 1.3 px, and
-    up to a quarter too small beyond; σ below 0.45 px cannot be told from the pixel itself. Sharpened photographs give the
-    σ that looks as sharp.
+    the lower quartile over all edges is taken. On drawn rectangles (tests) it is within 12 % for σ of 0.6 to 1.3 px,
+    and up to a quarter too small beyond; σ below 0.45 px cannot be told from the pixel itself. Sharpened photographs
+    give the σ that looks as sharp.
 
     Noise: in each cell of 8 x 8 pixels, the spread of what a 3 x 3 median leaves over; the plainest tenth of the cells
     counts, so that texture is not taken for noise.
