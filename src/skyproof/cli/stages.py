@@ -146,12 +146,11 @@ def _origin(dataset: Path) -> str:
     """A dataset folder's images in a few words: its name, and who rendered them or which imagery they are cut from."""
     dataset = dataset.resolve()
     info = read_json(dataset / "annotations.json").get("info", {})
-    sources = list(info.get("imagery", ()))
-    if not sources and "renderer" not in info and (dataset.parent / "index.json").exists():
+    names: list[str] = []
+    if "renderer" not in info and (dataset.parent / "index.json").exists():
         # A split of a tiled folder.
-        sources = [tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)]
-    if sources:
-        names = list(dict.fromkeys(map(str, sources)))
+        names = list(dict.fromkeys(tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)))
+    if names:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         return f"{dataset.name}: tiles of real imagery ({', '.join(names[:3])}{more})"
     # Datasets of before there was a choice of renderer say only that they are scenes.
