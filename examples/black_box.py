@@ -7,9 +7,14 @@ import skyproof.api as sp
 network, _ = sp.load_detector("runs/demo/detectors/retinanet")
 
 
-def ask(picture):  # [H, W, 3] bytes; in place of this: requests.post(URL, picture.tobytes()).json(), or your library
+def ask(
+    picture,
+):  # [H, W, 3] bytes; in place of this: requests.post(URL, picture.tobytes()).json(), or your library
     found = network.detect(torch.from_numpy(picture).permute(2, 0, 1)[None] / 255)[0]
-    return [[*box, score] for box, score in zip(found.boxes.tolist(), found.scores.tolist(), strict=True)]
+    return [
+        [*box, score]
+        for box, score in zip(found.boxes.tolist(), found.scores.tolist(), strict=True)
+    ]
 
 
 class BlackBox:

@@ -9,7 +9,9 @@ import skyproof.api as sp
 
 data, steps = sp.read_coco("runs/demo/datasets/train"), 200
 side = data.images[0].shape[-1]  # torchvision would enlarge the images to 800 px
-model = fasterrcnn_mobilenet_v3_large_fpn(weights=None, weights_backbone=None, num_classes=2, min_size=side)
+model = fasterrcnn_mobilenet_v3_large_fpn(
+    weights=None, weights_backbone=None, num_classes=2, min_size=side
+)
 optimiser = torch.optim.SGD(model.parameters(), lr=0.005, momentum=0.9)
 for step in range(steps):
     boxes = data.boxes[step % len(data)]
@@ -20,8 +22,14 @@ for step in range(steps):
 Path("runs/mine").mkdir(parents=True, exist_ok=True)
 torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
 
-checkpoint = sp.Checkpoint(Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn")
-print(sp.bring_detector(checkpoint, sp.read_coco("runs/demo/datasets/validation"), "runs/mine/vehicles").validation)
+checkpoint = sp.Checkpoint(
+    Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn"
+)
+print(
+    sp.bring_detector(
+        checkpoint, sp.read_coco("runs/demo/datasets/validation"), "runs/mine/vehicles"
+    ).validation
+)
 detector, card = sp.load_detector("runs/mine/vehicles")
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.UniversalTexture("T-U", generator=torch.Generator().manual_seed(0))

@@ -7,9 +7,13 @@ import torch
 import skyproof.api as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
-detectors = [sp.load_detector(folder)[0] for folder in sorted(Path("runs/demo/detectors").iterdir())]
+detectors = [
+    sp.load_detector(folder)[0] for folder in sorted(Path("runs/demo/detectors").iterdir())
+]
 draws = torch.Generator().manual_seed(0)
 palette = sp.fit_palette(world.backgrounds.sample_pixels("attack", 1000, generator=draws), seed=0)
-camouflage = sp.make_camouflage(sp.read_recipe("T-PixFcMa"), sp.Materials(palette=palette), generator=draws)
+camouflage = sp.make_camouflage(
+    sp.read_recipe("T-PixFcMa"), sp.Materials(palette=palette), generator=draws
+)
 sp.attack(camouflage, detectors, world, sp.AttackSettings(steps=200), "runs/mine/T-PixFcMa")
 print(sp.practicality_account(camouflage, world.fleet.batch(world.fleet.ids)))

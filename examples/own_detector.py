@@ -9,10 +9,15 @@ import skyproof.api as sp
 class MyDetector(sp.TrainableDetector):
     def __init__(self):
         super().__init__()
-        self.name, self.network = "mine", ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None)
+        self.name, self.network = (
+            "mine",
+            ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None),
+        )
 
     def loss(self, images, targets):
-        scores = self.network.head(list(self.network.backbone(images).values()))["cls_logits"].softmax(-1)
+        scores = self.network.head(list(self.network.backbone(images).values()))[
+            "cls_logits"
+        ].softmax(-1)
         return scores[..., 3].mean(1)  # class 3 of COCO is "car"
 
 

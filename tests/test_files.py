@@ -44,7 +44,11 @@ def test_write_beside_replaces_only_when_the_block_ends_well(tmp_path: Path) -> 
         temporary.write_text("first")
         assert not path.exists()
     assert path.read_text() == "first"
-    for error, seen in ((full(), RunFolderError), (KeyError("x"), KeyError), (KeyboardInterrupt(), KeyboardInterrupt)):
+    for error, seen in (
+        (full(), RunFolderError),
+        (KeyError("x"), KeyError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ):
         with pytest.raises(seen):
             write_half(path, error)
         assert path.read_text() == "first"
@@ -52,14 +56,20 @@ def test_write_beside_replaces_only_when_the_block_ends_well(tmp_path: Path) -> 
 
 
 def test_full_disk_names_file_and_remedy(tmp_path: Path) -> None:
-    with pytest.raises(RunFolderError, match=r"table\.csv: No space left on device; free space") as caught:
+    with pytest.raises(
+        RunFolderError, match=r"table\.csv: No space left on device; free space"
+    ) as caught:
         write_half(tmp_path / "table.csv", full())
     assert "\n" not in str(caught.value)
 
 
-def test_encoder_error_on_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_encoder_error_on_a_full_disk_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for free, words in ((0, "No space left on device"), (2**30, "encoder error -2")):
-        monkeypatch.setattr("shutil.disk_usage", lambda place, free=free: type("Usage", (), {"free": free}))
+        monkeypatch.setattr(
+            "shutil.disk_usage", lambda place, free=free: type("Usage", (), {"free": free})
+        )
         with pytest.raises(RunFolderError, match=words), write_beside(tmp_path / "a.png"):
             raise OSError("encoder error -2 when writing image file")
 
@@ -76,7 +86,11 @@ def test_finished_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
         assert not path.exists()
     assert [entry.name for entry in path.parent.iterdir()] == ["tiles"]
     assert [entry.name for entry in path.iterdir()] == ["a.png"]
-    for error, seen in ((full(), RunFolderError), (KeyError("x"), KeyError), (KeyboardInterrupt(), KeyboardInterrupt)):
+    for error, seen in (
+        (full(), RunFolderError),
+        (KeyError("x"), KeyError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ):
         with pytest.raises(seen):
             fill_half(tmp_path / "other", error)
         assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
@@ -85,7 +99,10 @@ def test_finished_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_finished_folder_overwrites_nothing(tmp_path: Path) -> None:
     (tmp_path / "tiles").mkdir()
     (tmp_path / "tiles" / "mine").touch()
-    with pytest.raises(RunFolderError, match="not overwritten"), finished_folder(tmp_path / "tiles"):
+    with (
+        pytest.raises(RunFolderError, match="not overwritten"),
+        finished_folder(tmp_path / "tiles"),
+    ):
         pytest.fail("the block must not run")
     assert [entry.name for entry in (tmp_path / "tiles").iterdir()] == ["mine"]
 
@@ -121,5 +138,8 @@ def test_unwritable_place_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RunFolderError, match=r"file/a\.json"):
         write_json(tmp_path / "file" / "a.json", 1)
-    with pytest.raises(RunFolderError, match="file/tiles"), finished_folder(tmp_path / "file" / "tiles"):
+    with (
+        pytest.raises(RunFolderError, match="file/tiles"),
+        finished_folder(tmp_path / "file" / "tiles"),
+    ):
         pytest.fail("the block must not run")

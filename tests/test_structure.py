@@ -41,7 +41,9 @@ def imports(text, *, at_import_time=False):
             assert node.level == 0, "imports are absolute"
             # What is imported may be a module itself.
             found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-        elif at_import_time and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        elif at_import_time and isinstance(
+            node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
+        ):
             continue
         waiting += ast.iter_child_nodes(node)
     return found
@@ -77,13 +79,19 @@ def reaches(start, modules, wanted):
             parts = name.split(".")
             # Importing a.b runs a's own file first.
             waiting += [
-                ".".join([*parts[:end], *last]) for end in range(1, len(parts) + 1) for last in ([], ["__init__"])
+                ".".join([*parts[:end], *last])
+                for end in range(1, len(parts) + 1)
+                for last in ([], ["__init__"])
             ]
     return sorted(guilty)
 
 
 def importers(modules, package):
-    return sorted(module for module, text in modules.items() if package in {n.split(".")[0] for n in imports(text)})
+    return sorted(
+        module
+        for module, text in modules.items()
+        if package in {n.split(".")[0] for n in imports(text)}
+    )
 
 
 def printers(modules):
@@ -97,7 +105,11 @@ def printers(modules):
             if called in ("print", "sys.stdout.write", "sys.stderr.write", "warnings.warn"):
                 found.append(module)
     # The program that runs inside Blender prints its answers into a pipe.
-    spared = {module for module in found if module.split(".")[0] in ("cli", "__main__") or module == BLENDER_WORKER}
+    spared = {
+        module
+        for module in found
+        if module.split(".")[0] in ("cli", "__main__") or module == BLENDER_WORKER
+    }
     return sorted({*found} - spared)
 
 
@@ -113,7 +125,12 @@ def test_imports_run_downwards():
 def test_geometry_needs_torch_alone():
     for module, text in sources().items():
         if module.startswith("geometry."):
-            outside = {name.split(".")[0] for name in imports(text)} - {"__future__", "functools", "math", "typing"}
+            outside = {name.split(".")[0] for name in imports(text)} - {
+                "__future__",
+                "functools",
+                "math",
+                "typing",
+            }
             assert outside <= {"torch", "jaxtyping", "skyproof"}, module
             assert {name.split(".")[0] for name in ours(imports(text))} <= {"geometry"}, module
 
@@ -148,7 +165,9 @@ def test_only_the_command_line_prints():
 
 def test_no_module_unpickles():
     for module, text in sources().items():
-        assert not {"pickle", "joblib", "dill"} & {name.split(".")[0] for name in imports(text)}, module
+        assert not {"pickle", "joblib", "dill"} & {name.split(".")[0] for name in imports(text)}, (
+            module
+        )
         # Checkpoints of others: weights alone, with every foreign class replaced by one that does nothing.
         loads = re.findall(r"torch\.load\(.*", text)
         assert len(loads) == (module == "detectors.checkpoints"), module
@@ -156,7 +175,9 @@ def test_no_module_unpickles():
 
 
 def test_a_module_beyond_400_lines_has_a_second_subject():
-    assert {module: text.count("\n") for module, text in sources().items() if text.count("\n") > 400} == {}
+    assert {
+        module: text.count("\n") for module, text in sources().items() if text.count("\n") > 400
+    } == {}
 
 
 def test_these_rules_can_fail():

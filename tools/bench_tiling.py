@@ -42,13 +42,17 @@ def make(path: Path, side_px: int, blocks: int, gsd_m: float, crs: str, tiled: b
         transform=from_origin(*place, gsd_m, gsd_m), sparse_ok=True, bigtiff="YES", compress="deflate",
         photometric="RGB", interleave="pixel", zlevel=1, **layout,
     ) as dataset:  # fmt: skip
-        coarse = np.random.default_rng(0).integers(60, 200, (3, BLOCK_PX // 8, BLOCK_PX // 8), dtype=np.uint8)
+        coarse = np.random.default_rng(0).integers(
+            60, 200, (3, BLOCK_PX // 8, BLOCK_PX // 8), dtype=np.uint8
+        )
         stretch = coarse.repeat(8, 1).repeat(8, 2)
         across = side_px // BLOCK_PX
         for number in range(blocks):
             scattered = (number * 5 % across, number * 7 % across)
             column, row = scattered
-            dataset.write(stretch, window=Window(column * BLOCK_PX, row * BLOCK_PX, BLOCK_PX, BLOCK_PX))
+            dataset.write(
+                stretch, window=Window(column * BLOCK_PX, row * BLOCK_PX, BLOCK_PX, BLOCK_PX)
+            )
 
 
 def peak_mb() -> float:

@@ -71,7 +71,9 @@ class Compare:
         for folder in sorted((self.run_folder / "detectors").iterdir()):
             detector, _ = load_detector(folder)
             figures["average_precision"][detector.name] = {
-                name: average_precision(detect_all(detector, images.images), images, criterion="centre_1m").ap
+                name: average_precision(
+                    detect_all(detector, images.images), images, criterion="centre_1m"
+                ).ap
                 for name, images in (("torch", torch_images), ("cycles", cycles_images))
             }
         rows = [
@@ -89,7 +91,11 @@ class Compare:
 
 @torch.no_grad()
 def vehicle_rows(
-    scene: Scene, fleet: Fleet, backgrounds: BackgroundSet, torch_image: Tensor, cycles_image: Tensor
+    scene: Scene,
+    fleet: Fleet,
+    backgrounds: BackgroundSet,
+    torch_image: Tensor,
+    cycles_image: Tensor,
 ) -> list[dict[str, Any]]:
     """Per vehicle: mean linear colour well inside it, and light in its shadow over the photograph's, by both."""
     if not scene.placements:
@@ -105,12 +111,18 @@ def vehicle_rows(
     shades = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)[:, 0]
     shadows = (
         torch.stack(
-            [on_image(shade, origin, placed.size_px) for shade, origin in zip(shades, cast.origin, strict=True)]
+            [
+                on_image(shade, origin, placed.size_px)
+                for shade, origin in zip(shades, cast.origin, strict=True)
+            ]
         )
         > 0.99
     )
     ground = srgb_to_linear(photograph[0])
-    light = {"torch": srgb_to_linear(torch_image / 255), "cycles": srgb_to_linear(cycles_image / 255)}
+    light = {
+        "torch": srgb_to_linear(torch_image / 255),
+        "cycles": srgb_to_linear(cycles_image / 255),
+    }
     rows = []
     for index in range(len(vehicles)):
         body = eroded(bodies[index] & ~(bodies.sum(0) > 1))
@@ -119,7 +131,9 @@ def vehicle_rows(
         for name, image in light.items():
             row[f"colour_{name}"] = image[:, body].mean(1).tolist() if body.sum() >= 20 else None
             row[f"shadow_{name}"] = (
-                (image[:, shadow].sum(1) / ground[:, shadow].sum(1)).tolist() if shadow.sum() >= 10 else None
+                (image[:, shadow].sum(1) / ground[:, shadow].sum(1)).tolist()
+                if shadow.sum() >= 10
+                else None
             )
         rows.append(row)
     return rows
@@ -130,9 +144,14 @@ def on_image(layer: Tensor, origin: Tensor, size: int) -> Tensor:
     whole = layer.new_zeros(size, size)
     left, top = origin.tolist()
     side = len(layer)
-    rows, columns = slice(max(top, 0), min(top + side, size)), slice(max(left, 0), min(left + side, size))
+    rows, columns = (
+        slice(max(top, 0), min(top + side, size)),
+        slice(max(left, 0), min(left + side, size)),
+    )
     if rows.start < rows.stop and columns.start < columns.stop:
-        whole[rows, columns] = layer[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+        whole[rows, columns] = layer[
+            rows.start - top : rows.stop - top, columns.start - left : columns.stop - left
+        ]
     return whole
 
 
@@ -146,7 +165,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Means over vehicles, and how far single vehicles lie apart."""
     found: dict[str, Any] = {"vehicles": len(rows)}
     for what in ("colour", "shadow"):
-        both = [(row[f"{what}_torch"], row[f"{what}_cycles"]) for row in rows if row[f"{what}_torch"]]
+        both = [
+            (row[f"{what}_torch"], row[f"{what}_cycles"]) for row in rows if row[f"{what}_torch"]
+        ]
         first, second = (np.array([pair[index] for pair in both]) for index in (0, 1))
         found[what] = {
             "measured": len(both),
@@ -163,10 +184,14 @@ def sheet(pairs: list[tuple[Tensor, Tensor]]) -> Image.Image:
     wide = torch.full((3, tiles[0].shape[1], 8), 255, dtype=torch.uint8)
     rows = []
     for start in range(0, len(tiles), COLUMNS):
-        row = torch.cat([torch.cat([tile, wide], dim=2) for tile in tiles[start : start + COLUMNS]], dim=2)[:, :, :-8]
+        row = torch.cat(
+            [torch.cat([tile, wide], dim=2) for tile in tiles[start : start + COLUMNS]], dim=2
+        )[:, :, :-8]
         rows += [row, torch.full((3, 8, row.shape[2]), 255, dtype=torch.uint8)]
     picture = Image.fromarray(torch.cat(rows[:-1], dim=1).permute(1, 2, 0).numpy())
-    return picture.resize((picture.width * ENLARGED, picture.height * ENLARGED), Image.Resampling.BICUBIC)
+    return picture.resize(
+        (picture.width * ENLARGED, picture.height * ENLARGED), Image.Resampling.BICUBIC
+    )
 
 
 if __name__ == "__main__":

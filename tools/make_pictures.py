@@ -75,7 +75,14 @@ def as_detectors_see(vehicles: VehicleBatch) -> torch.Tensor:
     sun = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
     camera = Camera(0.0, 0.0, GSD_M, CELL_PX[1])
     scenes = [
-        Scene(name, BackgroundWindow("plain", 0, 0, 0), camera, sun, (Placement(name, 0, 0, math.pi / 2),), index)
+        Scene(
+            name,
+            BackgroundWindow("plain", 0, 0, 0),
+            camera,
+            sun,
+            (Placement(name, 0, 0, math.pi / 2),),
+            index,
+        )
         for index, name in enumerate(vehicles.ids)
     ]
     return (TorchRenderer(PlainGround())(scenes, vehicles).image * 255).round().byte()
@@ -86,18 +93,27 @@ def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
     width = CELL_PX[0] * pictures.shape[-1] // CELL_PX[1]
     left = (pictures.shape[-1] - width) // 2
     strips = [as_image(picture[:, :, left : left + width]) for picture in pictures]
-    return [strip.resize((strip.width * scale, strip.height * scale), Image.Resampling.NEAREST) for strip in strips]
+    return [
+        strip.resize((strip.width * scale, strip.height * scale), Image.Resampling.NEAREST)
+        for strip in strips
+    ]
 
 
 def draw_fleet() -> Image.Image:
     """Four vehicles of each body type, fine above, as detectors see them below."""
     names, fine, coarse = [], [], []
     for index, body_type in enumerate(BODY_RANGES):
-        settings = FleetSettings(count=PER_TYPE, weights={body_type: 1.0}, first_number=index * PER_TYPE)
+        settings = FleetSettings(
+            count=PER_TYPE, weights={body_type: 1.0}, first_number=index * PER_TYPE
+        )
         fleet = sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index))
         vehicles = fleet.batch(fleet.ids)
         sharp = close_up(
-            vehicles, gsd_m=GSD_M / ENLARGE, side_m=CELL_PX[1] * GSD_M, heading_rad=math.pi / 2, tilt_rad=0.0
+            vehicles,
+            gsd_m=GSD_M / ENLARGE,
+            side_m=CELL_PX[1] * GSD_M,
+            heading_rad=math.pi / 2,
+            tilt_rad=0.0,
         )
         names += fleet.ids
         fine += cells(sharp, 1)
@@ -121,7 +137,9 @@ def draw_fleet() -> Image.Image:
             x = gap + place % COLUMNS * (wide + gap)
             y = top + caption + place // COLUMNS * (high + label)
             sheet.paste(picture, (x, y))
-            pen.text((x + wide / 2, y + high + label / 2), name, fill=INK, font=font(20), anchor="mm")
+            pen.text(
+                (x + wide / 2, y + high + label / 2), name, fill=INK, font=font(20), anchor="mm"
+            )
     return sheet
 
 
@@ -134,10 +152,15 @@ def draw_scenes() -> Image.Image:
     with tempfile.TemporaryDirectory() as folder:
         backgrounds = write_procedural_backgrounds(Path(folder), {"test": 16}, 386, seed=3)
         settings = SceneSettings(size_px=size_px, vehicles_minimum=2)
-        drawn = sample_scenes(settings, backgrounds, "test", sizes, 60, generator=torch.Generator().manual_seed(5))
+        drawn = sample_scenes(
+            settings, backgrounds, "test", sizes, 60, generator=torch.Generator().manual_seed(5)
+        )
         # One scene per kind of ground first, then any other tile, so that the sheet shows the variety.
         chosen: dict[str, Scene] = {}
-        for by in (lambda scene: backgrounds.tile(scene.background.tile).kind, lambda scene: scene.background.tile):
+        for by in (
+            lambda scene: backgrounds.tile(scene.background.tile).kind,
+            lambda scene: scene.background.tile,
+        ):
             used = {by(scene) for scene in chosen.values()}
             for scene in drawn:
                 if len(chosen) < count and by(scene) not in used:
@@ -145,9 +168,13 @@ def draw_scenes() -> Image.Image:
                     chosen[scene.id] = scene
         scenes = [replace(scene, id=f"{index}") for index, scene in enumerate(chosen.values())]
         frames = TorchRenderer(backgrounds)(scenes, placed_vehicles(fleet, scenes))
-        kinds = [str(backgrounds.tile(scene.background.tile).kind).replace("_", " ") for scene in scenes]
+        kinds = [
+            str(backgrounds.tile(scene.background.tile).kind).replace("_", " ") for scene in scenes
+        ]
     side, gap, label = 2 * size_px, 6, 30
-    sheet = Image.new("RGB", (columns * (side + gap) + gap, count // columns * (side + label) + gap), PAPER)
+    sheet = Image.new(
+        "RGB", (columns * (side + gap) + gap, count // columns * (side + label) + gap), PAPER
+    )
     pen = ImageDraw.Draw(sheet)
     for index, pixels in enumerate((frames.image * 255).round().byte()):
         x, y = gap + index % columns * (side + gap), gap + index // columns * (side + label)
@@ -164,7 +191,9 @@ def draw_weather_sheet() -> Image.Image:
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     sizes = fleet.sizes_m
     with tempfile.TemporaryDirectory() as folder:
-        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 1}, 700, seed=WEATHER_TILE_SEED)
+        backgrounds = write_procedural_backgrounds(
+            Path(folder), {"test": 1}, 700, seed=WEATHER_TILE_SEED
+        )
         renderer = TorchRenderer(backgrounds)
         pictures = []
         for condition in CONDITIONS:
@@ -182,7 +211,9 @@ def draw_sharpness_sheet() -> Image.Image:
     size_px, widths = 144, (0.4, 0.7, 1.0, 1.4, 1.8, 2.4)
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     with tempfile.TemporaryDirectory() as folder:
-        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 1}, 500, seed=WEATHER_TILE_SEED)
+        backgrounds = write_procedural_backgrounds(
+            Path(folder), {"test": 1}, 500, seed=WEATHER_TILE_SEED
+        )
         settings = SceneSettings(size_px=size_px, vehicles_minimum=5)
         generator = torch.Generator().manual_seed(SHARPNESS_SCENE_SEED)
         scenes = sample_scenes(settings, backgrounds, "test", fleet.sizes_m, 1, generator=generator)
@@ -190,7 +221,9 @@ def draw_sharpness_sheet() -> Image.Image:
         for sigma_px in widths:
             renderer = TorchRenderer(backgrounds, RenderSettings(blur_sigma_px=sigma_px))
             frames = renderer(scenes, placed_vehicles(fleet, scenes))
-            pictures.append((f"blur {sigma_px} px", as_image((frames.image[0] * 255).round().byte())))
+            pictures.append(
+                (f"blur {sigma_px} px", as_image((frames.image[0] * 255).round().byte()))
+            )
     return _grid(pictures, columns=3, side_px=2 * size_px)
 
 
@@ -201,18 +234,26 @@ def draw_clearing_sheet() -> Image.Image:
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     pictures = []
     with tempfile.TemporaryDirectory() as folder:
-        backgrounds = write_procedural_backgrounds(Path(folder), {"test": 6}, 500, seed=CLEARING_SEED)
+        backgrounds = write_procedural_backgrounds(
+            Path(folder), {"test": 6}, 500, seed=CLEARING_SEED
+        )
         renderer = TorchRenderer(backgrounds, RenderSettings(blur_sigma_px=0.7))
         settings = SceneSettings(size_px=size_px, vehicles_minimum=5)
         generator = torch.Generator().manual_seed(CLEARING_SEED)
-        for scene in sample_scenes(settings, backgrounds, "test", fleet.sizes_m, count, generator=generator):
+        for scene in sample_scenes(
+            settings, backgrounds, "test", fleet.sizes_m, count, generator=generator
+        ):
             frames = renderer([scene], placed_vehicles(fleet, [scene]))
             image = (frames.image[0] * 255).round().byte()
             shadow = estimate_shadow([darkness_profiles(image, frames.boxes, gsd_m=GSD_M)])
             mask = vehicle_mask((size_px, size_px), frames.boxes, shadow, gsd_m=GSD_M, margin_m=0.4)
             true = (backgrounds.window(scene.background, size_px) * 255).round().byte()
             filled = apply_inpainting(Exemplar(), image, mask)
-            pictures += [("rendered", as_image(image)), ("cleared", as_image(filled)), ("true ground", as_image(true))]
+            pictures += [
+                ("rendered", as_image(image)),
+                ("cleared", as_image(filled)),
+                ("true ground", as_image(true)),
+            ]
     return _grid(pictures, columns=3, side_px=2 * size_px)
 
 
@@ -220,7 +261,9 @@ def _grid(pictures: list[tuple[str, Image.Image]], *, columns: int, side_px: int
     """Square pictures with their captions, row by row."""
     gap, label = 6, 30
     rows = math.ceil(len(pictures) / columns)
-    sheet = Image.new("RGB", (columns * (side_px + gap) + gap, rows * (side_px + label) + gap), PAPER)
+    sheet = Image.new(
+        "RGB", (columns * (side_px + gap) + gap, rows * (side_px + label) + gap), PAPER
+    )
     pen = ImageDraw.Draw(sheet)
     for index, (title, picture) in enumerate(pictures):
         x, y = gap + index % columns * (side_px + gap), gap + index // columns * (side_px + label)
@@ -248,7 +291,9 @@ def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int =
     """The first matched pairs of a demo's report, side by side: above without, below with the learnt texture."""
     run = read_run(run_folder)
     if not run.synthetic_only:
-        raise SystemExit("expected a demo on procedural ground: pictures in the repository show procedural data")
+        raise SystemExit(
+            "expected a demo on procedural ground: pictures in the repository show procedural data"
+        )
     pairs = make_pairs(run, "T-U", "torch", detector)[:count]
     rows = [[pair.original for pair in pairs], [pair.adversarial for pair in pairs]]
     side, gap, label = 320, 6, 30
@@ -264,13 +309,17 @@ def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int =
         for column, uri in enumerate(row):
             picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
             place = (gap + column * (side + gap), top + label)
-            sheet.paste(picture.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), place)
+            sheet.paste(
+                picture.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), place
+            )
     return sheet
 
 
 def draw_attacks(run_folder: Path) -> Image.Image:
     """One saloon from above in every texture and shape that a reproduction learnt first, each beside its map."""
-    fleet = sample_fleet(FleetSettings(count=1, weights={"saloon": 1.0}), generator=torch.Generator().manual_seed(4))
+    fleet = sample_fleet(
+        FleetSettings(count=1, weights={"saloon": 1.0}), generator=torch.Generator().manual_seed(4)
+    )
     saloon = fleet.batch(fleet.ids)
     width, height, map_px, per_row, head = 150, 330, 150, 6, 24
     rows = [
@@ -287,11 +336,17 @@ def draw_attacks(run_folder: Path) -> Image.Image:
             x, y = column * cell[0] + 10, row * cell[1] + 6
             pen.text((x, y), name, fill=INK, font=font(16))
             side_m = 0.02 * height
-            shot = close_up(load_camouflage(folder)(saloon), gsd_m=0.02, side_m=side_m, heading_rad=math.pi / 2)[0]
+            shot = close_up(
+                load_camouflage(folder)(saloon), gsd_m=0.02, side_m=side_m, heading_rad=math.pi / 2
+            )[0]
             car = as_image(shot)
             left = (car.width - width) // 2
             sheet.paste(car.crop((left, 0, left + width, height)), (x, y + head))
-            maps = [folder / file for file in ("texture.png", "displacement.png") if (folder / file).exists()]
+            maps = [
+                folder / file
+                for file in ("texture.png", "displacement.png")
+                if (folder / file).exists()
+            ]
             for index, path in enumerate(maps):
                 with Image.open(path) as image:
                     flat = image.convert("RGB").resize((map_px, map_px), Image.Resampling.NEAREST)

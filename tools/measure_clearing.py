@@ -51,29 +51,46 @@ class MeasureClearing:
         fleet = Fleet.load(self.run_folder / "fleets" / "test")
         judges = [
             Judge(detector, card.threshold)
-            for detector, card in map(load_detector, sorted((self.run_folder / "detectors").iterdir()))
+            for detector, card in map(
+                load_detector, sorted((self.run_folder / "detectors").iterdir())
+            )
         ]
         settings = SceneSettings(size_px=SIZE_PX, vehicles_minimum=4, vehicles_maximum=6)
         draws = torch.Generator().manual_seed(11)
-        scenes = sample_scenes(settings, ground, "test", fleet.sizes_m, self.windows, generator=draws)
+        scenes = sample_scenes(
+            settings, ground, "test", fleet.sizes_m, self.windows, generator=draws
+        )
         renderer, shown, true, masks, covered, vehicles = TorchRenderer(ground), [], [], [], [], 0
         for scene in scenes:
             frames = renderer([scene], fleet.batch([each.vehicle for each in scene.placements]))
             image = (frames.image[0] * 255).round().byte()
             empty = (ground.window(scene.background, SIZE_PX) * 255).round().byte()
             shadow = estimate_shadow([darkness_profiles(image, frames.boxes, gsd_m=ground.gsd_m)])
-            mask = vehicle_mask((SIZE_PX, SIZE_PX), frames.boxes, shadow, gsd_m=ground.gsd_m, margin_m=MARGIN_M)
+            mask = vehicle_mask(
+                (SIZE_PX, SIZE_PX), frames.boxes, shadow, gsd_m=ground.gsd_m, margin_m=MARGIN_M
+            )
             changed = (image.float() - empty.float()).abs().amax(0) > CHANGED
             covered.append(float((changed & mask).sum() / changed.sum()))
             vehicles += len(frames.boxes)
             shown, true, masks = [*shown, image], [*true, empty], [*masks, mask]
-        print(f"{vehicles} vehicles; masks cover {sum(covered) / len(covered):.1%} of the changed pixels")
-        print(f"found with vehicles {_found(judges, shown, masks)}, on the true ground {_found(judges, true, masks)}")
-        ways = {"Telea": Diffusion("telea"), "Navier-Stokes": Diffusion("navier-stokes"), "exemplar": Exemplar()}
+        print(
+            f"{vehicles} vehicles; masks cover {sum(covered) / len(covered):.1%} of the changed pixels"
+        )
+        print(
+            f"found with vehicles {_found(judges, shown, masks)}, on the true ground {_found(judges, true, masks)}"
+        )
+        ways = {
+            "Telea": Diffusion("telea"),
+            "Navier-Stokes": Diffusion("navier-stokes"),
+            "exemplar": Exemplar(),
+        }
         for name, way in ways.items():
-            filled = [apply_inpainting(way, image, mask) for image, mask in zip(shown, masks, strict=True)]
+            filled = [
+                apply_inpainting(way, image, mask) for image, mask in zip(shown, masks, strict=True)
+            ]
             errors = [
-                (one.float() - other.float())[:, mask] for one, other, mask in zip(filled, true, masks, strict=True)
+                (one.float() - other.float())[:, mask]
+                for one, other, mask in zip(filled, true, masks, strict=True)
             ]
             texture = [
                 float(_fine(one)[:, mask].std() / _fine(other)[:, mask].std())

@@ -118,7 +118,13 @@ PHOTOGRAPHS = "photographs"
 FINAL: dict[str, Trial] = {
     "before": TRIALS["as the demo"],
     # Both grounds and all weather cost nothing on the tuning frames; other places may need them, and more vehicles.
-    "renders": Trial(ground=("procedural", "cleared"), conditions=MIXED_WEATHER, vehicles=240, images=3000, steps=2400),
+    "renders": Trial(
+        ground=("procedural", "cleared"),
+        conditions=MIXED_WEATHER,
+        vehicles=240,
+        images=3000,
+        steps=2400,
+    ),
     PHOTOGRAPHS: Trial(steps=1000),
 }
 
@@ -152,13 +158,19 @@ class RealityGap:
             started = time.time()
             training, validation = _rendered(self.out, TRIALS[name])
             if TRIALS[name].match_colours:
-                training, validation = (_recoloured(each, frames.images) for each in (training, validation))
+                training, validation = (
+                    _recoloured(each, frames.images) for each in (training, validation)
+                )
             detector, card = _train(place, "retinanet", training, validation, TRIALS[name])
             found = detect_all(detector, frames.images.images)
-            row = check_clean(Judge(detector, card.threshold), frames, found, generator=np.random.default_rng(0))
+            row = check_clean(
+                Judge(detector, card.threshold), frames, found, generator=np.random.default_rng(0)
+            )
             row["ap_rendered"] = card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
-            print(f"{name}: AP {row['ap_centre_1m']:.3f}, {time.time() - started:.0f} s", flush=True)
+            print(
+                f"{name}: AP {row['ap_centre_1m']:.3f}, {time.time() - started:.0f} s", flush=True
+            )
 
     def _final(self) -> None:
         for name, trial in FINAL.items():
@@ -167,11 +179,16 @@ class RealityGap:
             folder = self.out / "final" / name
             if all((folder / detector / "detector.json").exists() for detector in DETECTORS):
                 continue
-            training, validation = self._photographs() if name == PHOTOGRAPHS else _rendered(self.out, trial)
+            training, validation = (
+                self._photographs() if name == PHOTOGRAPHS else _rendered(self.out, trial)
+            )
             for detector in DETECTORS:
                 started = time.time()
                 card = _train(folder, detector, training, validation, trial)[1]
-                print(f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s", flush=True)
+                print(
+                    f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s",
+                    flush=True,
+                )
 
     def _photographs(self) -> tuple[LabelledImages, LabelledImages]:
         """The tuning frames' tiles (docs/results/reality/README.md): one place, so three splits serve the training."""
@@ -189,13 +206,17 @@ class RealityGap:
         folders.insert(len(DETECTORS), self.out / "trials" / "recipe" / "retinanet")
         looks = self.out / "looks.jsonl"
         past = list(read_jsonl(looks)) if looks.exists() else []
-        write_jsonl(looks, [*past, {"time": time.strftime("%Y-%m-%d %H:%M"), "detectors": len(folders)}])
+        write_jsonl(
+            looks, [*past, {"time": time.strftime("%Y-%m-%d %H:%M"), "detectors": len(folders)}]
+        )
         rows = []
         for folder in folders:
             detector, card = load_detector(folder)
             for each in sets:
                 found = detect_all(detector, each.images.images)
-                row = check_clean(Judge(detector, card.threshold), each, found, generator=np.random.default_rng(0))
+                row = check_clean(
+                    Judge(detector, card.threshold), each, found, generator=np.random.default_rng(0)
+                )
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
                     f"{folder.parent.name:<12} {detector.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
@@ -216,9 +237,15 @@ def _generator(*names: str | int) -> torch.Generator:
 def _ground(run: Path, name: str) -> BackgroundSet:
     folder = run / name
     if name in ("procedural", "without-clutter") and not folder.exists():
-        spared = patch("skyproof.scenes.ground.add_clutter") if name == "without-clutter" else nullcontext()
+        spared = (
+            patch("skyproof.scenes.ground.add_clutter")
+            if name == "without-clutter"
+            else nullcontext()
+        )
         with finished_folder(folder) as partial, spared:
-            write_procedural_backgrounds(partial, dict(zip(SPLITS, (64, 12, 24, 40), strict=True)), 386, seed=0)
+            write_procedural_backgrounds(
+                partial, dict(zip(SPLITS, (64, 12, 24, 40), strict=True)), 386, seed=0
+            )
     return BackgroundSet.open(folder)
 
 
@@ -230,7 +257,9 @@ def _fleet(run: Path, split: str, count: int) -> Fleet:
 
 
 @torch.no_grad()
-def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: int) -> LabelledImages:
+def _render(
+    run: Path, trial: Trial, split: str, count: int, least: int, most: int
+) -> LabelledImages:
     """A split's images with vehicles, in memory; the grounds share them out."""
     if split == "train" and trial.wrapped:
         fleet = Fleet.load(run / "fleets" / "train-mixed")
@@ -251,7 +280,13 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
         )
         draws = _generator("scenes", trial.seed, split, name)
         scenes = sample_scenes(
-            settings, ground, split, fleet.sizes_m, count // len(trial.ground), generator=draws, prefix=split
+            settings,
+            ground,
+            split,
+            fleet.sizes_m,
+            count // len(trial.ground),
+            generator=draws,
+            prefix=split,
         )
         renderer = TorchRenderer(
             ground,
@@ -269,13 +304,16 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
             boxes += [frames.boxes[frames.scene_index == index] for index in range(len(batch))]
     nothing = torch.zeros(0, 4)
     ids = [f"{split}-{number}" for number in range(len(images))]
-    return LabelledImages(images=images, boxes=boxes, ignore=[nothing] * len(images), ids=ids, gsd_m=GSD_M)
+    return LabelledImages(
+        images=images, boxes=boxes, ignore=[nothing] * len(images), ids=ids, gsd_m=GSD_M
+    )
 
 
 def _recoloured(images: LabelledImages, like: LabelledImages) -> LabelledImages:
     """The images with the mean and the standard deviation that each channel has over all of `like`."""
     own, wanted = (
-        torch.cat([image.flatten(1)[:, ::7].double() for image in each.images], 1) for each in (images, like)
+        torch.cat([image.flatten(1)[:, ::7].double() for image in each.images], 1)
+        for each in (images, like)
     )
     scale = (wanted.std(1) / own.std(1))[:, None, None]
     shift = wanted.mean(1)[:, None, None] - scale * own.mean(1)[:, None, None]
@@ -292,7 +330,9 @@ def _train(
     folder: Path, name: str, training: LabelledImages, validation: LabelledImages, trial: Trial
 ) -> tuple[TrainableDetector, DetectorCard]:
     detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
-    settings = TrainingSettings(steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter)
+    settings = TrainingSettings(
+        steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter
+    )
     draws = _generator("training", trial.seed)
     return detector, train(detector, training, validation, settings, folder / name, generator=draws)
 

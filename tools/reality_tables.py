@@ -65,15 +65,24 @@ def _trial_table(trials: list[Row]) -> str:
     recipe = next(row["ap_centre_1m"] for row in trials if row["name"] == "recipe")
     for row in sorted(trials, key=lambda row: -row["ap_centre_1m"]):
         change = "" if row["name"] == "recipe" else f"{100 * (row['ap_centre_1m'] - recipe):+.0f}"
-        lines.append(f"| {row['name']} | {_cell(row)} | {change} | {_percent(row['ap_rendered'])} |")
+        lines.append(
+            f"| {row['name']} | {_cell(row)} | {change} | {_percent(row['ap_rendered'])} |"
+        )
     return "\n".join(lines) + "\n"
 
 
 def _final_table(rows: list[Row]) -> str:
     sets = list(dict.fromkeys(row["dataset"] for row in rows))
-    lines = [f"| detector | trained on | threshold | {' | '.join(sets)} |", "|---|---|---|" + "---|" * len(sets)]
+    lines = [
+        f"| detector | trained on | threshold | {' | '.join(sets)} |",
+        "|---|---|---|" + "---|" * len(sets),
+    ]
     for trained_on, detector in dict.fromkeys((row["trained_on"], row["detector"]) for row in rows):
-        own = {row["dataset"]: row for row in rows if (row["trained_on"], row["detector"]) == (trained_on, detector)}
+        own = {
+            row["dataset"]: row
+            for row in rows
+            if (row["trained_on"], row["detector"]) == (trained_on, detector)
+        }
         threshold = next(iter(own.values()))["threshold"]
         lines.append(
             f"| {detector} | {trained_on} | {threshold:.2f} | {' | '.join(_cell(own[name]) for name in sets)} |"
@@ -91,13 +100,24 @@ def _draw_blur(trials: list[Row], path: Path) -> None:
     below = [100 * (row["ap_centre_1m"] - row["ap_centre_1m_low"]) for row in swept]
     above = [100 * (row["ap_centre_1m_high"] - row["ap_centre_1m"]) for row in swept]
     axes.errorbar(
-        sigma, values, yerr=[below, above], marker="o", capsize=3, label="photographs (KIT Munich, first place)"
+        sigma,
+        values,
+        yerr=[below, above],
+        marker="o",
+        capsize=3,
+        label="photographs (KIT Munich, first place)",
     )
-    axes.plot(sigma, [100 * row["ap_rendered"] for row in swept], "s--", color="0.6", label="own renders")
+    axes.plot(
+        sigma, [100 * row["ap_rendered"] for row in swept], "s--", color="0.6", label="own renders"
+    )
     axes.axvline(2.4, color="0.8", zorder=0)
     axes.annotate("the paper's σ", (2.4, 5), rotation=90, ha="right", color="0.4", fontsize=8)
     axes.set_xticks([0.4, 0.7, 1.0, 1.4, 1.8, 2.4])
-    axes.set(xlabel="blur of the rendered vehicles, σ in px", ylabel="AP, centre within 1 m (%)", ylim=(0, 102))
+    axes.set(
+        xlabel="blur of the rendered vehicles, σ in px",
+        ylabel="AP, centre within 1 m (%)",
+        ylim=(0, 102),
+    )
     axes.legend(loc="lower left", frameon=False)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

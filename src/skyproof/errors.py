@@ -1,6 +1,12 @@
 """The errors skyproof raises for a caller to read: what was expected, what came, what to do."""
 
-__all__ = ["ConfigurationError", "ImageryError", "RunFolderError", "SkyproofError", "StoredFileError"]
+__all__ = [
+    "ConfigurationError",
+    "ImageryError",
+    "RunFolderError",
+    "SkyproofError",
+    "StoredFileError",
+]
 
 
 class SkyproofError(Exception):

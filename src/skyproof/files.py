@@ -78,7 +78,9 @@ def finished_folder(path: Path) -> Iterator[Path]:
 
 def is_leftover(path: Path) -> bool:
     """Whether a kill left this file or folder: it was being written and never got its final name."""
-    return path.name.startswith(".") and (path.name.endswith(".partial") or path.stem.endswith(".partial"))
+    return path.name.startswith(".") and (
+        path.name.endswith(".partial") or path.stem.endswith(".partial")
+    )
 
 
 def refuse_existing(path: Path) -> None:
@@ -88,7 +90,9 @@ def refuse_existing(path: Path) -> None:
         RunFolderError: `path` exists.
     """
     if path.exists():
-        raise RunFolderError(f"{path} exists already and is not overwritten; choose another --out or remove it first.")
+        raise RunFolderError(
+            f"{path} exists already and is not overwritten; choose another --out or remove it first."
+        )
 
 
 def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
@@ -106,9 +110,15 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
         return
     if not folder.is_dir():
         raise RunFolderError(f"{folder} is a file; choose another --out.")
-    foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in ours and not is_leftover(entry))
+    foreign = sorted(
+        entry.name
+        for entry in folder.iterdir()
+        if entry.name not in ours and not is_leftover(entry)
+    )
     if foreign:
-        raise RunFolderError(f"{folder} holds files that are not of this stage ({foreign[0]}); choose another --out.")
+        raise RunFolderError(
+            f"{folder} holds files that are not of this stage ({foreign[0]}); choose another --out."
+        )
 
 
 def _unwritable(path: Path, error: OSError) -> RunFolderError:
@@ -167,6 +177,10 @@ def _read(path: Path, parse: Callable[[str], Any]) -> Any:
     try:
         return parse(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise StoredFileError(f"{path} is missing; run the stage that writes it, or give another folder.") from error
+        raise StoredFileError(
+            f"{path} is missing; run the stage that writes it, or give another folder."
+        ) from error
     except (ValueError, OSError) as error:
-        raise StoredFileError(f"{path} cannot be read ({error}); remove it and run its stage again.") from error
+        raise StoredFileError(
+            f"{path} cannot be read ({error}); remove it and run its stage again."
+        ) from error

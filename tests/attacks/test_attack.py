@@ -22,7 +22,9 @@ from skyproof.scenes.sampling import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES = SceneSettings(size_px=96, vehicles_maximum=1)
-FEW = AttackSettings(steps=7, batch_size=2, balance_batches=2, preview_every=4, checkpoint_every=3, learning_rate=0.1)
+FEW = AttackSettings(
+    steps=7, batch_size=2, balance_batches=2, preview_every=4, checkpoint_every=3, learning_rate=0.1
+)
 
 
 class StandIn(TrainableDetector):
@@ -60,7 +62,9 @@ class Restless(StandIn):
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    backgrounds = write_procedural_backgrounds(tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0)
+    backgrounds = write_procedural_backgrounds(
+        tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0
+    )
     fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
     return AttackWorld(TorchRenderer(backgrounds), backgrounds, fleet, SCENES)
 
@@ -82,7 +86,9 @@ def mean_loss(camouflage, detectors, world):
     """On scenes that no attack in this file draws."""
     scenes = world.draw(8, generator=torch.Generator().manual_seed(12345))
     images = world.renderer(scenes, camouflage(placed_vehicles(world.fleet, scenes))).image
-    return {name: float(loss.mean()) for name, loss in empty_truth_losses(detectors, images).items()}
+    return {
+        name: float(loss.mean()) for name, loss in empty_truth_losses(detectors, images).items()
+    }
 
 
 def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, world):
@@ -90,7 +96,9 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
     before = [weights_digest(detector) for detector in detectors]
     camouflage, seen = start(), []
     untouched = mean_loss(camouflage, detectors, world)
-    settings = AttackSettings(steps=15, batch_size=4, learning_rate=0.1, balance_batches=2, preview_every=10)
+    settings = AttackSettings(
+        steps=15, batch_size=4, learning_rate=0.1, balance_batches=2, preview_every=10
+    )
     result = attack(camouflage, detectors, world, settings, tmp_path, on_step=seen.append)
     attacked = mean_loss(result, detectors, world)
     # Vehicles are a twentieth of the image. Other random maps move the loss by less than a thousandth.
@@ -111,7 +119,9 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
     for name in ("one", "two"):
         assert weights[name] * first[name] == pytest.approx(1.0, abs=0.35)
     for row in table:
-        assert row["loss"] == pytest.approx(sum(weights[name] * row["losses"][name] for name in weights))
+        assert row["loss"] == pytest.approx(
+            sum(weights[name] * row["losses"][name] for name in weights)
+        )
 
     stored = load_camouflage(tmp_path)
     assert torch.equal(stored.cells, result.cells)
@@ -123,7 +133,11 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
         "camouflage.json",
         "camouflage.safetensors",
     }
-    assert {path.name for path in (tmp_path / "previews").iterdir()} == {"000001.png", "000010.png", "000015.png"}
+    assert {path.name for path in (tmp_path / "previews").iterdir()} == {
+        "000001.png",
+        "000010.png",
+        "000015.png",
+    }
 
 
 def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
@@ -140,7 +154,9 @@ def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
     with (tmp_path / "killed" / "steps.jsonl").open("a") as file:
         file.write(json.dumps({"step": 4}) + "\n")
     done = []
-    resumed = attack(start(seed=9), [StandIn()], world, FEW, tmp_path / "killed", on_step=done.append)
+    resumed = attack(
+        start(seed=9), [StandIn()], world, FEW, tmp_path / "killed", on_step=done.append
+    )
     # The last checkpoint was after step 3; the parameters come from there, not from the caller.
     assert [row["step"] for row in done] == [4, 5, 6, 7]
     assert torch.equal(whole.cells, resumed.cells)
@@ -190,7 +206,9 @@ def test_an_attack_does_not_depend_on_the_global_generator(tmp_path, world):
     two = attack(start(), [detector], world, short, tmp_path / "two")
     assert torch.equal(one.cells, two.cells)
     assert torch.equal(torch.random.get_rng_state(), before)
-    other = attack(start(), [StandIn()], world, dataclasses.replace(short, seed=1), tmp_path / "three")
+    other = attack(
+        start(), [StandIn()], world, dataclasses.replace(short, seed=1), tmp_path / "three"
+    )
     assert not torch.equal(one.cells, other.cells)
 
 
@@ -198,7 +216,9 @@ def test_colours_stay_within_bounds_at_every_step(tmp_path, world):
     camouflage, extremes = start(), []
 
     def look(row):
-        extremes.append((float(camouflage.cells.detach().min()), float(camouflage.cells.detach().max())))
+        extremes.append(
+            (float(camouflage.cells.detach().min()), float(camouflage.cells.detach().max()))
+        )
 
     fast = dataclasses.replace(FEW, steps=2, learning_rate=0.8, balance_batches=1)
     attack(camouflage, [StandIn()], world, fast, tmp_path, on_step=look)
@@ -207,13 +227,18 @@ def test_colours_stay_within_bounds_at_every_step(tmp_path, world):
 
 
 def test_weights_bring_mean_first_losses_to_one():
-    assert balanced_weights({"a": [2.0, 4.0], "b": [0.001]}) == pytest.approx({"a": 1 / 3, "b": 1000.0})
+    assert balanced_weights({"a": [2.0, 4.0], "b": [0.001]}) == pytest.approx(
+        {"a": 1 / 3, "b": 1000.0}
+    )
 
 
 def test_losses_are_per_image_and_per_detector():
     images = torch.rand(3, 3, 64, 64, generator=torch.Generator().manual_seed(0))
     losses = empty_truth_losses([StandIn("one").eval(), StandIn("two", 1).eval()], images)
-    assert {name: tuple(value.shape) for name, value in losses.items()} == {"one": (3,), "two": (3,)}
+    assert {name: tuple(value.shape) for name, value in losses.items()} == {
+        "one": (3,),
+        "two": (3,),
+    }
     assert not torch.equal(losses["one"], losses["two"])
 
 

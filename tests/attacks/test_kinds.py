@@ -21,12 +21,27 @@ from skyproof.scenes.backgrounds import write_procedural_backgrounds
 from skyproof.scenes.sampling import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
-PALETTE = torch.tensor([[10, 10, 10], [60, 80, 40], [120, 110, 90], [200, 190, 170], [250, 20, 51]]) / 255
+PALETTE = (
+    torch.tensor([[10, 10, 10], [60, 80, 40], [120, 110, 90], [200, 190, 170], [250, 20, 51]]) / 255
+)
 TEXTURES = [
-    f"T-{(pix + colours + mask) or 'U'}" for pix in ("", "Pix") for colours in ("", "Lc", "Fc") for mask in ("", "Ma")
+    f"T-{(pix + colours + mask) or 'U'}"
+    for pix in ("", "Pix")
+    for colours in ("", "Lc", "Fc")
+    for mask in ("", "Ma")
 ]
-KINDS = [*TEXTURES, "S-O@0.4", "S-O@1.0", "C-Fc-seq@0.2", "C-PixFcMa-seq@0.2", "C-PixFc-par@0.2", "C-Lc-par@0.3"]
-FEW = AttackSettings(steps=6, batch_size=2, balance_batches=2, preview_every=9, checkpoint_every=2, learning_rate=0.1)
+KINDS = [
+    *TEXTURES,
+    "S-O@0.4",
+    "S-O@1.0",
+    "C-Fc-seq@0.2",
+    "C-PixFcMa-seq@0.2",
+    "C-PixFc-par@0.2",
+    "C-Lc-par@0.3",
+]
+FEW = AttackSettings(
+    steps=6, batch_size=2, balance_batches=2, preview_every=9, checkpoint_every=2, learning_rate=0.1
+)
 
 
 class BrightnessDetector(TrainableDetector):
@@ -39,22 +54,32 @@ class BrightnessDetector(TrainableDetector):
         self.register_buffer("kernel", torch.full((1, 3, 8, 8), 1 / 192))
 
     def answers(self, images):
-        return torch.sigmoid(12 * (torch.nn.functional.conv2d(images, self.kernel, stride=4) - 0.45))
+        return torch.sigmoid(
+            12 * (torch.nn.functional.conv2d(images, self.kernel, stride=4) - 0.45)
+        )
 
     def loss(self, images, targets):
         return self.answers(images).flatten(1).mean(1)
 
     def candidates(self, images):
         answers = self.answers(images)
-        rows, columns = torch.meshgrid(*(torch.arange(n) * 4.0 for n in answers.shape[2:]), indexing="ij")
-        boxes = torch.stack((columns, rows, columns + 8, rows + 8), dim=-1).view(1, -1, 4).expand(len(images), -1, -1)
+        rows, columns = torch.meshgrid(
+            *(torch.arange(n) * 4.0 for n in answers.shape[2:]), indexing="ij"
+        )
+        boxes = (
+            torch.stack((columns, rows, columns + 8, rows + 8), dim=-1)
+            .view(1, -1, 4)
+            .expand(len(images), -1, -1)
+        )
         scores = answers.flatten(1)
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    backgrounds = write_procedural_backgrounds(tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0)
+    backgrounds = write_procedural_backgrounds(
+        tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0
+    )
     fleet = sample_fleet(FleetSettings(count=3), generator=torch.Generator().manual_seed(0))
     scenes = SceneSettings(size_px=96, vehicles_maximum=1)
     return AttackWorld(TorchRenderer(backgrounds), backgrounds, fleet, scenes)
@@ -119,8 +144,13 @@ def test_the_score_on_the_target_is_the_best_within_a_metre(world):
         name, size = "fixed", "slim"
 
         def candidates(self, images):
-            boxes = torch.tensor([[[40.0, 40, 60, 60], [47, 40, 67, 60], [60, 40, 80, 60], [40, 40, 60, 60]]])
-            scores, valid = torch.tensor([[0.3, 0.5, 0.9, 0.99]]), torch.tensor([[True, True, True, False]])
+            boxes = torch.tensor(
+                [[[40.0, 40, 60, 60], [47, 40, 67, 60], [60, 40, 80, 60], [40, 40, 60, 60]]]
+            )
+            scores, valid = (
+                torch.tensor([[0.3, 0.5, 0.9, 0.99]]),
+                torch.tensor([[True, True, True, False]]),
+            )
             return Candidates(boxes, scores, valid)
 
     one = torch.zeros(1)
@@ -153,7 +183,9 @@ def test_snapshots_show_an_attack_growing_and_what_rounding_costs(tmp_path, worl
     kept = {path.name: load_camouflage(path) for path in (tmp_path / "snapshots").iterdir()}
     assert set(kept) == {"T-PixFc_step1", "T-PixFc_step4", "T-PixFc_relaxed"}
     assert all(camouflage.name == name for name, camouflage in kept.items())
-    losses = [mean_loss(kept[name], world) for name in ("T-PixFc_step1", "T-PixFc_step4")] + [mean_loss(learnt, world)]
+    losses = [mean_loss(kept[name], world) for name in ("T-PixFc_step1", "T-PixFc_step4")] + [
+        mean_loss(learnt, world)
+    ]
     assert losses[0] > losses[1] > losses[2]
     assert len(torch.unique(kept["T-PixFc_step1"].bytes().flatten(1), dim=1)[0]) <= 5
     # Before the rounding colours are still mixed, after it they are not; both losses are in the record.
@@ -165,7 +197,10 @@ def test_snapshots_show_an_attack_growing_and_what_rounding_costs(tmp_path, worl
     measured = []
     for camouflage in (kept["T-PixFc_relaxed"], learnt):
         with torch.no_grad():
-            batches = [world.frames(camouflage, world.step_scenes(4, 0, -batch)).image for batch in range(2)]
+            batches = [
+                world.frames(camouflage, world.step_scenes(4, 0, -batch)).image
+                for batch in range(2)
+            ]
         measured.append(float(BrightnessDetector().loss(torch.cat(batches), []).mean()))
     assert [relaxed, final] == pytest.approx(measured, rel=1e-4)
 
@@ -173,7 +208,10 @@ def test_snapshots_show_an_attack_growing_and_what_rounding_costs(tmp_path, worl
 def test_a_repeat_keeps_its_number_at_the_end_of_a_snapshots_name(tmp_path, world):
     settings = dataclasses.replace(FEW, steps=1, keep_at=(1,))
     attack(start("S-O@0.4-2"), [BrightnessDetector()], world, settings, tmp_path)
-    assert {path.name for path in (tmp_path / "snapshots").iterdir()} == {"S-O@0.4_step1-2", "S-O@0.4_relaxed-2"}
+    assert {path.name for path in (tmp_path / "snapshots").iterdir()} == {
+        "S-O@0.4_step1-2",
+        "S-O@0.4_relaxed-2",
+    }
 
 
 def test_a_finished_camouflage_has_nothing_to_learn(tmp_path, world):
@@ -184,8 +222,16 @@ def test_a_finished_camouflage_has_nothing_to_learn(tmp_path, world):
 
 def test_the_papers_weights_are_those_of_its_table():
     three = ["faster_rcnn", "yolov5", "retinanet"]
-    assert paper_weights("T-PixFcMa-1", three) == {"retinanet": 0.003, "faster_rcnn": 10.0, "yolov5": 2.0}
-    assert paper_weights("S-O@0.4", three) == {"retinanet": 0.020, "faster_rcnn": 15.0, "yolov5": 32.0}
+    assert paper_weights("T-PixFcMa-1", three) == {
+        "retinanet": 0.003,
+        "faster_rcnn": 10.0,
+        "yolov5": 2.0,
+    }
+    assert paper_weights("S-O@0.4", three) == {
+        "retinanet": 0.020,
+        "faster_rcnn": 15.0,
+        "yolov5": 32.0,
+    }
     assert paper_weights("C-PixFc-par@0.2", three)["yolov5"] == 20.860
     with pytest.raises(ConfigurationError, match="balanced"):
         paper_weights("C-U-seq@0.2", three)

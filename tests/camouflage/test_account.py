@@ -9,7 +9,9 @@ from skyproof.camouflage.measures import measure_texture
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
-PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+PALETTE = (
+    torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+)
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +23,8 @@ def vehicles():
 def account(name, vehicles):
     generator = torch.Generator().manual_seed(0)
     return practicality_account(
-        make_camouflage(read_recipe(name), Materials(palette=PALETTE), generator=generator), vehicles
+        make_camouflage(read_recipe(name), Materials(palette=PALETTE), generator=generator),
+        vehicles,
     )
 
 
@@ -46,7 +49,9 @@ def test_sides_that_are_left_alone_are_not_accounted_for(vehicles, name, total, 
 
 def test_quantities_are_those_of_the_map_and_the_mask(vehicles):
     control = make_camouflage(
-        read_recipe("R-PixFcMa"), Materials(palette=PALETTE), generator=torch.Generator().manual_seed(0)
+        read_recipe("R-PixFcMa"),
+        Materials(palette=PALETTE),
+        generator=torch.Generator().manual_seed(0),
     )
     found = practicality_account(control, vehicles)["texture"]
     wanted = measure_texture(vehicles, control.bytes(), control.mask(vehicles), 16)

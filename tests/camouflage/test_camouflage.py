@@ -98,7 +98,9 @@ def test_a_stored_camouflage_reads_back_bit_for_bit_and_its_png_shows_it(tmp_pat
     with Image.open(tmp_path / "one" / "texture.png") as image:
         pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1)
     assert torch.equal(pixels.float() / 255, saved.cells.detach())
-    assert json.loads((tmp_path / "one" / "camouflage.json").read_text())["record"] == {"note": "made in a test"}
+    assert json.loads((tmp_path / "one" / "camouflage.json").read_text())["record"] == {
+        "note": "made in a test"
+    }
     assert {path.name for path in (tmp_path / "one").iterdir()} == {
         "camouflage.json",
         "camouflage.safetensors",
@@ -134,7 +136,17 @@ def rewritten(**fields):
         ("camouflage.safetensors", cut),
         ("camouflage.safetensors", lambda path: path.write_bytes(b"")),
     ],
-    ids=["missing", "not-json", "a-list", "other-version", "other-kind", "no-name", "no-map", "cut-map", "empty-map"],
+    ids=[
+        "missing",
+        "not-json",
+        "a-list",
+        "other-version",
+        "other-kind",
+        "no-name",
+        "no-map",
+        "cut-map",
+        "empty-map",
+    ],
 )
 def test_damage_is_one_error_that_names_the_file(tmp_path, name, spoil):
     stored(tmp_path / "one")

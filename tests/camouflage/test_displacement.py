@@ -41,7 +41,9 @@ def filled(value, magnitude=0.4, **options):
 
 
 def random_map(magnitude, seed=0, **options):
-    return DisplacementMap("R-S-O", magnitude, generator=torch.Generator().manual_seed(seed), **options)
+    return DisplacementMap(
+        "R-S-O", magnitude, generator=torch.Generator().manual_seed(seed), **options
+    )
 
 
 def radii(batch):
@@ -138,7 +140,9 @@ def test_a_displacement_computed_by_hand():
 def test_the_map_is_circular_in_u():
     # Columns 63 and 0 meet at u = 0 (and 1): there half of each is read, and just beside it nearly the same.
     values = torch.linspace(-3.0, 5.0, 64).expand(64, 64)
-    beside, before, at, inside = sample_map(values, torch.tensor([[1e-6, 0.3], [1 - 1e-6, 0.3], [0, 0.3], [0.25, 0.3]]))
+    beside, before, at, inside = sample_map(
+        values, torch.tensor([[1e-6, 0.3], [1 - 1e-6, 0.3], [0, 0.3], [0.25, 0.3]])
+    )
     assert float(at) == pytest.approx(1.0)
     assert float(beside) == pytest.approx(1.0, abs=1e-3)
     assert float(before) == pytest.approx(1.0, abs=1e-3)
@@ -153,7 +157,10 @@ def test_vertices_at_both_ends_of_the_seam_move_alike():
     batch = dataclasses.replace(
         batch,
         template=dataclasses.replace(batch.template, vertex_uvs=uvs),
-        vertices=torch.cat((batch.vertices.mean(1, keepdim=True) + radius.expand(1, 2, 3), batch.vertices[:, 2:]), 1),
+        vertices=torch.cat(
+            (batch.vertices.mean(1, keepdim=True) + radius.expand(1, 2, 3), batch.vertices[:, 2:]),
+            1,
+        ),
     )
     change = moved(filled(torch.linspace(0.2, 0.9, 64)), batch)[0, :2]
     assert change[0].norm() > 0.3
@@ -199,7 +206,9 @@ def test_wheels_and_underside_stay_unless_asked(cars):
     free = ~fixed & (beside != Part.WHEEL) & (beside != Part.UNDERSIDE)
     assert (free.sum(1) > 700).all()
     assert (change[free].norm(dim=-1) > 0.2).all()
-    assert (moved(filled(0.9, frozen_parts=False), cars)[labels == Part.WHEEL].norm(dim=-1) > 0).any()
+    assert (
+        moved(filled(0.9, frozen_parts=False), cars)[labels == Part.WHEEL].norm(dim=-1) > 0
+    ).any()
 
 
 def test_nothing_goes_below_the_ground_and_the_direction_is_kept(cars):
@@ -229,7 +238,9 @@ def test_the_random_control_is_uniform_and_symmetric():
 def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
     camouflage = DisplacementMap("S-O", 0.4)
     with torch.no_grad():
-        camouflage.displacement.copy_(6 * torch.randn(64, 64, generator=torch.Generator().manual_seed(0)))
+        camouflage.displacement.copy_(
+            6 * torch.randn(64, 64, generator=torch.Generator().manual_seed(0))
+        )
         camouflage.project_()
     assert float(camouflage.displacement.detach().abs().max()) == 8.0
     before = moved(camouflage, cars)
@@ -242,7 +253,9 @@ def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
 def test_adam_lifts_the_map_within_few_steps(cars):
     # Pushing the roof out is worth something at once: the rate must bring sigmoid from 0.02 past a half.
     camouflage = DisplacementMap("S-O", 0.4)
-    optimiser = torch.optim.Adam(camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"])
+    optimiser = torch.optim.Adam(
+        camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"]
+    )
     for _ in range(30):
         optimiser.zero_grad()
         (-camouflage(cars).vertices[..., 2].sum()).backward()

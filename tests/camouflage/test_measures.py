@@ -24,7 +24,9 @@ def inner_rows(count: int = 1) -> torch.Tensor:
 
 
 def test_one_colour_has_no_boundary():
-    (measures,) = measure_texture(flat_bodies(1), two_colours(torch.tensor(True)), inner_rows(), None)
+    (measures,) = measure_texture(
+        flat_bodies(1), two_colours(torch.tensor(True)), inner_rows(), None
+    )
     assert measures.painted_area_m2 == pytest.approx(5.12 * 9.60, rel=1e-5)
     assert (measures.colours, measures.regions, measures.boundary_m) == (1, 1, 0.0)
     assert (measures.blocks, measures.block_cm) == (None, {})
@@ -38,14 +40,18 @@ def test_a_front_and_a_rear_half_meet_once_around_the_body():
 
 
 def test_two_sides_meet_twice_along_the_body_once_of_it_across_the_seam():
-    (measures,) = measure_texture(flat_bodies(1), two_colours(torch.arange(512) < 100), inner_rows(), None)
+    (measures,) = measure_texture(
+        flat_bodies(1), two_colours(torch.arange(512) < 100), inner_rows(), None
+    )
     assert (measures.colours, measures.regions) == (2, 2)
     assert measures.boundary_m == pytest.approx(2 * 9.60, rel=1e-5)
 
 
 def test_one_colour_on_both_sides_of_the_seam_is_one_region():
     column = torch.arange(512)
-    (measures,) = measure_texture(flat_bodies(1), two_colours((column < 100) | (column >= 400)), inner_rows(), None)
+    (measures,) = measure_texture(
+        flat_bodies(1), two_colours((column < 100) | (column >= 400)), inner_rows(), None
+    )
     assert measures.regions == 2
     assert measures.boundary_m == pytest.approx(2 * 9.60, rel=1e-5)
 
@@ -54,7 +60,9 @@ def test_a_checkerboard_of_blocks():
     block = torch.arange(512) // 16
     checkerboard = two_colours((block[:, None] + block) % 2 == 0)
     (measures,) = measure_texture(flat_bodies(1), checkerboard, inner_rows(), 16)
-    assert measures.blocks == measures.regions == 30 * 32  # squares that touch at corners alone are apart
+    assert (
+        measures.blocks == measures.regions == 30 * 32
+    )  # squares that touch at corners alone are apart
     # 30 × 32 edges of 16 × 2 cm along, 29 × 32 edges of 16 × 1 cm around the body.
     assert measures.boundary_m == pytest.approx(30 * 32 * 0.32 + 29 * 32 * 0.16, rel=1e-5)
     assert measures.block_cm["sides"] == pytest.approx((16.0, 32.0), rel=1e-5)
@@ -69,7 +77,9 @@ def test_what_is_not_painted_counts_nowhere():
     first, second = measure_texture(flat_bodies(1, 2), checkerboard, mask, 16)
     assert (first.colours, first.regions, first.blocks) == (2, 4, 4)
     assert first.painted_area_m2 == pytest.approx(0.17 * 0.64, rel=1e-5)
-    assert first.boundary_m == pytest.approx(0.64 + 0.17, rel=1e-5)  # not the rim, though colours change there
+    assert first.boundary_m == pytest.approx(
+        0.64 + 0.17, rel=1e-5
+    )  # not the rim, though colours change there
     assert (second.colours, second.regions, second.blocks, second.boundary_m) == (1, 1, 1, 0.0)
     assert second.painted_area_m2 == pytest.approx(0.02 * 0.04, rel=1e-5)
     assert second.block_cm["sides"] == pytest.approx((32.0, 64.0), rel=1e-5)
@@ -124,12 +134,16 @@ def test_means_over_vehicles_have_flat_names():
     assert mean["boundary_m"] == pytest.approx(2 * 5.12, rel=1e-5)
     assert mean["painted_area_m2"] == pytest.approx(5 * 5.12 * 9.60, rel=1e-5)
     assert mean["blocks"] == 960
-    assert (mean["block_sides_u_cm"], mean["block_sides_v_cm"]) == pytest.approx((32.0, 64.0), rel=1e-5)
+    assert (mean["block_sides_u_cm"], mean["block_sides_v_cm"]) == pytest.approx(
+        (32.0, 64.0), rel=1e-5
+    )
     without = mean_measures(measure_texture(vehicles, halves, inner_rows(2), None))
     assert set(without) == {"painted_area_m2", "colours", "boundary_m", "regions"}
 
 
 def test_blocks_that_do_not_fit_the_map_are_refused():
     for block_px in (0, 15, 1024):
-        with pytest.raises(ConfigurationError, match=f"Blocks of {block_px} texels do not divide a map of 512"):
+        with pytest.raises(
+            ConfigurationError, match=f"Blocks of {block_px} texels do not divide a map of 512"
+        ):
             measure_texture(flat_bodies(1), two_colours(torch.tensor(True)), None, block_px)

@@ -35,7 +35,9 @@ def ground(counts=(500, 400, 300, 200, 100)):
 )
 def test_cielab_of_known_colours_and_back(srgb, cielab):
     colour = torch.tensor(srgb, dtype=torch.float64) / 255
-    assert torch.allclose(srgb_to_cielab(colour), torch.tensor(cielab, dtype=torch.float64), atol=0.02)
+    assert torch.allclose(
+        srgb_to_cielab(colour), torch.tensor(cielab, dtype=torch.float64), atol=0.02
+    )
     assert torch.allclose(cielab_to_srgb(srgb_to_cielab(colour)), colour, atol=1e-6)
 
 
@@ -78,7 +80,13 @@ def test_too_few_colours_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["{", "[]", '{"colours": []}', '{"colours_srgb": [[1, 2], [3, 4]]}', '{"colours_srgb": [[0, 0, 0], [1, 2, 256]]}'],
+    [
+        "{",
+        "[]",
+        '{"colours": []}',
+        '{"colours_srgb": [[1, 2], [3, 4]]}',
+        '{"colours_srgb": [[0, 0, 0], [1, 2, 256]]}',
+    ],
 )
 def test_another_file_is_refused_by_name(tmp_path, text):
     (tmp_path / "palette.json").write_text(text)

@@ -3,7 +3,12 @@
 import pytest
 
 from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.practicality import PUBLISHED_SCORES, PracticalityScore, Signs, score_practicality
+from skyproof.camouflage.practicality import (
+    PUBLISHED_SCORES,
+    PracticalityScore,
+    Signs,
+    score_practicality,
+)
 
 # Copied from the paper's extended table: texture and shape sign of PC, DI and DO, then the total.
 OTHER_WORKS = [

@@ -13,7 +13,9 @@ from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
 
-PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+PALETTE = (
+    torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+)
 FIXED = TextureConstraints(colours="fixed")
 
 
@@ -22,7 +24,9 @@ def drawn(seed=0):
 
 
 def make(name, seed=0, **more):
-    return make_camouflage(read_recipe(name), Materials(palette=PALETTE, **more), generator=drawn(seed))
+    return make_camouflage(
+        read_recipe(name), Materials(palette=PALETTE, **more), generator=drawn(seed)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +96,10 @@ def test_random_controls_are_finished_and_follow_their_seed():
     assert torch.equal(both.shape.map(), both.shape.map().flip(1))
     assert float(both.shape.map().detach().std()) == pytest.approx(12**-0.5, abs=0.02)
     again, other = make("R-C-PixFc@0.2-0", seed=1), make("R-C-PixFc@0.2-0", seed=2)
-    assert all(torch.equal(a, b) for a, b in zip(both.state_dict().values(), again.state_dict().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(both.state_dict().values(), again.state_dict().values(), strict=True)
+    )
     assert not torch.equal(both.texture.cells, other.texture.cells)
     assert not torch.equal(both.shape.displacement, other.shape.displacement)
 
@@ -118,7 +125,9 @@ def test_a_sequence_learns_the_shape_alone(vehicles):
     texture = make("T-Fc")
     texture.finalise()
     both = make("C-Fc-seq@0.3", texture=texture)
-    assert [name for name, value in both.named_parameters() if value.requires_grad] == ["shape.displacement"]
+    assert [name for name, value in both.named_parameters() if value.requires_grad] == [
+        "shape.displacement"
+    ]
     worn = both(vehicles)
     (worn.vertices.sum() + worn.worn_texture().sum()).backward()
     assert both.texture.cells.grad is None
@@ -135,7 +144,9 @@ def test_a_parallel_attack_takes_turns():
     turns = []
     for step in range(1, 11):
         both.before_step_(step, 10)
-        learnt = {name.partition(".")[0] for name, value in both.named_parameters() if value.requires_grad}
+        learnt = {
+            name.partition(".")[0] for name, value in both.named_parameters() if value.requires_grad
+        }
         assert len(learnt) == 1
         turns.append(learnt.pop())
     assert turns == ["texture"] * 3 + ["shape"] * 3 + ["texture"] * 3 + ["shape"]
@@ -143,7 +154,9 @@ def test_a_parallel_attack_takes_turns():
     assert both.learning_rates["shape.displacement"] == both.shape.learning_rates["displacement"]
 
 
-@pytest.mark.parametrize("name", ["C-PixFcMa-par@0.3", "C-Lc-par@0.1", "S-O@0.4", "R-S-O@0.4", "R-C-U@1"])
+@pytest.mark.parametrize(
+    "name", ["C-PixFcMa-par@0.3", "C-Lc-par@0.1", "S-O@0.4", "R-S-O@0.4", "R-C-U@1"]
+)
 def test_shapes_and_combinations_are_stored_with_pictures(tmp_path, vehicles, name):
     made = make(name)
     if isinstance(made, Combination):

@@ -12,16 +12,22 @@ from tests.render.bodies import vehicles
 
 
 def one(body_type):
-    fleet = sample_fleet(FleetSettings(1, {body_type: 1.0}), generator=torch.Generator().manual_seed(0))
+    fleet = sample_fleet(
+        FleetSettings(1, {body_type: 1.0}), generator=torch.Generator().manual_seed(0)
+    )
     return fleet.batch(fleet.ids)
 
 
 def test_a_stretched_body_measures_what_it_was_stretched_by():
     before = vehicles(2)
     stretch = torch.tensor([[[1.5, 1.0, 1.0]], [[1.0, 1.1, 1.2]]])
-    first, second = measure_shape(before, dataclasses.replace(before, vertices=before.vertices * stretch))
+    first, second = measure_shape(
+        before, dataclasses.replace(before, vertices=before.vertices * stretch)
+    )
     assert first.vehicle == "box-0000"
-    assert (first.added_length_m, first.added_width_m, first.added_height_m) == pytest.approx((2.2, 0, 0), abs=1e-5)
+    assert (first.added_length_m, first.added_width_m, first.added_height_m) == pytest.approx(
+        (2.2, 0, 0), abs=1e-5
+    )
     assert (second.added_length_m, second.added_width_m) == pytest.approx((0, 0.18), abs=1e-5)
     assert second.added_height_m == pytest.approx(0.3, abs=1e-5)
     assert first.added_volume_m3 == pytest.approx(first.volume_m3 / 2, rel=1e-5)

@@ -15,10 +15,14 @@ from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
 
-PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+PALETTE = (
+    torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
+)
 SETTINGS = [
     TextureConstraints(pixelised, colours, masked)
-    for pixelised, colours, masked in itertools.product((False, True), ("free", "learnt", "fixed"), (False, True))
+    for pixelised, colours, masked in itertools.product(
+        (False, True), ("free", "learnt", "fixed"), (False, True)
+    )
 ]
 
 
@@ -61,7 +65,9 @@ def colours_of(path):
 
 
 @pytest.mark.parametrize("constraints", SETTINGS, ids=lambda each: each.name)
-def test_every_setting_keeps_its_constraints_after_learning_and_in_its_png(tmp_path, vehicles, constraints):
+def test_every_setting_keeps_its_constraints_after_learning_and_in_its_png(
+    tmp_path, vehicles, constraints
+):
     camouflage = learn(texture(constraints), vehicles)
     camouflage.finalise()
     save_camouflage(tmp_path, camouflage)
@@ -92,7 +98,9 @@ def test_every_setting_keeps_its_constraints_after_learning_and_in_its_png(tmp_p
     loaded = load_camouflage(tmp_path)
     assert loaded.constraints == constraints
     assert torch.equal(loaded.map(), camouflage.map())
-    assert np.array_equal((loaded.map().detach() * 255).round().byte().permute(1, 2, 0).numpy(), pixels)
+    assert np.array_equal(
+        (loaded.map().detach() * 255).round().byte().permute(1, 2, 0).numpy(), pixels
+    )
 
 
 @pytest.mark.parametrize("constraints", SETTINGS, ids=lambda each: each.name)
@@ -115,7 +123,10 @@ def test_a_random_control_is_the_finished_start_of_its_attack(constraints):
         assert (control.map() - start.map()).abs().max() <= 0.5 / 255 + 1e-6
     else:
         # Uniform draws: every colour is as likely.
-        shares = torch.bincount(control.cells.argmax(0).flatten(), minlength=5) / control.cells[0].numel()
+        shares = (
+            torch.bincount(control.cells.argmax(0).flatten(), minlength=5)
+            / control.cells[0].numel()
+        )
         assert (shares - 0.2).abs().max() < (0.04 if constraints.pixelised else 0.005)
         assert torch.equal(control.cells, start.cells)
     assert not torch.equal(control.cells, texture(constraints, seed=5).cells)
@@ -127,14 +138,18 @@ def test_the_mixture_is_a_softmax_of_logits_over_the_temperature():
         camouflage.cells[:, 0, 0] = torch.tensor([0.0, 1.0, 0.0, 0.0, 2.0])
     camouflage.before_step_(1, 5)
     weights = [math.exp(value) for value in (0, 1, 0, 0, 2)]
-    wanted = sum(weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True))
+    wanted = sum(
+        weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True)
+    )
     assert torch.allclose(camouflage.map()[:, 0, 0], wanted, atol=1e-6)
     camouflage.before_step_(3, 5)
     assert float(camouflage.temperature) == pytest.approx(math.sqrt(0.1))
     camouflage.before_step_(5, 5)
     assert float(camouflage.temperature) == pytest.approx(0.1)
     weights = [math.exp(value / 0.1) for value in (0, 1, 0, 0, 2)]
-    wanted = sum(weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True))
+    wanted = sum(
+        weight / sum(weights) * colour for weight, colour in zip(weights, PALETTE, strict=True)
+    )
     assert torch.allclose(camouflage.map()[:, 15, 15], wanted, atol=1e-6)
     assert not torch.allclose(camouflage.map()[:, 16, 0], wanted, atol=1e-3)
 
@@ -179,7 +194,10 @@ def test_annealing_leaves_little_to_the_last_rounding(vehicles):
 
 
 def test_fixed_colours_do_not_move_and_learnt_ones_do(vehicles):
-    fixed, learnt = texture(TextureConstraints(False, "fixed")), texture(TextureConstraints(False, "learnt"))
+    fixed, learnt = (
+        texture(TextureConstraints(False, "fixed")),
+        texture(TextureConstraints(False, "learnt")),
+    )
     before = learnt.palette.detach().clone()
     learn(fixed, vehicles, 2)
     learn(learnt, vehicles, 2)
@@ -191,7 +209,9 @@ def test_fixed_colours_do_not_move_and_learnt_ones_do(vehicles):
 @pytest.mark.parametrize(("blocks", "side"), [(8, 64), (512, 1), (1, 512)])
 def test_blocks_cover_the_map_evenly(blocks, side):
     shown = texture(TextureConstraints(True), blocks=blocks).map().detach()
-    assert torch.equal(shown[:, ::side, ::side].repeat_interleave(side, 1).repeat_interleave(side, 2), shown)
+    assert torch.equal(
+        shown[:, ::side, ::side].repeat_interleave(side, 1).repeat_interleave(side, 2), shown
+    )
 
 
 @pytest.mark.parametrize("blocks", [1024, 33, 0, -4])

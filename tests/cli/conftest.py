@@ -88,7 +88,11 @@ def copied(finished: Path, tmp_path: Path) -> Callable[..., Path]:
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
     """All files below a folder, by relative path."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 RESULTS = (

@@ -58,7 +58,9 @@ def arm(how: str, fragment: str, nth: int) -> None:
                 end()
             return write_bytes(path, data)
 
-        def write_image(image: Image.Image, path: object, *arguments: object, **options: object) -> None:
+        def write_image(
+            image: Image.Image, path: object, *arguments: object, **options: object
+        ) -> None:
             save(image, path, *arguments, **options)  # type: ignore[arg-type]
             if isinstance(path, str | Path) and hit(path):
                 os.truncate(path, os.path.getsize(path) // 2)
@@ -91,7 +93,11 @@ def main() -> None:
                 time.sleep(0.001)
             os.kill(child, signal.SIGKILL if how == "appears" else signal.SIGINT)
         _, status = os.waitpid(child, 0)
-        left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*")) if folder.exists() else []
+        left = (
+            sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+            if folder.exists()
+            else []
+        )
         print(json.dumps([os.waitstatus_to_exitcode(status), left]))
 
 

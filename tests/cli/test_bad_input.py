@@ -26,7 +26,9 @@ SMALL = (
 
 def picture(path: Path, size_px: int = 640) -> Path:
     """A patchy image without georeference."""
-    coarse = np.random.default_rng(0).integers(0, 255, (size_px // 8, size_px // 8, 3), dtype=np.uint8)
+    coarse = np.random.default_rng(0).integers(
+        0, 255, (size_px // 8, size_px // 8, 3), dtype=np.uint8
+    )
     Image.fromarray(coarse).resize((size_px, size_px)).save(path)
     return path
 
@@ -34,8 +36,14 @@ def picture(path: Path, size_px: int = 640) -> Path:
 def geotiff(path: Path, gsd_m: float | None, size_px: int = 640) -> Path:
     """An orthophoto in UTM 32; without a transform when `gsd_m` is None."""
     pixels = np.random.default_rng(0).integers(0, 255, (3, size_px, size_px), dtype=np.uint8)
-    place = {} if gsd_m is None else {"transform": from_origin(500_000, 5_500_000, gsd_m, gsd_m), "crs": "EPSG:32632"}
-    with rasterio.open(path, "w", driver="GTiff", width=size_px, height=size_px, count=3, dtype="uint8", **place) as f:
+    place = (
+        {}
+        if gsd_m is None
+        else {"transform": from_origin(500_000, 5_500_000, gsd_m, gsd_m), "crs": "EPSG:32632"}
+    )
+    with rasterio.open(
+        path, "w", driver="GTiff", width=size_px, height=size_px, count=3, dtype="uint8", **place
+    ) as f:
         f.write(pixels)
     return path
 
@@ -62,7 +70,12 @@ CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
     "too coarse": ("photo.tif", lambda path: geotiff(path, 0.6), [], "finer imagery"),
     "too coarse by flag": ("photo.png", picture, ["--gsd", "0.6"], "check the metres per pixel"),
     "too small": ("photo.tif", lambda path: geotiff(path, 0.125, 150), [], "larger images"),
-    "too small for four splits": ("photo.tif", lambda path: geotiff(path, 0.125, 200), [], "larger images"),
+    "too small for four splits": (
+        "photo.tif",
+        lambda path: geotiff(path, 0.125, 200),
+        [],
+        "larger images",
+    ),
 }
 
 
@@ -81,7 +94,13 @@ def test_imagery(case: str, tmp_path: Path, skyproof: Skyproof) -> None:
 def test_zero_gsd(tmp_path: Path, skyproof: Skyproof) -> None:
     for gsd in ("0", "-0.1", "nan"):
         answer = skyproof(
-            "demo", "--out", tmp_path / "run", "--imagery", picture(tmp_path / "a.png"), f"--gsd={gsd}", *SMALL
+            "demo",
+            "--out",
+            tmp_path / "run",
+            "--imagery",
+            picture(tmp_path / "a.png"),
+            f"--gsd={gsd}",
+            *SMALL,
         )
         answer.refused("--gsd", "above 0")
 
@@ -131,7 +150,9 @@ def test_out_holds_something_else(tmp_path: Path, skyproof: Skyproof) -> None:
     (mine / "tiles" / "holiday.png").write_bytes(b"precious")
     (mine / "results.json").write_text("precious")
     before = bytes_of(mine)
-    skyproof("demo", "--out", mine, *TINY).refused(str(mine), "not a run of skyproof", "another --out")
+    skyproof("demo", "--out", mine, *TINY).refused(
+        str(mine), "not a run of skyproof", "another --out"
+    )
     (mine / "config.json").write_text('{"other": "program"}')
     skyproof("demo", "--out", mine, *TINY).refused(str(mine), "another --out")
     (mine / "config.json").write_text("no json")

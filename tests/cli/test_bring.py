@@ -33,7 +33,16 @@ def test_a_brought_in_detector_is_used_like_any_other(
     checkpoint: Path, finished: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
     out = tmp_path / "mine"
-    call = ["bring", checkpoint, *KIND, "--vehicle-classes", 1, 3, "--validation", finished / "datasets/validation"]
+    call = [
+        "bring",
+        checkpoint,
+        *KIND,
+        "--vehicle-classes",
+        1,
+        3,
+        "--validation",
+        finished / "datasets/validation",
+    ]
     answer = skyproof(*call, "--out", out, "--name", "theirs", *CPU)
     assert answer.code == 0, answer.err
     assert "threshold" in answer.out
@@ -59,7 +68,15 @@ def test_a_brought_in_detector_is_used_like_any_other(
     assert answer.code == 0, answer.err
     assert "theirs" in answer.out
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
-    steps = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1, *CPU]
+    steps = [
+        "--settings.steps",
+        2,
+        "--settings.batch-size",
+        1,
+        "--settings.balance-batches",
+        1,
+        *CPU,
+    ]
     answer = skyproof("attack", *both, *world, "--out", tmp_path / "T-U", *steps)
     assert answer.code == 0, answer.err
     losses = json.loads((tmp_path / "T-U" / "steps.jsonl").read_text().splitlines()[0])["losses"]
@@ -93,7 +110,9 @@ def tiled(folder: Path) -> Path:
     draws = np.random.default_rng(0)
     rows = []
     for split in ("train", "validation"):
-        with CocoWriter(folder / split, gsd_m=0.125, source={"description": "skyproof tiles"}) as writer:
+        with CocoWriter(
+            folder / split, gsd_m=0.125, source={"description": "skyproof tiles"}
+        ) as writer:
             for index, side in enumerate((384, 384, 500, 200)):
                 array = draws.integers(60, 90, (side, side, 3), dtype=np.uint8)
                 marks = []
@@ -119,7 +138,15 @@ def tiled(folder: Path) -> Path:
 @pytest.mark.parametrize("detector", ["retinanet", "faster_rcnn"])
 def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproof) -> None:
     folder = tiled(tmp_path / "tiles")
-    call = ["train", "--detector", detector, "--data", folder / "train", "--validation", folder / "validation"]
+    call = [
+        "train",
+        "--detector",
+        detector,
+        "--data",
+        folder / "train",
+        "--validation",
+        folder / "validation",
+    ]
     answer = skyproof(*call, "--steps", 3, "--batch-size", 2, "--out", tmp_path / "out", *CPU)
     assert answer.code == 0, answer.err
     card = read_card(tmp_path / "out")
@@ -128,9 +155,22 @@ def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproo
 
 
 def test_what_a_detector_was_trained_on(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
-    assert read_card(finished / "detectors/retinanet").trained_on == "train: rendered by the differentiable renderer"
+    assert (
+        read_card(finished / "detectors/retinanet").trained_on
+        == "train: rendered by the differentiable renderer"
+    )
     folder = tiled(tmp_path / "tiles")
     shutil.move(folder / "train", tmp_path / "alone")
-    call = ["train", "--detector", "retinanet", "--data", tmp_path / "alone", "--validation", folder / "validation"]
-    assert skyproof(*call, "--steps", 1, "--batch-size", 1, "--out", tmp_path / "out", *CPU).code == 0
+    call = [
+        "train",
+        "--detector",
+        "retinanet",
+        "--data",
+        tmp_path / "alone",
+        "--validation",
+        folder / "validation",
+    ]
+    assert (
+        skyproof(*call, "--steps", 1, "--batch-size", 1, "--out", tmp_path / "out", *CPU).code == 0
+    )
     assert read_card(tmp_path / "out").trained_on == "alone: images of unknown origin"

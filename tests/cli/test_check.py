@@ -27,7 +27,9 @@ def test_writes_a_row_per_detector_and_set(finished, frames, tmp_path, capsys):
     options = ["--frames", f"Town={frames}/a*@0.125", f"Town={frames}/b*@0.125", f"{frames}@0.125"]
     assert run(["check", "--detectors", str(detector), *options, "--out", str(out)]) == 0
     rows = json.loads(out.read_text())["rows"]
-    assert [(row["dataset"], row["vehicles"], row["clustered_by"], row["clusters"]) for row in rows] == [
+    assert [
+        (row["dataset"], row["vehicles"], row["clustered_by"], row["clusters"]) for row in rows
+    ] == [
         ("Town", 2, "places", 2),
         ("frames", 2, "images", 2),
     ]
@@ -37,7 +39,12 @@ def test_writes_a_row_per_detector_and_set(finished, frames, tmp_path, capsys):
 
 def test_agrees_with_the_training_about_its_validation_images(finished, tmp_path):
     detector, out = finished / "detectors" / "retinanet", tmp_path / "check.json"
-    options = ["--frames", f"{finished / 'datasets' / 'validation'}@0.125", "--frame-classes", "vehicle"]
+    options = [
+        "--frames",
+        f"{finished / 'datasets' / 'validation'}@0.125",
+        "--frame-classes",
+        "vehicle",
+    ]
     assert run(["check", "--detectors", str(detector), *options, "--out", str(out)]) == 0
     (row,) = json.loads(out.read_text())["rows"]
     card = json.loads((detector / "detector.json").read_text())

@@ -13,7 +13,13 @@ CPU = ["--device", "cpu"]
 
 def test_render(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "drawn"
-    call = ["render", "--scenes", finished / "scenes/test.jsonl", "--backgrounds", finished / "backgrounds"]
+    call = [
+        "render",
+        "--scenes",
+        finished / "scenes/test.jsonl",
+        "--backgrounds",
+        finished / "backgrounds",
+    ]
     worn = ["--camouflage", finished / "camouflages/T-U", *CPU]
     answer = skyproof(*call, "--fleet", finished / "fleets/test", "--out", out, *worn)
     assert answer.code == 0, answer.err
@@ -27,17 +33,23 @@ def test_render(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
         ("--fleet", ("missing",)),
         ("--camouflage", ("missing",)),
     ):
-        known = dict(zip(call[1::2], call[2::2], strict=True)) | {"--fleet": finished / "fleets/test"}
+        known = dict(zip(call[1::2], call[2::2], strict=True)) | {
+            "--fleet": finished / "fleets/test"
+        }
         flags = [part for pair in ({**known, flag: missing}).items() for part in pair]
         skyproof("render", *flags, "--out", tmp_path / "x", *CPU).refused(str(missing), *words)
         assert not (tmp_path / "x").exists()
     empty = tmp_path / "empty.jsonl"
     empty.touch()
     call[2] = empty
-    skyproof(*call, "--fleet", finished / "fleets/test", "--out", tmp_path / "x").refused(str(empty), "no scene")
+    skyproof(*call, "--fleet", finished / "fleets/test", "--out", tmp_path / "x").refused(
+        str(empty), "no scene"
+    )
     # Another split's fleet: the scenes name vehicles that it does not have.
     call[2] = finished / "scenes/test.jsonl"
-    skyproof(*call, "--fleet", finished / "fleets/train", "--out", tmp_path / "x", *CPU).refused("No vehicle")
+    skyproof(*call, "--fleet", finished / "fleets/train", "--out", tmp_path / "x", *CPU).refused(
+        "No vehicle"
+    )
     assert not (tmp_path / "x").exists()
 
 
@@ -56,7 +68,13 @@ def test_other_formats_are_named(copied, tmp_path: Path, skyproof: Skyproof) -> 
         good = (folder / file).read_bytes()
         (folder / file).write_text(bad)
         answer = skyproof(
-            *("render", "--scenes", folder / "scenes/test.jsonl", "--backgrounds", folder / "backgrounds"),
+            *(
+                "render",
+                "--scenes",
+                folder / "scenes/test.jsonl",
+                "--backgrounds",
+                folder / "backgrounds",
+            ),
             *("--fleet", folder / "fleets/test", "--camouflage", folder / "camouflages/T-U"),
             *("--out", tmp_path / "x", *CPU),
         )
@@ -93,29 +111,56 @@ def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
 def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     detector, out = finished / "detectors/retinanet", tmp_path / "texture"
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
-    steps = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1, *CPU]
+    steps = [
+        "--settings.steps",
+        2,
+        "--settings.batch-size",
+        1,
+        "--settings.balance-batches",
+        1,
+        *CPU,
+    ]
     answer = skyproof("attack", "--detectors", detector, *world, "--out", out, *steps)
     assert answer.code == 0, answer.err
     stored = bytes_of(out)
-    assert {"camouflage.json", "camouflage.safetensors", "texture.png", "steps.jsonl"} <= set(stored)
+    assert {"camouflage.json", "camouflage.safetensors", "texture.png", "steps.jsonl"} <= set(
+        stored
+    )
     assert skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).code == 0
-    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps, "--settings.seed", 3).refused(str(out))
+    skyproof(
+        "attack", "--detectors", detector, *world, "--out", out, *steps, "--settings.seed", 3
+    ).refused(str(out))
     assert bytes_of(out) == stored
-    skyproof("attack", "--detectors", detector, detector, *world, "--out", tmp_path / "x", *steps).refused("once")
+    skyproof(
+        "attack", "--detectors", detector, detector, *world, "--out", tmp_path / "x", *steps
+    ).refused("once")
     missing = tmp_path / "missing"
-    skyproof("attack", "--detectors", missing, *world, "--out", tmp_path / "x", *steps).refused(str(missing))
+    skyproof("attack", "--detectors", missing, *world, "--out", tmp_path / "x", *steps).refused(
+        str(missing)
+    )
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "texture.png").write_text("precious")
-    skyproof("attack", "--detectors", detector, *world, "--out", mine, *steps).refused(str(mine), "texture.png")
+    skyproof("attack", "--detectors", detector, *world, "--out", mine, *steps).refused(
+        str(mine), "texture.png"
+    )
     assert bytes_of(mine) == {"texture.png": b"precious"}
     (out / "camouflage.safetensors").write_text("damaged")
-    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).refused(str(out), "again")
+    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).refused(
+        str(out), "again"
+    )
 
 
 def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) -> None:
     folder = copied()
-    call = ["evaluate", "--detectors", finished / "detectors/retinanet", "--original", finished / "datasets/test", *CPU]
+    call = [
+        "evaluate",
+        "--detectors",
+        finished / "detectors/retinanet",
+        "--original",
+        finished / "datasets/test",
+        *CPU,
+    ]
     pairs = [f"{name}={finished}/datasets/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
     out = tmp_path / "evaluation"
     answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
@@ -137,11 +182,15 @@ def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) ->
     rows = [json.loads(line) for line in (other / "scenes.jsonl").read_text().splitlines()]
     rows[0]["sun"]["azimuth_rad"] += 0.5
     (other / "scenes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused("does not show the scenes")
+    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(
+        "does not show the scenes"
+    )
     shutil.copy(finished / "datasets/test/scenes.jsonl", other / "scenes.jsonl")
     image = next((other / "images").iterdir())
     image.write_bytes(image.read_bytes()[:500])
-    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(str(image), "again")
+    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(
+        str(image), "again"
+    )
     assert not (tmp_path / "x").exists()
 
 
@@ -160,7 +209,9 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     answer = skyproof("report", "--run-folder", folder)
     assert answer.code == 0, answer.err
     assert (folder / "report.html").exists()
-    skyproof("report", "--run-folder", tmp_path / "missing").refused(str(tmp_path / "missing"), "missing")
+    skyproof("report", "--run-folder", tmp_path / "missing").refused(
+        str(tmp_path / "missing"), "missing"
+    )
     (folder / "report.html").unlink()
     for file, bad in (
         ("results.json", "{"),

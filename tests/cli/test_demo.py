@@ -35,7 +35,10 @@ def test_run_folder_holds_results_and_report(finished: Path) -> None:
     environment = json.loads((finished / "environment.json").read_text())
     assert environment["device"] == "cpu"
     assert environment["finished"]
-    assert {row["stage"] for row in json.loads((finished / "timings.json").read_text())} >= {"render", "evaluate"}
+    assert {row["stage"] for row in json.loads((finished / "timings.json").read_text())} >= {
+        "render",
+        "evaluate",
+    }
 
 
 def test_second_call_changes_nothing(finished: Path, skyproof: Skyproof) -> None:
@@ -60,24 +63,39 @@ def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof
         (["--frames", frames], "frames"),
         (["--gsd", 0.2], "gsd"),
     ):
-        skyproof("demo", "--out", finished, *TINY, *flags).refused(str(finished), f"({name})", "another --out")
+        skyproof("demo", "--out", finished, *TINY, *flags).refused(
+            str(finished), f"({name})", "another --out"
+        )
     assert bytes_of(finished) == contents
 
 
-def test_a_detector_that_finds_nothing_without_camouflage_is_refused(copied, skyproof: Skyproof) -> None:
+def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
+    copied, skyproof: Skyproof
+) -> None:
     """A threshold above every score: no vehicle is found before the camouflage, so there is no success rate."""
     folder = copied("evaluation", "report.html", "results.json")
     card = folder / "detectors" / "retinanet" / "detector.json"
     good = card.read_text()
     card.write_text(json.dumps({**json.loads(good), "threshold": 1.0}))
-    skyproof("demo", "--out", folder, *TINY).refused("retinanet finds none of the", "threshold of 1")
+    skyproof("demo", "--out", folder, *TINY).refused(
+        "retinanet finds none of the", "threshold of 1"
+    )
     assert not (folder / "evaluation").exists()
     card.write_text(good)
     assert skyproof("demo", "--out", folder, *TINY).code == 0
 
 
 def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> None:
-    answer = skyproof("demo", "--out", tmp_path / "run", *TINY, "--sizes.random-draws", 0, "--sizes.test-images", 2)
+    answer = skyproof(
+        "demo",
+        "--out",
+        tmp_path / "run",
+        *TINY,
+        "--sizes.random-draws",
+        0,
+        "--sizes.test-images",
+        2,
+    )
     assert answer.code == 0, answer.err
     rows = json.loads((tmp_path / "run" / "results.json").read_text())["rows"]
     assert {row["camouflage"] for row in rows} == {"T-U"}
@@ -94,7 +112,9 @@ def test_every_stage_is_announced_without_a_terminal(copied, skyproof: Skyproof)
     assert "train retinanet ..." not in answer.out  # it was finished before
 
 
-def test_time_left_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_time_left_is_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from skyproof.cli import console
 
     now = [0.0]
@@ -114,7 +134,9 @@ def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Replaces Blender; returns the names of the datasets drawn with Cycles, in order."""
     drawn: list[str] = []
 
-    def render(*arguments: Path, rendering: demo.Rendering | None = None, **settings: object) -> None:
+    def render(
+        *arguments: Path, rendering: demo.Rendering | None = None, **settings: object
+    ) -> None:
         render_folder(*arguments, **settings)  # type: ignore[arg-type]
         if rendering is not None:
             assert (rendering.renderer, rendering.blender) == ("cycles", Path("/opt/blender"))
@@ -145,15 +167,25 @@ def test_cycles_is_added_to_a_finished_demo(
     after = bytes_of(folder)
     changed = {name for name in before if after[name] != before[name]}
     assert changed == {"report.html", "environment.json", "timings.json"}
-    added = {name.rsplit("/", 1)[0] for name in after.keys() - before.keys() if name.startswith("datasets/")}
+    added = {
+        name.rsplit("/", 1)[0]
+        for name in after.keys() - before.keys()
+        if name.startswith("datasets/")
+    }
     assert added == {f"datasets/{name}{inner}" for name in CYCLES for inner in ("", "/images")}
-    results = [read_json(folder / place / "results.json")["rows"] for place in ("evaluation", "evaluation-cycles")]
+    results = [
+        read_json(folder / place / "results.json")["rows"]
+        for place in ("evaluation", "evaluation-cycles")
+    ]
     # The stand-in draws the same pictures, so all but the name must come out the same.
     assert [{**row, "renderer": "cycles"} for row in results[0]] == results[1]
     assert "which the attack never saw" in (folder / "report.html").read_text()
     assert "Cycles" not in page
     assert read_json(folder / "environment.json")["finished"]
-    assert {row["stage"] for row in read_json(folder / "timings.json")} >= {"render Cycles", "evaluate Cycles"}
+    assert {row["stage"] for row in read_json(folder / "timings.json")} >= {
+        "render Cycles",
+        "evaluate Cycles",
+    }
 
     # Given again, with Cycles or without: nothing is left to do.
     for flags in (WITH_CYCLES, TINY):
@@ -162,7 +194,10 @@ def test_cycles_is_added_to_a_finished_demo(
 
 
 def test_cycles_goes_on_where_it_was_stopped(
-    copied: Callable[..., Path], skyproof: Skyproof, blender: list[str], monkeypatch: pytest.MonkeyPatch
+    copied: Callable[..., Path],
+    skyproof: Skyproof,
+    blender: list[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder = copied("report.html", "evaluation")
     monkeypatch.setattr(demo, "evaluate_folders", _stopped(demo.evaluate_folders, after=1))

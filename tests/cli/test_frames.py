@@ -33,7 +33,10 @@ def test_each_argument_is_a_set_and_a_place(folder):
     assert [one.places for one in sets] == [("1", "1"), ("1",) * 4]
     assert sets[0].images.images[0].shape == (3, 80, 160)
     assert sets[1].images.images[0].shape == (3, 200, 400)
-    assert sets[0].note == "real frames, 10.0 cm/px resampled to 12.5 cm/px; vehicles: car; 40 px border ignored"
+    assert (
+        sets[0].note
+        == "real frames, 10.0 cm/px resampled to 12.5 cm/px; vehicles: car; 40 px border ignored"
+    )
     assert sets[0].real
     # The centre is inside the border band's inner edge; the box is 20 x 10 px of 10 cm.
     assert sets[0].images.boxes[0].tolist() == [pytest.approx([72, 36, 88, 44])]
@@ -85,9 +88,13 @@ def test_rendered_frames_are_not_called_real(folder):
     assert one.note.startswith("rendered frames")
 
 
-@pytest.mark.parametrize("text", ["{}", "{}@", "{}@x", "{}@0.6", "{}@-0.1", "@0.1", "{}@nan", "KIT=@0.1"])
+@pytest.mark.parametrize(
+    "text", ["{}", "{}@", "{}@x", "{}@0.6", "{}@-0.1", "@0.1", "{}@nan", "KIT=@0.1"]
+)
 def test_other_forms_are_answered_with_the_right_one(folder, text):
-    with pytest.raises(ConfigurationError, match=r"--frames expects \[NAME=\]FOLDER\[/PATTERN\]\[:LABELS\]@GSD"):
+    with pytest.raises(
+        ConfigurationError, match=r"--frames expects \[NAME=\]FOLDER\[/PATTERN\]\[:LABELS\]@GSD"
+    ):
         read_frames([text.format(folder)], CLASSES, 0.125)
 
 

@@ -23,7 +23,11 @@ CASES = {
     "scenes": ("scenes/validation.jsonl", 1, "scenes"),
     "dataset labels": ("datasets/validation/annotations.json", 1, "datasets/validation"),
     "dataset image": ("datasets/test/images/", 2, "datasets/test"),
-    "training checkpoint": ("retinanet/checkpoint.safetensors", 2, "detectors/retinanet/detector.json"),
+    "training checkpoint": (
+        "retinanet/checkpoint.safetensors",
+        2,
+        "detectors/retinanet/detector.json",
+    ),
     "training log": ("retinanet/steps.jsonl", 1, "detectors/retinanet/detector.json"),
     "detector weights": ("retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
     "detector card": ("retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
@@ -99,7 +103,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     place = tmp_path / "disk"
     place.mkdir()
     mount = shutil.which("mount")
-    if not mount or subprocess.run([mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(place)]).returncode:
+    if (
+        not mount
+        or subprocess.run([mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(place)]).returncode
+    ):
         pytest.skip("mounting a tmpfs needs root and the right to mount")
     try:
         yield place
@@ -112,7 +119,9 @@ def test_really_full_disk(small_disk: Path, finished: Path, skyproof: Skyproof) 
     filler, stops = small_disk / "filler", 0
     while True:
         room = 2**20 * (1 + 3 * stops)
-        free = shutil.disk_usage(small_disk).free + (filler.stat().st_size if filler.exists() else 0)
+        free = shutil.disk_usage(small_disk).free + (
+            filler.stat().st_size if filler.exists() else 0
+        )
         used = 64 * 2**20 - free
         filler.write_bytes(b"x" * max(0, 64 * 2**20 - used - max(0, room - used)))
         answer = skyproof("demo", "--out", small_disk / "run", *TINY)

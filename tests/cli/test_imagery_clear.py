@@ -13,7 +13,9 @@ from tests.imagery.test_clear import tiled
 def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof):
     pytest.importorskip("cv2")
     folder = tiled(tmp_path / "tiled", labelled="acde")
-    answer = skyproof("imagery", "clear", folder, "--out", tmp_path / "cleared", "--method", "telea")
+    answer = skyproof(
+        "imagery", "clear", folder, "--out", tmp_path / "cleared", "--method", "telea"
+    )
     assert answer.code == 0
     assert "5 of 5 kept" in answer.out
     assert "Not checked by a detector" in answer.out
@@ -37,7 +39,14 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
         assert not (tmp_path / ".cleared.partial").exists()
 
     refused(tmp_path / "plain", "--out", out, "--method", "telea", text="index.json is missing")
-    refused(folder, "--out", out, "--inpainting", tmp_path / "network.pt", text="neither a TorchScript module")
+    refused(
+        folder,
+        "--out",
+        out,
+        "--inpainting",
+        tmp_path / "network.pt",
+        text="neither a TorchScript module",
+    )
     refused(folder, "--out", out, "--inpainting", tmp_path / "none.pt", text="none.pt is missing")
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
     refused(folder, "--out", out, "--largest-masked-share", "2", text="Clearing expects")

@@ -35,7 +35,12 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("write", "scenes/test.jsonl", 1, "scenes"),
         ("write", "datasets/train/images/", 5, "datasets/train"),
         ("write", "retinanet/checkpoint.safetensors", 1, "detectors/retinanet/detector.json"),
-        ("interrupt", "detectors/retinanet/checkpoint.safetensors", 1, "detectors/retinanet/detector.json"),
+        (
+            "interrupt",
+            "detectors/retinanet/checkpoint.safetensors",
+            1,
+            "detectors/retinanet/detector.json",
+        ),
         ("rename", "retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
         ("rename", "retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
         ("write", "T-U/previews/", 1, "camouflages/T-U/camouflage.json"),
@@ -59,5 +64,10 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
     assert ends[-1][0] == 0, errors
     assert errors.splitlines() == ["skyproof: stopped; give the same command again to go on."] * 2
     assert_same_results(folder, finished)
-    steps = [json.loads(line) for line in (folder / "camouflages/T-U/steps.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in steps] == list(range(1, int(STEPS[STEPS.index("--attack.steps") + 1]) + 1))
+    steps = [
+        json.loads(line)
+        for line in (folder / "camouflages/T-U/steps.jsonl").read_text().splitlines()
+    ]
+    assert [row["step"] for row in steps] == list(
+        range(1, int(STEPS[STEPS.index("--attack.steps") + 1]) + 1)
+    )

@@ -22,12 +22,17 @@ def test_the_answer_and_the_table(skyproof: Skyproof):
 def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     lost = np.tile([1, 2, 3, 4], 10)
     counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
-    tiles = TileCounts(tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts})
+    tiles = TileCounts(
+        tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts}
+    )
     write_tiles(tmp_path / "tiles.parquet", tiles)
     said = skyproof("plan", "--pilot", tmp_path)
     assert "of an EASR of 62 %" in said.out
     assert "as T-U before a in the pilot: 5 vehicles a tile, 80 % of them found before" in said.out
-    assert "5 vehicles a tile" not in skyproof("plan", "--pilot", tmp_path, "--vehicles-per-tile", 2).out
+    assert (
+        "5 vehicles a tile"
+        not in skyproof("plan", "--pilot", tmp_path, "--vehicles-per-tile", 2).out
+    )
 
 
 @pytest.mark.parametrize(

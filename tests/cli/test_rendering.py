@@ -33,7 +33,9 @@ def no_blender(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
-    monkeypatch.setattr(blender_module, "__file__", str(tmp_path / "checkout/src/skyproof/cycles/blender.py"))
+    monkeypatch.setattr(
+        blender_module, "__file__", str(tmp_path / "checkout/src/skyproof/cycles/blender.py")
+    )
 
 
 def world(folder: Path) -> list[object]:
@@ -55,7 +57,15 @@ def rewritten(folder: Path, renderer: str) -> None:
 @pytest.mark.usefixtures("blender")
 def test_the_same_layout_and_labels(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "drawn"
-    call = ["render", *world(finished), "--out", out, "--camouflage", finished / "camouflages/T-U", *CYCLES]
+    call = [
+        "render",
+        *world(finished),
+        "--out",
+        out,
+        "--camouflage",
+        finished / "camouflages/T-U",
+        *CYCLES,
+    ]
     answer = skyproof(*call, "--workers", 2)
     assert answer.code == 0, answer.err
     drawn, other = bytes_of(out), bytes_of(finished / "datasets/test-T-U")
@@ -74,14 +84,24 @@ def test_the_same_layout_and_labels(finished: Path, tmp_path: Path, skyproof: Sk
 
 
 @pytest.mark.usefixtures("no_blender")
-def test_without_blender_nothing_is_written(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+def test_without_blender_nothing_is_written(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
     call = ["render", *world(finished), "--out", tmp_path / "out/drawn", *CYCLES]
     skyproof(*call).refused("need Blender 4.5 LTS", "make blender")
     missing = tmp_path / "missing"
     skyproof(*call, "--blender", missing).refused(str(missing), "is no file")
-    skyproof(*call, "--blender", sys.executable).refused(sys.executable, "neither Blender nor a Python")
+    skyproof(*call, "--blender", sys.executable).refused(
+        sys.executable, "neither Blender nor a Python"
+    )
     assert not (tmp_path / "out").exists()
-    scored = ["score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"]
+    scored = [
+        "score",
+        "--detectors",
+        finished / "detectors/retinanet",
+        "--camouflages",
+        finished / "camouflages/T-U",
+    ]
     original = tmp_path / "original"
     original.mkdir()
     for name in ("annotations.json", "scenes.jsonl"):
@@ -105,12 +125,16 @@ def test_choices_that_there_are_not(finished: Path, tmp_path: Path, skyproof: Sk
 @pytest.mark.usefixtures("blender")
 def test_numbers_that_cannot_work(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     for wrong in (["--workers", 0], ["--samples", 0]):
-        skyproof("render", *world(finished), "--out", tmp_path / "x", *CYCLES, *wrong).refused(wrong[0])
+        skyproof("render", *world(finished), "--out", tmp_path / "x", *CYCLES, *wrong).refused(
+            wrong[0]
+        )
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.blender
-def test_killed_in_the_middle(finished: Path, tmp_path: Path, skyproof: Skyproof, blender: Path) -> None:
+def test_killed_in_the_middle(
+    finished: Path, tmp_path: Path, skyproof: Skyproof, blender: Path
+) -> None:
     """The same command goes on with the crops that are not there yet, to the same images."""
     asked = tmp_path / "asked"
     asked.touch()
@@ -121,7 +145,9 @@ def test_killed_in_the_middle(finished: Path, tmp_path: Path, skyproof: Skyproof
     )
     listener.chmod(0o755)
     some = tmp_path / "some.jsonl"
-    some.write_text("".join((finished / "scenes/test.jsonl").read_text().splitlines(keepends=True)[:3]))
+    some.write_text(
+        "".join((finished / "scenes/test.jsonl").read_text().splitlines(keepends=True)[:3])
+    )
     drawing = ["render", *world(finished)]
     drawing[drawing.index("--scenes") + 1] = some
     out = tmp_path / "drawn"
@@ -166,7 +192,13 @@ def test_score_refuses_an_original_of_the_other_renderer(
     monkeypatch.setattr("skyproof.cli.stages.render_dataset", render)
     original = finished / "datasets/test"
     answer = skyproof(
-        *("score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"),
+        *(
+            "score",
+            "--detectors",
+            finished / "detectors/retinanet",
+            "--camouflages",
+            finished / "camouflages/T-U",
+        ),
         *(*world(finished), "--original", original, "--out", tmp_path / "scores/all", *CYCLES),
     )
     answer.refused(str(original), "torch", "cycles", "--renderer")
@@ -182,7 +214,13 @@ def test_score_refuses_before_it_renders(
     monkeypatch.setattr("skyproof.cli.stages.render_dataset", render)
     folder = copied()
     original, there = folder / "datasets/test", tmp_path / "scores"
-    call = ["score", "--detectors", folder / "detectors/retinanet", "--camouflages", folder / "camouflages/T-U"]
+    call = [
+        "score",
+        "--detectors",
+        folder / "detectors/retinanet",
+        "--camouflages",
+        folder / "camouflages/T-U",
+    ]
     call += [*world(folder), "--original", original, *CPU, "--out"]
     there.mkdir()
     skyproof(*call, there).refused(str(there), "exists")
@@ -200,10 +238,22 @@ def test_evaluation_takes_the_renderer_from_the_datasets(
     folder = copied()
     for name in ("test", "test-T-U"):
         rewritten(folder / "datasets" / name, "cycles")
-    call = ["evaluate", "--detectors", folder / "detectors/retinanet", "--original", folder / "datasets/test", *CPU]
-    answer = skyproof(*call, "--camouflaged", f"T-U={folder}/datasets/test-T-U", "--out", tmp_path / "cycles")
+    call = [
+        "evaluate",
+        "--detectors",
+        folder / "detectors/retinanet",
+        "--original",
+        folder / "datasets/test",
+        *CPU,
+    ]
+    answer = skyproof(
+        *call, "--camouflaged", f"T-U={folder}/datasets/test-T-U", "--out", tmp_path / "cycles"
+    )
     assert answer.code == 0, answer.err
-    rows, before = (json.loads((place / "results.json").read_text())["rows"] for place in (tmp_path / "cycles", folder))
+    rows, before = (
+        json.loads((place / "results.json").read_text())["rows"]
+        for place in (tmp_path / "cycles", folder)
+    )
     assert {row["renderer"] for row in rows} == {"cycles"}
     assert {row["renderer"] for row in before} == {"torch"}
     # Nothing else depends on it.
@@ -212,9 +262,9 @@ def test_evaluation_takes_the_renderer_from_the_datasets(
     assert [[row[key] for key in figures] for row in rows if row["camouflage"] == "T-U"] == [
         [row[key] for key in figures] for row in known
     ]
-    skyproof(*call, "--camouflaged", f"R-U-0={folder}/datasets/test-R-U-0", "--out", tmp_path / "x").refused(
-        str(folder / "datasets/test-R-U-0"), "torch", "cycles", "same --renderer"
-    )
+    skyproof(
+        *call, "--camouflaged", f"R-U-0={folder}/datasets/test-R-U-0", "--out", tmp_path / "x"
+    ).refused(str(folder / "datasets/test-R-U-0"), "torch", "cycles", "same --renderer")
     assert not (tmp_path / "x").exists()
 
 
@@ -225,7 +275,13 @@ def test_score_stopped_in_its_evaluation_draws_nothing_again(
 ) -> None:
     original, out = tmp_path / "original", tmp_path / "scores"
     assert skyproof("render", *world(finished), "--out", original, *CYCLES).code == 0
-    call = ["score", "--detectors", finished / "detectors/retinanet", "--camouflages", finished / "camouflages/T-U"]
+    call = [
+        "score",
+        "--detectors",
+        finished / "detectors/retinanet",
+        "--camouflages",
+        finished / "camouflages/T-U",
+    ]
     call += [*world(finished), "--original", original, "--out", out, *CYCLES, "--workers", 1]
 
     def stop(*arguments: object, **options: object) -> None:

@@ -21,7 +21,9 @@ from tests.cli.conftest import Skyproof
 TINY = Path(__file__).parents[1] / "workflow" / "tiny.json"
 
 
-def test_dry_run_says_what_would_be_done_and_writes_nothing(tmp_path: Path, skyproof: Skyproof) -> None:
+def test_dry_run_says_what_would_be_done_and_writes_nothing(
+    tmp_path: Path, skyproof: Skyproof
+) -> None:
     out = tmp_path / "run"
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
@@ -48,10 +50,14 @@ def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Pa
     return asked
 
 
-def test_the_cycles_column_is_asked_for(tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cycles_column_is_asked_for(
+    tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "run"
     asked = stub_blender(monkeypatch, Path("here/python"))
-    answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run", "--cycles", "--blender", "mine")
+    answer = skyproof(
+        "reproduce", "--preset", TINY, "--out", out, "--dry-run", "--cycles", "--blender", "mine"
+    )
     assert answer.code == 0, answer.err
     assert asked == [Path("mine")]
     assert "18 jobs" in answer.out
@@ -65,7 +71,9 @@ def test_cycles_without_blender_is_refused_before_anything_is_written(
     tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
-    skyproof("reproduce", "--preset", TINY, "--out", out, "--blender", "mine").refused("--blender", "--cycles")
+    skyproof("reproduce", "--preset", TINY, "--out", out, "--blender", "mine").refused(
+        "--blender", "--cycles"
+    )
     stub_blender(monkeypatch, None)
     skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles").refused("make blender")
     assert not out.exists()
@@ -89,7 +97,10 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     assert [line.partition(" s (")[0] for line in said] == ["score_cycles 000: 9", "tables: 4"]
     assert "(6 of 18 jobs" not in answer.out
     assert "(5 of 18 jobs" in said[-1]
-    assert json.loads((out / "config.json").read_text()).keys() == {"preset", *json.loads(TINY.read_text())}
+    assert json.loads((out / "config.json").read_text()).keys() == {
+        "preset",
+        *json.loads(TINY.read_text()),
+    }
     # Without the flag the column's jobs are not counted.
     again = skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 1)
     assert "4 jobs were finished before" in again.out
@@ -123,21 +134,27 @@ def test_bad_input_is_refused_before_anything_is_written(
     other.write_text(json.dumps({**json.loads(TINY.read_text()), "detectors": ["ssd"]}))
     skyproof("reproduce", "--preset", other, "--out", out).refused("ssd")
     monkeypatch.setattr("skyproof.cli.reproduce.find_spec", lambda name: None)
-    skyproof("reproduce", "--preset", TINY, "--out", out).refused("pip install 'skyproof[reproduce]'")
+    skyproof("reproduce", "--preset", TINY, "--out", out).refused(
+        "pip install 'skyproof[reproduce]'"
+    )
     assert not out.exists()
 
 
 def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:
     (tmp_path / "run").mkdir()
     # A run stopped before its first stage: only these two are there.
-    (tmp_path / "run" / "config.json").write_text(json.dumps({"preset": "tiny", **json.loads(TINY.read_text())}))
+    (tmp_path / "run" / "config.json").write_text(
+        json.dumps({"preset": "tiny", **json.loads(TINY.read_text())})
+    )
     with open(tmp_path / "run" / ".lock", "w") as held:
         fcntl.flock(held, fcntl.LOCK_SH)  # even one that would share it
         skyproof("reproduce", "--preset", TINY, "--out", tmp_path / "run").refused("Another run")
     (tmp_path / "run" / "scores").mkdir()
     changed = tmp_path / "tiny.json"
     changed.write_text(json.dumps({**json.loads(TINY.read_text()), "seed": 5}))
-    skyproof("reproduce", "--preset", changed, "--out", tmp_path / "run").refused("(seed)", "another --out")
+    skyproof("reproduce", "--preset", changed, "--out", tmp_path / "run").refused(
+        "(seed)", "another --out"
+    )
 
 
 def test_a_failing_job_is_named_with_its_last_words(tmp_path: Path, skyproof: Skyproof) -> None:
@@ -145,11 +162,22 @@ def test_a_failing_job_is_named_with_its_last_words(tmp_path: Path, skyproof: Sk
     tiny = json.loads(TINY.read_text())
     broken.write_text(json.dumps({**tiny, "world": {**tiny["world"], "test_images": 0}}))
     answer = skyproof("reproduce", "--preset", broken, "--out", tmp_path / "run", "--cores", 1)
-    answer.refused("at least 1", str(tmp_path / "run" / "logs" / "world" / "world.log"), "same command")
+    answer.refused(
+        "at least 1", str(tmp_path / "run" / "logs" / "world" / "world.log"), "same command"
+    )
 
 
 def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "skyproof", "reproduce", "--preset", TINY, "--out", tmp_path / "run"]
+    command = [
+        sys.executable,
+        "-m",
+        "skyproof",
+        "reproduce",
+        "--preset",
+        TINY,
+        "--out",
+        tmp_path / "run",
+    ]
     run = subprocess.Popen(
         list(map(str, command)),
         stderr=subprocess.PIPE,
@@ -160,7 +188,10 @@ def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     until = time.monotonic() + 60
-    while time.monotonic() < until and not (tmp_path / "run" / "logs" / "world" / "world.log").exists():
+    while (
+        time.monotonic() < until
+        and not (tmp_path / "run" / "logs" / "world" / "world.log").exists()
+    ):
         time.sleep(0.05)
     below = psutil.Process(run.pid).children(recursive=True)
     assert len(below) >= 2  # Snakemake and a job
@@ -168,4 +199,8 @@ def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
     assert run.wait(60) == 130
     assert run.stderr is not None
     assert run.stderr.read() == "skyproof: stopped; give the same command again to go on.\n"
-    assert not [process for process in below if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
+    assert not [
+        process
+        for process in below
+        if process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    ]

@@ -32,12 +32,17 @@ def test_what_is_given_is_taken(folder):
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
-    [(["--blur-sigma-px", "-1", "--noise", "0"], "blur of 0 to 10 px"), ([], "at least 100 clear edges")],
+    [
+        (["--blur-sigma-px", "-1", "--noise", "0"], "blur of 0 to 10 px"),
+        ([], "at least 100 clear edges"),
+    ],
 )
 def test_bad_input(folder, capsys, options, sentence):
     before = (folder / "index.json").read_bytes()
     for tile in BackgroundSet.open(folder).tiles("train"):
-        Image.fromarray(torch.full((200, 200, 3), 90, dtype=torch.uint8).numpy()).save(folder / tile.file)
+        Image.fromarray(torch.full((200, 200, 3), 90, dtype=torch.uint8).numpy()).save(
+            folder / tile.file
+        )
     assert run(["imagery", "sensor", str(folder), *options]) == 2
     assert sentence in " ".join(capsys.readouterr().err.split())
     assert (folder / "index.json").read_bytes() == before

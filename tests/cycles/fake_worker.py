@@ -50,7 +50,11 @@ def main() -> None:
         with np.load(job) as stored:
             seed = json.loads(str(stored["job"]))["seed"]
         number = logged(log, f"request {seed}")
-        action = plan.get(str(seed), "done") if isinstance(plan, dict) else [*plan, *["done"] * number, "done"][number]
+        action = (
+            plan.get(str(seed), "done")
+            if isinstance(plan, dict)
+            else [*plan, *["done"] * number, "done"][number]
+        )
         partial = result.with_name(f".{result.name}.partial")
         if action == "die":
             partial.write_bytes(b"half")

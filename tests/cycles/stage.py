@@ -15,7 +15,10 @@ from tests.render.bodies import rounded_box, sphere_template
 
 
 def body(
-    length_m: float, width_m: float, height_m: float, colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    length_m: float,
+    width_m: float,
+    height_m: float,
+    colour: tuple[float, float, float] = (0.5, 0.5, 0.5),
 ) -> VehicleBatch:
     """A box with nearly sharp edges in one colour."""
     return VehicleBatch(
@@ -58,7 +61,9 @@ def one_job(
     size = placed.size_px
     light = torch.as_tensor(ground, dtype=torch.float32).expand(1, 3, size, size).clone()
     windows = crop_windows(placed, round(margin_m / placed.gsd_m), 0)
-    (job,) = crop_jobs([scene], vehicles, placed, light, windows, settings or CyclesSettings(), RenderSettings())
+    (job,) = crop_jobs(
+        [scene], vehicles, placed, light, windows, settings or CyclesSettings(), RenderSettings()
+    )
     return job
 
 
@@ -66,5 +71,8 @@ def world_places(job: Job) -> tuple[np.ndarray, np.ndarray]:
     """x (east) and y (north) in metres of the crop's pixel centres on the ground."""
     left, top, width, height = job.window_px
     half, gsd_m = job.numbers["size_px"] / 2, job.numbers["gsd_m"]
-    x, y = (np.arange(left, left + width) + 0.5 - half) * gsd_m, (half - np.arange(top, top + height) - 0.5) * gsd_m
+    x, y = (
+        (np.arange(left, left + width) + 0.5 - half) * gsd_m,
+        (half - np.arange(top, top + height) - 0.5) * gsd_m,
+    )
     return np.broadcast_to(x, (height, width)), np.broadcast_to(y[:, None], (height, width))

@@ -41,12 +41,16 @@ def nowhere(tmp_path, monkeypatch):
     (tmp_path / "folder").mkdir()
     monkeypatch.chdir(tmp_path / "folder")
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
-    monkeypatch.setattr(module, "__file__", str(tmp_path / "checkout/src/skyproof/cycles/blender.py"))
+    monkeypatch.setattr(
+        module, "__file__", str(tmp_path / "checkout/src/skyproof/cycles/blender.py")
+    )
     return tmp_path
 
 
 def test_none_at_all(nowhere):
-    with pytest.raises(ConfigurationError, match=r"need Blender 4\.5 LTS, and none was found; run `make blender`"):
+    with pytest.raises(
+        ConfigurationError, match=r"need Blender 4\.5 LTS, and none was found; run `make blender`"
+    ):
         find_blender()
 
 
@@ -75,7 +79,10 @@ def test_a_link_is_not_followed(nowhere):
 @pytest.mark.parametrize("make", [blender_of, python_with])
 def test_another_version_is_named(tmp_path, make, version):
     path = make(tmp_path / "it", version)
-    with pytest.raises(ConfigurationError, match=rf"it is Blender {version}, but skyproof works with Blender 4\.5 LTS"):
+    with pytest.raises(
+        ConfigurationError,
+        match=rf"it is Blender {version}, but skyproof works with Blender 4\.5 LTS",
+    ):
         find_blender(path)
 
 
@@ -97,7 +104,9 @@ def test_what_is_no_blender(tmp_path, monkeypatch):
         program(tmp_path / "sleeper", "exec sleep 60"),
         text,
     ):
-        with pytest.raises(ConfigurationError, match="is neither Blender nor a Python in which `import bpy` works"):
+        with pytest.raises(
+            ConfigurationError, match="is neither Blender nor a Python in which `import bpy` works"
+        ):
             find_blender(path)
 
 
@@ -106,7 +115,9 @@ def test_command_lines():
     python = Blender(Path("/env/bin/python"), True, "4.5.0").command(script, "/scratch")
     assert python == ["/env/bin/python", "/x/worker.py", "/scratch"]
     executable = Blender(Path("/opt/blender"), False, "4.5.0").command(script, "/scratch")
-    options = "--background --factory-startup --python-exit-code 1 --python /x/worker.py -- /scratch"
+    options = (
+        "--background --factory-startup --python-exit-code 1 --python /x/worker.py -- /scratch"
+    )
     assert executable == ["/opt/blender", *options.split()]
 
 

@@ -34,14 +34,18 @@ def test_shaded_ground_keeps_its_ratio_of_the_light_and_the_rest_its_bytes():
     # Rows 12 to 27, columns 8 to 27; beyond the margin of 4 the ratio counts whole.
     middle = light(image)[:, 16:24, 12:24]
     for channel, expected in enumerate((0.125, 0.25, 0.5)):
-        torch.testing.assert_close(middle[channel], torch.full((8, 12), expected), atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            middle[channel], torch.full((8, 12), expected), atol=1e-5, rtol=0
+        )
     outside = torch.ones(SIZE, SIZE, dtype=torch.bool)
     outside[12:28, 8:28] = False
     assert torch.equal(image[:, outside], photograph[:, outside])
 
 
 def test_the_ratio_fades_out_towards_the_crops_edge():
-    image = composite_crops(plain(), [((8, 12, 20, 16), layers(20, 16, ratio=(0.2, 0.2, 0.2)))], 0, 4, SHARP)
+    image = composite_crops(
+        plain(), [((8, 12, 20, 16), layers(20, 16, ratio=(0.2, 0.2, 0.2)))], 0, 4, SHARP
+    )
     row = light(image)[0, 20]
     # Pixel centres lie 0.5, 1.5, ... from the edge: 1/8, 3/8, 5/8, 7/8 of the margin.
     for step in range(4):
@@ -63,11 +67,17 @@ def test_a_body_hides_the_ground_by_its_coverage_up_to_the_crops_edge():
         assert float(image[channel, 4, 20]) == pytest.approx(value, abs=1e-5)
         assert float(image[channel, 8, 22]) == pytest.approx(value, abs=1e-5)
         # Four tenths of the body; the rest is ground in half its light.
-        assert float(image[channel, 8, 27]) == pytest.approx(0.4 * value + 0.6 * 0.5 * 0.5, abs=1e-5)
+        assert float(image[channel, 8, 27]) == pytest.approx(
+            0.4 * value + 0.6 * 0.5 * 0.5, abs=1e-5
+        )
 
 
 def test_ground_beside_a_bright_side_gets_brighter():
-    image = light(composite_crops(plain(), [((5, 5, 20, 20), layers(20, 20, ratio=(1.4, 1.0, 1.0)))], 0, 2, SHARP))
+    image = light(
+        composite_crops(
+            plain(), [((5, 5, 20, 20), layers(20, 20, ratio=(1.4, 1.0, 1.0)))], 0, 2, SHARP
+        )
+    )
     assert image[:, 15, 15].tolist() == pytest.approx([0.7, 0.5, 0.5], abs=1e-5)
 
 
@@ -84,7 +94,9 @@ def test_crops_that_overlap_are_not_counted_twice():
 
 def test_where_two_crops_differ_the_one_seen_from_farther_inside_counts_more():
     dark, bright = layers(10, 10, ratio=(0.0, 0.0, 0.0)), layers(10, 10)
-    image = light(composite_crops(plain(), [((5, 5, 10, 10), dark), ((13, 5, 10, 10), bright)], 0, 4, SHARP))[0, 10]
+    image = light(
+        composite_crops(plain(), [((5, 5, 10, 10), dark), ((13, 5, 10, 10), bright)], 0, 4, SHARP)
+    )[0, 10]
     # Column 13 is 1.5 from the dark crop's edge and 0.5 from the bright one's: trust 3/8 and 1/8.
     assert float(image[13]) == pytest.approx(0.5 * (1 - 0.375 / 0.5 * 0.375), abs=2e-3)
 
@@ -117,7 +129,9 @@ def test_the_blur_is_the_sensors_and_reaches_in_from_beyond_the_border():
     radius, sigma = settings.blur_radius_px, settings.blur_sigma_px
     # All that lies outside the left border is white; inside, the ground is black.
     crop = layers(radius, SIZE + 2 * radius, (1.0, 1.0, 1.0), alpha=1.0)
-    image = composite_crops(plain(0.0), [((-radius, -radius, radius, SIZE + 2 * radius), crop)], 0, 1, settings)
+    image = composite_crops(
+        plain(0.0), [((-radius, -radius, radius, SIZE + 2 * radius), crop)], 0, 1, settings
+    )
     weights = [math.exp(-0.5 * (step / sigma) ** 2) for step in range(-radius, radius + 1)]
     for column in range(radius + 1):
         expected = sum(weights[: radius - column]) / sum(weights)
@@ -130,7 +144,10 @@ def test_noise_lies_on_vehicles_alone_and_is_the_seeds():
     crop[:, :, :15] = layers(15, 30, (0.2, 0.2, 0.2), alpha=1.0)
     crops = [((5, 5, 30, 30), crop)]
     first, again = (composite_crops(plain(), crops, 7, 1, settings) for _ in range(2))
-    other, without = composite_crops(plain(), crops, 8, 1, settings), composite_crops(plain(), crops, 7, 1, SHARP)
+    other, without = (
+        composite_crops(plain(), crops, 8, 1, settings),
+        composite_crops(plain(), crops, 7, 1, SHARP),
+    )
     assert torch.equal(first, again)
     difference = first - without
     assert float(difference[:, 5:35, 5:20].std()) == pytest.approx(0.02, rel=0.1)

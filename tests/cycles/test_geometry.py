@@ -30,7 +30,9 @@ SHADED = 0.6
 
 
 def random_scenes(fleet):
-    draws = torch.rand(SCENES, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(3)).tolist()
+    draws = torch.rand(
+        SCENES, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(3)
+    ).tolist()
     scenes = []
     for number, (x, y, turn, tilt, camera, sun, height, vehicle) in enumerate(draws):
         scenes.append(
@@ -39,7 +41,14 @@ def random_scenes(fleet):
                 BackgroundWindow("tile", 0.0, 0.0, 0.0),
                 Camera(math.radians(20) * tilt, 2 * math.pi * camera, GSD_M, SIZE_PX),
                 Sun(2 * math.pi * sun, math.radians(25 + 45 * height)),
-                (Placement(fleet.ids[int(vehicle * len(fleet))], 4 * x - 2, 4 * y - 2, 2 * math.pi * turn),),
+                (
+                    Placement(
+                        fleet.ids[int(vehicle * len(fleet))],
+                        4 * x - 2,
+                        4 * y - 2,
+                        2 * math.pi * turn,
+                    ),
+                ),
                 number,
             )
         )
@@ -65,7 +74,9 @@ def drawn(workers):
     placed = place(scenes, vehicles)
     windows = crop_windows(placed, 8, 0)
     ground = torch.full((SCENES, 3, SIZE_PX, SIZE_PX), 0.2)
-    jobs = crop_jobs(scenes, vehicles, placed, ground, windows, CyclesSettings(samples=SAMPLES), SETTINGS)
+    jobs = crop_jobs(
+        scenes, vehicles, placed, ground, windows, CyclesSettings(samples=SAMPLES), SETTINGS
+    )
     assert len(jobs) == SCENES
     return scenes, vehicles, placed, [job.window_px for job in jobs], workers.run(jobs)
 
@@ -92,7 +103,14 @@ def silhouettes(drawn):
     _, vehicles, placed, crops, results = drawn
     window = windows_around(placed.screen)
     _, layers = draw_bodies(
-        window, placed.screen, placed.depth, placed.vertices, placed.viewer, placed.sun, vehicles, SETTINGS
+        window,
+        placed.screen,
+        placed.depth,
+        placed.vertices,
+        placed.viewer,
+        placed.sun,
+        vehicles,
+        SETTINGS,
     )
     theirs = [onto_crop(*each) for each in zip(layers[:, 3], window.origin, crops, strict=True)]
     return [(result[..., 3] > 0.5, other) for result, other in zip(results, theirs, strict=True)]
@@ -116,7 +134,10 @@ def test_silhouettes_are_the_same(silhouettes):
 
 def test_places_and_headings_are_the_same(silhouettes):
     for ours, theirs in silhouettes:
-        (middle, axis), (other_middle, other_axis) = centroid_and_axis(ours), centroid_and_axis(theirs)
+        (middle, axis), (other_middle, other_axis) = (
+            centroid_and_axis(ours),
+            centroid_and_axis(theirs),
+        )
         # Half a pixel of the image is asked for, which here has four times as many.
         assert np.abs(middle - other_middle).max() < 0.1 * FINER
         assert abs(axis @ other_axis) > math.cos(math.radians(0.5))
@@ -130,11 +151,18 @@ def test_the_sun_stands_in_the_same_place(drawn, silhouettes):
 
     def overlaps(**elsewhere):
         shadows = shadow_masks(scenes, vehicles, placed, crops, **elsewhere)
-        return [overlap(a & free, b & free) for a, b, free in zip(dark, shadows, ground, strict=True)]
+        return [
+            overlap(a & free, b & free) for a, b, free in zip(dark, shadows, ground, strict=True)
+        ]
 
     same = overlaps()
     # The darkest ground under the sills belongs to no cast shadow, and few paths leave single pixels wrong.
     assert min(same) > 0.9
     assert np.mean(same) > 0.96
-    for elsewhere in ({"turned_deg": 1.0}, {"turned_deg": -1.0}, {"raised_deg": 1.0}, {"raised_deg": -1.0}):
+    for elsewhere in (
+        {"turned_deg": 1.0},
+        {"turned_deg": -1.0},
+        {"raised_deg": 1.0},
+        {"raised_deg": -1.0},
+    ):
         assert np.mean(overlaps(**elsewhere)) < np.mean(same) - 0.007, elsewhere

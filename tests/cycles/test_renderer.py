@@ -53,7 +53,15 @@ def some_scenes():
         scene((0.5, -0.3, 20), seed=1, name="one"),
         scene(seed=2, name="empty"),
         # Near enough to shade each other, and one across the border.
-        scene((-2, 1, 100), (0.5, 1.2, 80), (5.6, -4, 10), seed=3, name="three", sun_elevation_deg=30, tilt_deg=18),
+        scene(
+            (-2, 1, 100),
+            (0.5, 1.2, 80),
+            (5.6, -4, 10),
+            seed=3,
+            name="three",
+            sun_elevation_deg=30,
+            tilt_deg=18,
+        ),
         scene((30, 0, 0), seed=4, name="far away"),
     ]
 
@@ -78,7 +86,10 @@ def near_crops(scenes, batch, renderer):
         placed.scene.tolist(), crop_windows(placed, margin, radius).tolist(), strict=True
     ):
         if right > left and bottom > top:
-            rows, columns = slice(max(top - radius, 0), bottom + radius), slice(max(left - radius, 0), right + radius)
+            rows, columns = (
+                slice(max(top - radius, 0), bottom + radius),
+                slice(max(left - radius, 0), right + radius),
+            )
             allowed[index, rows, columns] = True
     return allowed
 
@@ -94,7 +105,9 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
     assert (record["samples"], record["finish"], record["blender"]) == (7, "matt", "4.5.0")
     # Of what the sensor does, all that its images depend on, and no light of the other renderer's own.
     shared = ("blur_sigma_px", "noise", "sky_share")
-    assert {name: record[name] for name in shared} == {name: other.record()[name] for name in shared}
+    assert {name: record[name] for name in shared} == {
+        name: other.record()[name] for name in shared
+    }
     assert "shadow_light" not in record
     assert json.loads(json.dumps(record)) == record
     assert json.loads(json.dumps(other.record())) == other.record()
@@ -154,13 +167,21 @@ def test_one_crop_for_every_vehicle_that_may_be_seen_with_those_that_reach_into_
     scenes, stand_in = some_scenes(), Shadows()
     CyclesRenderer(PlainGround(0.4), stand_in)(scenes, batch_for(scenes))
     names = [job.name for job in stand_in.asked]
-    assert names == ["vehicle 1 of one", "vehicle 1 of three", "vehicle 2 of three", "vehicle 3 of three"]
+    assert names == [
+        "vehicle 1 of one",
+        "vehicle 1 of three",
+        "vehicle 2 of three",
+        "vehicle 3 of three",
+    ]
     placed = place(scenes, batch_for(scenes)).vertices
     shown = [job.arrays["vertices"] for job in stand_in.asked]
     assert len(shown[0]) == 1
     for row, neighbours in ((0, [0]), (1, [1, 2]), (2, [1, 2]), (3, [3])):
         for neighbour in neighbours:
-            assert any((vertices == placed[neighbour].numpy()).all() for vertices in shown[row]), (row, neighbour)
+            assert any((vertices == placed[neighbour].numpy()).all() for vertices in shown[row]), (
+                row,
+                neighbour,
+            )
 
 
 def test_pairs_share_their_noise():
@@ -188,7 +209,9 @@ def test_scenes_without_vehicles_are_their_photographs(workers):
 @pytest.mark.blender
 def test_labels_are_the_other_renderers(workers):
     scenes = some_scenes()
-    frames = CyclesRenderer(PlainGround(0.4), workers, COARSE)(scenes, batch_for(scenes), masks=True)
+    frames = CyclesRenderer(PlainGround(0.4), workers, COARSE)(
+        scenes, batch_for(scenes), masks=True
+    )
     other = TorchRenderer(PlainGround(0.4))(scenes, batch_for(scenes), masks=True)
     for name in LABELS:
         assert torch.equal(getattr(frames, name), getattr(other, name)), name
@@ -202,7 +225,10 @@ def test_labels_are_the_other_renderers(workers):
 def test_pairs_differ_around_the_vehicles_alone(workers):
     scenes = some_scenes()
     renderer, batch = CyclesRenderer(PlainGround(None), workers, COARSE), batch_for(scenes)
-    before, after = renderer(scenes, batch, masks=True), renderer(scenes, clothed(batch), masks=True)
+    before, after = (
+        renderer(scenes, batch, masks=True),
+        renderer(scenes, clothed(batch), masks=True),
+    )
     differs = (before.image != after.image).any(1)
     assert not (differs & ~near_crops(scenes, batch, renderer)).any()
     assert differs[0][before.masks[0]].float().mean() > 0.5
@@ -228,7 +254,9 @@ def test_the_same_bytes_whatever_the_number_and_order(blender, workers):
 def test_a_dataset_says_who_rendered_it(workers, tmp_path):
     fleet = sample_fleet(FleetSettings(count=1), generator=torch.Generator().manual_seed(0))
     place = scene((0, 0, 30), name="only")
-    worn = tuple(Placement(fleet.ids[0], each.x_m, each.y_m, each.heading_rad) for each in place.placements)
+    worn = tuple(
+        Placement(fleet.ids[0], each.x_m, each.y_m, each.heading_rad) for each in place.placements
+    )
     scenes = [dataclasses.replace(place, placements=worn)]
     for name, renderer in (
         ("cycles", CyclesRenderer(PlainGround(), workers, COARSE)),

@@ -76,7 +76,9 @@ def test_an_overcast_sky_hides_the_sun_and_is_grey_and_brightest_overhead():
     # CIE 15469, type 1: (1 + 4 exp(-0.7 / cos Z)) is about 3 times as bright overhead as at the horizon.
     zenith, horizon = light.sky[0, 0, 0], light.sky[15, :, 0].mean()
     assert zenith / horizon == pytest.approx(1 + 4 * math.exp(-0.7), rel=0.02)
-    np.testing.assert_allclose(light.sky, np.broadcast_to(light.sky[:, :1], light.sky.shape), rtol=1e-5)
+    np.testing.assert_allclose(
+        light.sky, np.broadcast_to(light.sky[:, :1], light.sky.shape), rtol=1e-5
+    )
 
 
 def test_paint_is_what_a_camouflage_covers_and_parts_are_what_they_are_elsewhere():
@@ -86,9 +88,16 @@ def test_paint_is_what_a_camouflage_covers_and_parts_are_what_they_are_elsewhere
     mask[:, :100] = True
     bare = type(batch)(batch.template, batch.vertices, batch.texture, parts, batch.ids)
     covered = type(batch)(
-        batch.template, batch.vertices, batch.texture, parts, batch.ids, Overlay(torch.rand(3, 512, 512), mask)
+        batch.template,
+        batch.vertices,
+        batch.texture,
+        parts,
+        batch.ids,
+        Overlay(torch.rand(3, 512, 512), mask),
     )
-    repainted = type(batch)(batch.template, batch.vertices, batch.texture, parts, batch.ids, None, True)
+    repainted = type(batch)(
+        batch.template, batch.vertices, batch.texture, parts, batch.ids, None, True
+    )
     assert torch.equal(material_labels(bare), parts)
     labels = material_labels(covered)
     assert (labels[mask] == CAMOUFLAGE).all()

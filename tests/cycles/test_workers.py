@@ -32,7 +32,9 @@ class Fake:
         program = folder / "python"
         words = shlex.join([sys.executable, str(FAKE), str(folder / "plan.json"), str(self.log)])
         # A wrapped one is a process of its own above the one that works, as a launcher of Blender may be.
-        program.write_text(f'#!/bin/sh\n{words} "$@"\nexit $?\n' if wrapped else f'#!/bin/sh\nexec {words} "$@"\n')
+        program.write_text(
+            f'#!/bin/sh\n{words} "$@"\nexit $?\n' if wrapped else f'#!/bin/sh\nexec {words} "$@"\n'
+        )
         program.chmod(0o755)
         self.blender = Blender(program, True, "4.5.0")
 
@@ -51,7 +53,9 @@ class Fake:
 
 def job(seed):
     numbers = {"seed": seed}
-    return Job(f"vehicle 1 of scene-{seed}", 0, (0, 0, 2, 2), numbers, {"values": np.zeros(3, np.float32)})
+    return Job(
+        f"vehicle 1 of scene-{seed}", 0, (0, 0, 2, 2), numbers, {"values": np.zeros(3, np.float32)}
+    )
 
 
 def seeds(results):
@@ -154,7 +158,10 @@ def test_one_that_does_not_start_is_named_with_its_last_words(tmp_path):
 def test_an_interpreter_that_is_gone_is_named(tmp_path):
     fake = Fake(tmp_path, [])
     fake.blender.path.unlink()
-    with Workers(fake.blender, 1) as workers, pytest.raises(RunFolderError, match="vehicle 1 of scene-0") as caught:
+    with (
+        Workers(fake.blender, 1) as workers,
+        pytest.raises(RunFolderError, match="vehicle 1 of scene-0") as caught,
+    ):
         workers.run([job(0)])
     assert "No such file" in str(caught.value)
 
@@ -209,7 +216,9 @@ def test_files_of_a_run_go_away_with_it(tmp_path, monkeypatch):
 def test_other_packages_stay_out_of_blenders_python(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/nowhere")
     fake = Fake(tmp_path, [])
-    fake.blender.path.write_text(fake.blender.path.read_text().replace("exec", 'test -z "$PYTHONPATH" && exec', 1))
+    fake.blender.path.write_text(
+        fake.blender.path.read_text().replace("exec", 'test -z "$PYTHONPATH" && exec', 1)
+    )
     with Workers(fake.blender, 1) as workers:
         assert seeds(workers.run([job(0)])) == [0]
 
@@ -236,7 +245,9 @@ def test_another_light_path_count_or_blender_is_another_result():
 @pytest.mark.blender
 def test_a_real_process_killed_in_the_middle_of_its_job(blender, workers, tmp_path):
     easy, hard = (
-        one_job(scene((0, 0, 0)), vehicles(), settings=CyclesSettings(samples=samples), margin_m=0.25)
+        one_job(
+            scene((0, 0, 0)), vehicles(), settings=CyclesSettings(samples=samples), margin_m=0.25
+        )
         for samples in (1, 800)
     )
     killed = []

@@ -13,7 +13,9 @@ from skyproof.detectors.folder import build_detector
 @pytest.fixture(scope="session", params=NAMES)
 def trained(request: pytest.FixtureRequest) -> TrainableDetector:
     """A slim detector after some steps on a handful of images: in eval mode, weights frozen."""
-    detector = build_detector(request.param, "slim", generator=torch.Generator().manual_seed(0)).train()
+    detector = build_detector(
+        request.param, "slim", generator=torch.Generator().manual_seed(0)
+    ).train()
     for module in detector.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
             # So few steps are too few for the running statistics of eval mode to arrive (Ultralytics: 0.03).

@@ -15,7 +15,9 @@ YOLO = pytest.param(
     "yolov5",
     marks=[
         pytest.mark.yolo,
-        pytest.mark.skipif(importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"),
+        pytest.mark.skipif(
+            importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"
+        ),
     ],
 )
 
@@ -31,7 +33,10 @@ NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 
 def labelled_images(
-    images: list[torch.Tensor], boxes: list[torch.Tensor], ignore: list[torch.Tensor], gsd_m: float = 0.125
+    images: list[torch.Tensor],
+    boxes: list[torch.Tensor],
+    ignore: list[torch.Tensor],
+    gsd_m: float = 0.125,
 ) -> LabelledImages:
     """LabelledImages of images whose counts and sizes differ.
 
@@ -40,7 +45,13 @@ def labelled_images(
     """
     labelled = object.__new__(LabelledImages)
     ids = [str(index) for index in range(len(images))]
-    for name, value in (("images", images), ("boxes", boxes), ("ignore", ignore), ("ids", ids), ("gsd_m", gsd_m)):
+    for name, value in (
+        ("images", images),
+        ("boxes", boxes),
+        ("ignore", ignore),
+        ("ids", ids),
+        ("gsd_m", gsd_m),
+    ):
         object.__setattr__(labelled, name, value)
     return labelled
 
@@ -55,8 +66,12 @@ def bar_images(count: int, size_px: int = 96, *, seed: int) -> LabelledImages:
         for slot in range(index % 3):
             length, width = (36, 15) if torch.rand(1, generator=generator) < 0.5 else (15, 36)
             left = int(torch.randint(0, size_px - length, (1,), generator=generator))
-            top = slot * size_px // 2 + int(torch.randint(0, size_px // 2 - width, (1,), generator=generator))
-            image[:, top : top + width, left : left + length] = 0.6 + 0.4 * torch.rand(3, 1, 1, generator=generator)
+            top = slot * size_px // 2 + int(
+                torch.randint(0, size_px // 2 - width, (1,), generator=generator)
+            )
+            image[:, top : top + width, left : left + length] = 0.6 + 0.4 * torch.rand(
+                3, 1, 1, generator=generator
+            )
             own.append([left, top, left + length, top + width])
         images.append((image.clamp(0, 1) * 255).to(torch.uint8))
         boxes.append(torch.tensor(own, dtype=torch.float32).reshape(-1, 4))

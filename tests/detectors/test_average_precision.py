@@ -6,7 +6,11 @@ import pytest
 import torch
 from detector_images import labelled_images
 
-from skyproof.detectors.average_precision import PrecisionRecall, average_precision, best_f1_threshold
+from skyproof.detectors.average_precision import (
+    PrecisionRecall,
+    average_precision,
+    best_f1_threshold,
+)
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.labelled import LabelledImages
@@ -23,13 +27,17 @@ def random_case(seed: int) -> tuple[list[Detections], LabelledImages]:
     found, truth = [], []
     for index in range(25):
         corners = 300 * torch.rand(index % 5, 2, generator=generator)
-        own = torch.cat([corners, corners + 15 + 25 * torch.rand(len(corners), 2, generator=generator)], dim=1)
+        own = torch.cat(
+            [corners, corners + 15 + 25 * torch.rand(len(corners), 2, generator=generator)], dim=1
+        )
         hit = own[torch.rand(len(own), generator=generator) < 0.8]
         moved = hit + 6 * torch.randn(hit.shape, generator=generator)
         strays = 300 * torch.rand(3, 2, generator=generator)
         boxes = torch.cat([moved, torch.cat([strays, strays + 30], dim=1)])
         boxes = torch.cat([torch.minimum(boxes[:, :2], boxes[:, 2:] - 1), boxes[:, 2:]], dim=1)
-        scores = (torch.rand(len(boxes), generator=generator) * 0.98 + 0.01).sort(descending=True).values
+        scores = (
+            (torch.rand(len(boxes), generator=generator) * 0.98 + 0.01).sort(descending=True).values
+        )
         found.append(Detections(boxes[torch.randperm(len(boxes), generator=generator)], scores))
         truth.append(own)
     return found, labelled(truth)
@@ -56,7 +64,14 @@ def test_equals_coco_at_iou_one_half(seed: int) -> None:
             )
         own = found[image]
         for (x1, y1, x2, y2), score in zip(own.boxes.tolist(), own.scores.tolist(), strict=True):
-            results.append({"image_id": image, "category_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score})
+            results.append(
+                {
+                    "image_id": image,
+                    "category_id": 1,
+                    "bbox": [x1, y1, x2 - x1, y2 - y1],
+                    "score": score,
+                }
+            )
     dataset = {
         "images": [{"id": image, "width": 400, "height": 400} for image in range(len(truth))],
         "categories": [{"id": 1, "name": "vehicle"}],
@@ -74,7 +89,9 @@ def test_perfect_and_empty_detections() -> None:
     boxes = torch.tensor([[10.0, 10, 46, 25]])
     truth = labelled([boxes, torch.zeros(0, 4)])
     nothing = Detections(torch.zeros(0, 4), torch.zeros(0))
-    perfect = average_precision([Detections(boxes, torch.ones(1)), nothing], truth, criterion="centre_1m")
+    perfect = average_precision(
+        [Detections(boxes, torch.ones(1)), nothing], truth, criterion="centre_1m"
+    )
     assert perfect.ap == 1.0
     assert average_precision([nothing, nothing], truth, criterion="centre_1m").ap == 0.0
     no_vehicle = average_precision([nothing], labelled([torch.zeros(0, 4)]), criterion="centre_1m")
@@ -94,7 +111,9 @@ def test_detections_in_ignore_regions_do_not_count() -> None:
 def curve(scores: list[float], hits: list[int], vehicles: int) -> PrecisionRecall:
     positives = torch.tensor(hits, dtype=torch.float64).cumsum(0)
     precision = positives / torch.arange(1, len(hits) + 1, dtype=torch.float64)
-    return PrecisionRecall(torch.tensor(scores, dtype=torch.float64), precision, positives / vehicles, 0.0, vehicles)
+    return PrecisionRecall(
+        torch.tensor(scores, dtype=torch.float64), precision, positives / vehicles, 0.0, vehicles
+    )
 
 
 def test_f1_threshold_lies_midway_below_the_best_detection() -> None:

@@ -21,21 +21,28 @@ def test_boxes_and_regions_follow_the_pixels() -> None:
     """Every vehicle and region has its own value in the image; in the window its box holds just these pixels."""
     height, width = 500, 900
     generator = torch.Generator().manual_seed(1)
-    corners = torch.stack([torch.randint(0, width - 40, (60,)), torch.randint(0, height - 40, (60,))], dim=1)
+    corners = torch.stack(
+        [torch.randint(0, width - 40, (60,)), torch.randint(0, height - 40, (60,))], dim=1
+    )
     boxes = torch.cat([corners, corners + torch.randint(8, 40, (60, 2))], dim=1).float()
     # Of overlapping ones the first is kept, so that no value hides another.
     kept: list[int] = []
     for index, box in enumerate(boxes):
         others = boxes[kept]
         apart = (
-            (others[:, 0] >= box[2]) | (others[:, 2] <= box[0]) | (others[:, 1] >= box[3]) | (others[:, 3] <= box[1])
+            (others[:, 0] >= box[2])
+            | (others[:, 2] <= box[0])
+            | (others[:, 1] >= box[3])
+            | (others[:, 3] <= box[1])
         )
         if bool(apart.all()):
             kept.append(index)
     boxes = boxes[kept]
     vehicles, regions = boxes[::2], boxes[1::2]
     image = torch.zeros(3, height, width, dtype=torch.int64)
-    for value, (left, top, right, bottom) in enumerate(torch.cat([vehicles, regions]).long().tolist(), 1):
+    for value, (left, top, right, bottom) in enumerate(
+        torch.cat([vehicles, regions]).long().tolist(), 1
+    ):
         image[:, top:bottom, left:right] = value
     starts, whole, hidden = set(), 0, 0
     for _ in range(60):
@@ -45,7 +52,11 @@ def test_boxes_and_regions_follow_the_pixels() -> None:
             values = shown[0, top:bottom, left:right].unique()
             assert len(values) == 1
             # All of it is in the window.
-            assert (image[0] == values).sum() == (shown[0] == values).sum() == (bottom - top) * (right - left)
+            assert (
+                (image[0] == values).sum()
+                == (shown[0] == values).sum()
+                == (bottom - top) * (right - left)
+            )
         taken = torch.zeros(WINDOW_PX, WINDOW_PX, dtype=torch.bool)
         for left, top, right, bottom in torch.cat([own, ignore]).long().tolist():
             assert 0 <= left < right <= WINDOW_PX
@@ -63,8 +74,12 @@ def test_boxes_and_regions_follow_the_pixels() -> None:
 def test_every_second_window_holds_a_vehicle_of_a_wide_image() -> None:
     generator = torch.Generator().manual_seed(2)
     image = torch.zeros(3, 2000, 4000, dtype=torch.uint8)
-    vehicle = torch.tensor([[3950.0, 1980, 4001, 2000]])  # at the corner, and labelled a little over the edge
-    found = [len(window(image, vehicle, torch.zeros(0, 4), generator=generator)[1]) for _ in range(200)]
+    vehicle = torch.tensor(
+        [[3950.0, 1980, 4001, 2000]]
+    )  # at the corner, and labelled a little over the edge
+    found = [
+        len(window(image, vehicle, torch.zeros(0, 4), generator=generator)[1]) for _ in range(200)
+    ]
     assert 70 < sum(found) < 130
     nothing = window(image, torch.zeros(0, 4), torch.zeros(0, 4), generator=generator)
     assert nothing[1].shape == (0, 4)
@@ -77,12 +92,16 @@ def test_a_batch_of_all_sizes_shows_windows_hides_cut_vehicles_and_repeats() -> 
     for left, _, right, _ in row.long().tolist():
         wide[:, :, left:right] = 250
     small = bar_images(1, seed=0)
-    images = labelled_images([wide, small.images[0]], [row, small.boxes[0]], [torch.zeros(0, 4)] * 2)
+    images = labelled_images(
+        [wide, small.images[0]], [row, small.boxes[0]], [torch.zeros(0, 4)] * 2
+    )
     batch, targets = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
     again, _ = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
     assert batch.shape == (2, 3, WINDOW_PX, WINDOW_PX)
     assert torch.equal(batch, again)
-    assert not torch.equal(batch, training_batch(images, 4, batch_size=2, jitter_strength=0.0, seed=5)[0])
+    assert not torch.equal(
+        batch, training_batch(images, 4, batch_size=2, jitter_strength=0.0, seed=5)[0]
+    )
     for picture, boxes in zip(batch, targets, strict=True):
         if len(boxes):
             taught = torch.zeros(WINDOW_PX, WINDOW_PX, dtype=torch.bool)

@@ -31,7 +31,9 @@ IMAGES = torch.stack(list(VALIDATION.images)).float() / 255
 def network() -> torch.nn.Module:
     """Untrained: of its hundred boxes an image some lie on vehicles."""
     torch.manual_seed(0)
-    return fasterrcnn_mobilenet_v3_large_fpn(weights=None, weights_backbone=None, num_classes=4).eval()
+    return fasterrcnn_mobilenet_v3_large_fpn(
+        weights=None, weights_backbone=None, num_classes=4
+    ).eval()
 
 
 @pytest.fixture
@@ -46,16 +48,26 @@ def brought(network: torch.nn.Module, tmp_path_factory: pytest.TempPathFactory) 
     folder = tmp_path_factory.mktemp("brought")
     torch.save({"model": network.state_dict(), "epoch": 7}, folder / "vehicles.pth")
     card = bring_detector(
-        Checkpoint(folder / "vehicles.pth", "torchvision", ("3", "1"), SMALL), VALIDATION, folder / "out"
+        Checkpoint(folder / "vehicles.pth", "torchvision", ("3", "1"), SMALL),
+        VALIDATION,
+        folder / "out",
     )
     assert card == read_card(folder / "out")
     return folder / "out"
 
 
 def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> None:
-    assert sorted(path.name for path in brought.iterdir()) == ["detector.json", "weights.safetensors"]
+    assert sorted(path.name for path in brought.iterdir()) == [
+        "detector.json",
+        "weights.safetensors",
+    ]
     detector, card = load_detector(brought)
-    assert (card.name, card.size, card.gsd_m, card.image_size_px) == ("vehicles", "brought", 0.125, (96, 96))
+    assert (card.name, card.size, card.gsd_m, card.image_size_px) == (
+        "vehicles",
+        "brought",
+        0.125,
+        (96, 96),
+    )
     assert card.trained_on == "elsewhere: torchvision checkpoint vehicles.pth"
     found = {**card.validation, "threshold": card.threshold}
     assert found == pytest.approx(validate(detector, VALIDATION))
@@ -71,12 +83,21 @@ def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> No
 def test_every_form_of_the_same_weights_gives_the_same_detector(
     checkpoint: Checkpoint, brought: Path, network: torch.nn.Module, tmp_path: Path
 ) -> None:
-    plain = {name: tensor for name, tensor in network.state_dict().items() if "num_batches_tracked" not in name}
+    plain = {
+        name: tensor
+        for name, tensor in network.state_dict().items()
+        if "num_batches_tracked" not in name
+    }
     save_file(plain, tmp_path / "a.safetensors")
     torch.save(network, tmp_path / "b.pt")
     wanted = read_card(brought)
     for name in ("a.safetensors", "b.pt"):
-        card = bring_detector(replace(checkpoint, path=tmp_path / name), VALIDATION, tmp_path / f"out-{name}", name="v")
+        card = bring_detector(
+            replace(checkpoint, path=tmp_path / name),
+            VALIDATION,
+            tmp_path / f"out-{name}",
+            name="v",
+        )
         assert card.validation == wanted.validation
 
 
@@ -106,7 +127,10 @@ def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) 
         ({"gsd_m": 1000.0}, "out of reason"),
         ({"kind": "detectron2"}, "detectron2"),
         ({"kind": "ultralytics"}, "leave --architecture out"),
-        ({"kind": "ultralytics", "architecture": None}, "holds a state dict, not a detection network"),
+        (
+            {"kind": "ultralytics", "architecture": None},
+            "holds a state dict, not a detection network",
+        ),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(
@@ -123,7 +147,10 @@ def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) ->
             bring_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
     (tmp_path / "text.pt").write_text("not weights")
     torch.save({"epoch": 3}, tmp_path / "empty.pt")
-    torch.save(maskrcnn_resnet50_fpn(weights=None, weights_backbone=None).roi_heads.state_dict(), tmp_path / "mask.pt")
+    torch.save(
+        maskrcnn_resnet50_fpn(weights=None, weights_backbone=None).roi_heads.state_dict(),
+        tmp_path / "mask.pt",
+    )
     for name, error, message in (
         ("text.pt", StoredFileError, "not a checkpoint"),
         ("none.pt", StoredFileError, "missing"),
@@ -147,7 +174,9 @@ def test_a_detector_that_finds_nothing_is_not_brought_in(
     # Far above the vehicle classes: everything is background.
     state["roi_heads.box_predictor.cls_score.bias"][0] = 50.0
     torch.save(state, checkpoint.path)
-    with pytest.raises(ConfigurationError, match=r"(?s)none of the vehicles.*--vehicle-classes.*--gsd"):
+    with pytest.raises(
+        ConfigurationError, match=r"(?s)none of the vehicles.*--vehicle-classes.*--gsd"
+    ):
         bring_detector(checkpoint, VALIDATION, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -162,7 +191,9 @@ def test_a_detector_that_finds_nothing_is_not_brought_in(
         ({"classes": ["0", "1", "2", "3", "4"]}, "does not fit"),
     ],
 )
-def test_a_garbled_folder_is_refused(brought: Path, change: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_a_garbled_folder_is_refused(
+    brought: Path, change: dict[str, Any], message: str, tmp_path: Path
+) -> None:
     path = Path(shutil.copytree(brought, tmp_path / "out")) / "detector.json"
     record = json.loads(path.read_text())
     record["brought"] |= change
@@ -184,8 +215,12 @@ def stored_by_ultralytics(path: Path, file: str, names: list[str]) -> Any:
 
 
 @needs_yolo
-@pytest.mark.parametrize("file", ["yolov5n.yaml", "yolov8n.yaml", "yolo11n.yaml", "yolov8n-obb.yaml"])
-def test_an_ultralytics_checkpoint(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "file", ["yolov5n.yaml", "yolov8n.yaml", "yolo11n.yaml", "yolov8n-obb.yaml"]
+)
+def test_an_ultralytics_checkpoint(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # An untrained network's few boxes hit nothing but by luck.
     scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
     monkeypatch.setattr("skyproof.detectors.bring.validate", lambda *_: dict(scores))
@@ -204,15 +239,22 @@ def test_an_ultralytics_checkpoint(file: str, tmp_path: Path, monkeypatch: pytes
     wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
     torch.testing.assert_close(detector.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5)
     with pytest.raises(ConfigurationError, match=r"small vehicle, truck; got boat"):
-        bring_detector(replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other")
+        bring_detector(
+            replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other"
+        )
 
 
 @needs_yolo
 def test_other_networks_of_ultralytics_are_refused(tmp_path: Path) -> None:
-    for file, kind in (("yolov8n-seg.yaml", "SegmentationModel"), ("yolov8n-cls.yaml", "ClassificationModel")):
+    for file, kind in (
+        ("yolov8n-seg.yaml", "SegmentationModel"),
+        ("yolov8n-cls.yaml", "ClassificationModel"),
+    ):
         stored_by_ultralytics(tmp_path / "x.pt", file, ["car"])
         with pytest.raises(StoredFileError, match=f"{kind}, not a detection network"):
-            bring_detector(Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out")
+            bring_detector(
+                Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out"
+            )
 
 
 @needs_yolo
@@ -222,7 +264,9 @@ def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "ultralytics", None)
     with pytest.raises(ConfigurationError, match=r"skyproof\[yolo\]"):
-        bring_detector(Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out")
+        bring_detector(
+            Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out"
+        )
 
 
 def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) -> None:
@@ -230,7 +274,11 @@ def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) 
 
     from skyproof.detectors.folder import save_detector
 
-    save_detector(tmp_path, build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)), CARD)
+    save_detector(
+        tmp_path,
+        build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)),
+        CARD,
+    )
     record = json.loads((tmp_path / "detector.json").read_text())
     del record["trained_on"], record["brought"]
     (tmp_path / "detector.json").write_text(json.dumps(record))
@@ -241,6 +289,8 @@ def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) 
 def test_images_of_different_sizes_are_validated(checkpoint: Checkpoint, tmp_path: Path) -> None:
     large = bar_images(3, 128, seed=5)
     mixed = labelled_images(
-        [*VALIDATION.images, *large.images], [*VALIDATION.boxes, *large.boxes], [torch.zeros(0, 4)] * 6
+        [*VALIDATION.images, *large.images],
+        [*VALIDATION.boxes, *large.boxes],
+        [torch.zeros(0, 4)] * 6,
     )
     assert bring_detector(checkpoint, mixed, tmp_path / "out").validation["f1"] > 0

@@ -25,7 +25,9 @@ LABELLED = bar_images(3, seed=1)
 IMAGES = torch.stack(list(LABELLED.images)).float() / 255
 NOTHING = [torch.zeros(0, 4)] * len(IMAGES)
 CLASSES = ["0", "1", "2", "3"]
-PLAN = Blueprint("torchvision", "fasterrcnn_mobilenet_v3_large_fpn", CLASSES, [2], 1.0, None, "x.pth", "0")
+PLAN = Blueprint(
+    "torchvision", "fasterrcnn_mobilenet_v3_large_fpn", CLASSES, [2], 1.0, None, "x.pth", "0"
+)
 SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
 ONE_OF_EACH = [SMALL, "fcos_resnet50_fpn", "retinanet_resnet50_fpn"]
 
@@ -37,7 +39,11 @@ def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
 
     architecture = {**yaml_model_load(file), "nc": 3}
     return replace(
-        PLAN, kind="ultralytics", architecture=architecture, classes=CLASSES[:3], vehicle_classes=vehicle_classes
+        PLAN,
+        kind="ultralytics",
+        architecture=architecture,
+        classes=CLASSES[:3],
+        vehicle_classes=vehicle_classes,
     )
 
 
@@ -51,7 +57,9 @@ def livened(detector: BroughtDetector) -> BroughtDetector:
         last = ("cls_logits", "cls_score", ".cv3.0.2", ".cv3.1.2", ".cv3.2.2", "ctrness")
         if any(part in name for part in last):
             with torch.no_grad():
-                parameter.copy_(spread[parameter.ndim > 1] * torch.randn(parameter.shape, generator=generator))
+                parameter.copy_(
+                    spread[parameter.ndim > 1] * torch.randn(parameter.shape, generator=generator)
+                )
     for module in model.modules():
         if isinstance(module, nn.BatchNorm2d):
             # Else the features of a deep random network are all alike.
@@ -62,12 +70,16 @@ def livened(detector: BroughtDetector) -> BroughtDetector:
     return detector.eval().requires_grad_(False)
 
 
-@pytest.fixture(scope="module", params=[*ONE_OF_EACH, pytest.param("yolov8n.yaml", marks=YOLO.marks)])
+@pytest.fixture(
+    scope="module", params=[*ONE_OF_EACH, pytest.param("yolov8n.yaml", marks=YOLO.marks)]
+)
 def brought(request: pytest.FixtureRequest) -> BroughtDetector:
     torch.manual_seed(0)
     if request.param.endswith(".yaml"):
         return livened(BroughtDetector("mine", yolo_plan(request.param, [1, 2])))
-    return livened(BroughtDetector("mine", replace(PLAN, architecture=request.param, vehicle_classes=[1, 3])))
+    return livened(
+        BroughtDetector("mine", replace(PLAN, architecture=request.param, vehicle_classes=[1, 3]))
+    )
 
 
 @pytest.mark.parametrize("architecture", ONE_OF_EACH)
@@ -78,7 +90,12 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
     if architecture == SMALL:
         limits |= {"box_score_thresh": 0.01, "box_detections_per_img": 10_000}
     else:
-        limits |= {"score_thresh": 0.01, "nms_thresh": 0.5, "topk_candidates": 100_000, "detections_per_img": 10_000}
+        limits |= {
+            "score_thresh": 0.01,
+            "nms_thresh": 0.5,
+            "topk_candidates": 100_000,
+            "detections_per_img": 10_000,
+        }
     theirs = getattr(detection, architecture)(
         weights=None, weights_backbone=None, num_classes=len(CLASSES), **limits
     ).eval()
@@ -87,7 +104,9 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
         wanted = theirs(list(IMAGES))
     for found, want in zip(ours.detect(IMAGES), wanted, strict=True):
         # Boxes of no size are not among ours.
-        vehicles = (want["labels"] == 2) & (want["boxes"][:, 2:] - want["boxes"][:, :2] > 0.5).all(dim=1)
+        vehicles = (want["labels"] == 2) & (want["boxes"][:, 2:] - want["boxes"][:, :2] > 0.5).all(
+            dim=1
+        )
         scores, boxes = want["scores"][vehicles][:100], want["boxes"][vehicles][:100]
         assert len(scores) > 20
         torch.testing.assert_close(found.scores[: len(scores)], scores, rtol=1e-4, atol=1e-5)
@@ -96,7 +115,15 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
 
 @needs_yolo
 @pytest.mark.parametrize(
-    "file", ["yolov5n.yaml", "yolov8n.yaml", "yolo11n.yaml", "yolo26n.yaml", "yolov8n-obb.yaml", "yolo26n-obb.yaml"]
+    "file",
+    [
+        "yolov5n.yaml",
+        "yolov8n.yaml",
+        "yolo11n.yaml",
+        "yolo26n.yaml",
+        "yolov8n-obb.yaml",
+        "yolo26n-obb.yaml",
+    ],
 )
 def test_candidates_are_those_of_ultralytics(file: str) -> None:
     torch.manual_seed(2)
@@ -134,10 +161,14 @@ def test_loss_is_ultralytics_own_against_an_empty_truth() -> None:
 def test_losses_by_their_formulas() -> None:
     """RetinaNet, FCOS: focal loss; Faster R-CNN: every region is background and every anchor negative."""
     torch.manual_seed(3)
-    retinanet = livened(BroughtDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn")))
+    retinanet = livened(
+        BroughtDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn"))
+    )
     scores = retinanet.candidates(IMAGES).scores.double()
     focal = (0.75 * scores**2 * -torch.log1p(-scores)).sum(dim=1) / 8
-    torch.testing.assert_close(retinanet.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(
+        retinanet.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6
+    )
     fcos = livened(BroughtDetector("mine", replace(PLAN, architecture="fcos_resnet50_fpn")))
     assert isinstance(fcos.network, BroughtFcos)
     p = fcos.network._outputs(IMAGES)[0]["cls_logits"].sigmoid().double()
@@ -146,11 +177,16 @@ def test_losses_by_their_formulas() -> None:
     rcnn = livened(BroughtDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1])))
     assert isinstance(rcnn.network, BroughtFasterRcnn)
     features, _ = rcnn.network._features(IMAGES)
-    anchors = torch.cat([level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1)
+    anchors = torch.cat(
+        [level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1
+    )
     found = rcnn.candidates(IMAGES)
     regions = (-torch.log1p(-found.scores) * found.valid).sum(dim=1) / found.valid.sum(dim=1)
     torch.testing.assert_close(
-        rcnn.loss(IMAGES, NOTHING), regions + functional.softplus(anchors).sum(dim=1) / 64, rtol=1e-4, atol=1e-5
+        rcnn.loss(IMAGES, NOTHING),
+        regions + functional.softplus(anchors).sum(dim=1) / 64,
+        rtol=1e-4,
+        atol=1e-5,
     )
 
 
@@ -245,7 +281,9 @@ def test_images_are_brought_to_the_networks_resolution_and_boxes_back(scale: flo
     images[:, :, 40:80, 100:200] = 1
     (found,) = detector.detect(images)
     assert network.seen.shape[-2:] == (max(96, round(150 * scale)), max(96, round(240 * scale)))
-    assert (found.boxes[0] - torch.tensor([100.0, 40, 200, 80])).abs().max() <= 1 / min(scale, 1) + 1e-3
+    assert (found.boxes[0] - torch.tensor([100.0, 40, 200, 80])).abs().max() <= 1 / min(
+        scale, 1
+    ) + 1e-3
     images.requires_grad_()
     detector.loss(images, [torch.zeros(0, 4)]).sum().backward()
     assert images.grad is not None
@@ -292,7 +330,11 @@ def test_blueprints_that_build_nothing_are_refused(change: dict[str, Any]) -> No
 
 
 def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
-    layers = {"nc": 3, "backbone": [[-1, 1, "Conv", [16, 3, 2]]], "head": [[[0], 1, "Detect", ["nc"]]]}
+    layers = {
+        "nc": 3,
+        "backbone": [[-1, 1, "Conv", [16, 3, 2]]],
+        "head": [[[0], 1, "Detect", ["nc"]]],
+    }
     change(layers)
     return layers
 
@@ -300,8 +342,16 @@ def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda layers: layers["backbone"].append([-1, 1, "load_checkpoint", ["/etc/passwd"]]), "load_checkpoint"),
-        (lambda layers: layers["backbone"].append([-1, 1, "torchvision.ops.Conv2dNormActivation", []]), "torchvision"),
+        (
+            lambda layers: layers["backbone"].append([-1, 1, "load_checkpoint", ["/etc/passwd"]]),
+            "load_checkpoint",
+        ),
+        (
+            lambda layers: layers["backbone"].append(
+                [-1, 1, "torchvision.ops.Conv2dNormActivation", []]
+            ),
+            "torchvision",
+        ),
         (lambda layers: layers.update(activation="__import__('os').system('true')"), "activation"),
         (lambda layers: layers.update(activation="nn.SiLU() or print(1)"), "activation"),
         (lambda layers: layers.update(head=[[[0], 1, "Segment", ["nc"]]]), "Segment"),
@@ -309,12 +359,16 @@ def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
         (lambda layers: layers.pop("head"), "backbone and head"),
     ],
 )
-def test_an_architecture_runs_no_code(change: Callable[[dict[str, Any]], None], message: str) -> None:
+def test_an_architecture_runs_no_code(
+    change: Callable[[dict[str, Any]], None], message: str
+) -> None:
     """Ultralytics evaluates an activation's text and calls what a layer's name stands for."""
     with pytest.raises(ConfigurationError, match=message):
         replace(PLAN, kind="ultralytics", architecture=edited(change))
     replace(
-        PLAN, kind="ultralytics", architecture=edited(lambda layers: layers.update(activation="nn.ReLU(inplace=True)"))
+        PLAN,
+        kind="ultralytics",
+        architecture=edited(lambda layers: layers.update(activation="nn.ReLU(inplace=True)")),
     )
 
 

@@ -39,7 +39,9 @@ class Evil:
 
 
 def same(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor]) -> bool:
-    return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
+    return found.keys() == wanted.keys() and all(
+        torch.equal(found[name], wanted[name]) for name in wanted
+    )
 
 
 @pytest.mark.parametrize(
@@ -49,8 +51,16 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor]) -> boo
         lambda network: {"model": network, "epoch": 3},
         lambda network: {"ema": network, "model": None},
         lambda network: network.state_dict(),
-        lambda network: {"state_dict": network.state_dict(), "args": argparse.Namespace(lr=1.0), "best": Path("x")},
-        lambda network: {"model": OrderedDict((f"module.{key}", value) for key, value in network.state_dict().items())},
+        lambda network: {
+            "state_dict": network.state_dict(),
+            "args": argparse.Namespace(lr=1.0),
+            "best": Path("x"),
+        },
+        lambda network: {
+            "model": OrderedDict(
+                (f"module.{key}", value) for key, value in network.state_dict().items()
+            )
+        },
     ],
 )
 def test_weights_are_found_in_every_usual_wrapping(wrap: Any, tmp_path: Path) -> None:
@@ -77,7 +87,10 @@ def test_nothing_in_a_checkpoint_is_run(tmp_path: Path) -> None:
         (Path.mkdir, (mark,)),
         (eval, (f"open({str(mark)!r}, 'w')",)),
     ):
-        torch.save({"model": {"weight": torch.ones(1)}, "other": Evil(function, *arguments)}, tmp_path / "x.pt")
+        torch.save(
+            {"model": {"weight": torch.ones(1)}, "other": Evil(function, *arguments)},
+            tmp_path / "x.pt",
+        )
         try:
             content = read_checkpoint(tmp_path / "x.pt")
         except StoredFileError:
@@ -99,7 +112,12 @@ def test_safetensors_and_the_form_of_before_2020(tmp_path: Path) -> None:
 
 
 def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
-    for name, content in (("x.pt", b"weights"), ("y.pt", b""), ("z.safetensors", b"12345678"), ("w.pt", b"PK\x03\x04")):
+    for name, content in (
+        ("x.pt", b"weights"),
+        ("y.pt", b""),
+        ("z.safetensors", b"12345678"),
+        ("w.pt", b"PK\x03\x04"),
+    ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(StoredFileError, match=f"{name} is not a checkpoint"):
             read_checkpoint(tmp_path / name)

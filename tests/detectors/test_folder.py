@@ -36,7 +36,11 @@ CARD = DetectorCard(
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stored") / "detector"
-    save_detector(folder, build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)), CARD)
+    save_detector(
+        folder,
+        build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)),
+        CARD,
+    )
     return folder
 
 
@@ -46,20 +50,27 @@ def folder(stored: Path, tmp_path: Path) -> Path:
 
 
 def test_round_trip(folder: Path) -> None:
-    original = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(1)).eval()
+    original = build_detector(
+        "retinanet", "slim", generator=torch.Generator().manual_seed(1)
+    ).eval()
     detector, card = load_detector(folder)
     assert card == CARD == read_card(folder)
     assert not detector.training
     assert weights_digest(detector) == weights_digest(original)
     images = torch.rand(2, 3, 96, 128, generator=torch.Generator().manual_seed(0))
     assert torch.equal(detector.candidates(images).scores, original.candidates(images).scores)
-    assert sorted(path.name for path in folder.iterdir()) == ["detector.json", "weights.safetensors"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "detector.json",
+        "weights.safetensors",
+    ]
 
 
 def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
     detector, _ = load_detector(stored)
     digest = weights_digest(detector)
-    buffer = next(buffer for name, buffer in detector.named_buffers() if name.endswith("running_mean"))
+    buffer = next(
+        buffer for name, buffer in detector.named_buffers() if name.endswith("running_mean")
+    )
     buffer.add_(1e-6)
     assert weights_digest(detector) != digest
 
@@ -101,7 +112,10 @@ def test_missing_or_damaged_weights(folder: Path) -> None:
     path = folder / "weights.safetensors"
     tensors = load_file(path)
     name = next(iter(tensors))
-    for damaged in ({**tensors, name: torch.zeros(3)}, {key: value for key, value in tensors.items() if key != name}):
+    for damaged in (
+        {**tensors, name: torch.zeros(3)},
+        {key: value for key, value in tensors.items() if key != name},
+    ):
         save_file(damaged, path)
         with pytest.raises(StoredFileError, match="does not fit"):
             load_detector(folder)

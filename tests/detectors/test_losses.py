@@ -17,9 +17,13 @@ NOTHING = [torch.zeros(0, 4)] * len(BOXES)
 
 
 @pytest.mark.parametrize("targets", [BOXES, NOTHING], ids=["truth", "empty"])
-def test_loss_of_an_image_does_not_depend_on_its_batch(trained: TrainableDetector, targets: list) -> None:
+def test_loss_of_an_image_does_not_depend_on_its_batch(
+    trained: TrainableDetector, targets: list
+) -> None:
     together = trained.loss(IMAGES, targets)
-    alone = torch.cat([trained.loss(IMAGES[i : i + 1], targets[i : i + 1]) for i in range(len(IMAGES))])
+    alone = torch.cat(
+        [trained.loss(IMAGES[i : i + 1], targets[i : i + 1]) for i in range(len(IMAGES))]
+    )
     torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
 
 
@@ -30,7 +34,9 @@ def test_loss_is_deterministic(trained: TrainableDetector) -> None:
     assert torch.equal(first, trained.loss(IMAGES, BOXES))
 
 
-def test_empty_truth_costs_where_a_vehicle_is_seen_and_little_where_none_is(trained: TrainableDetector) -> None:
+def test_empty_truth_costs_where_a_vehicle_is_seen_and_little_where_none_is(
+    trained: TrainableDetector,
+) -> None:
     losses = trained.loss(IMAGES, NOTHING)
     count = torch.tensor([len(boxes) for boxes in BOXES])
     assert torch.isfinite(losses).all()
@@ -39,7 +45,9 @@ def test_empty_truth_costs_where_a_vehicle_is_seen_and_little_where_none_is(trai
     assert losses[count == 1].max() < 10
 
 
-def test_gradient_reaches_the_vehicle_and_a_step_lowers_its_score(trained: TrainableDetector) -> None:
+def test_gradient_reaches_the_vehicle_and_a_step_lowers_its_score(
+    trained: TrainableDetector,
+) -> None:
     images = IMAGES[1:2].clone().requires_grad_()
     before = trained.candidates(images).scores.max()
     trained.loss(images, NOTHING[:1]).sum().backward()
@@ -59,12 +67,16 @@ def test_weights_and_buffers_stay_as_they_are_during_an_attack(trained: Trainabl
 
 
 def test_loss_is_finite_in_train_mode(trained: TrainableDetector) -> None:
-    detector = build_detector(trained.name, "slim", generator=torch.Generator().manual_seed(3)).train()
+    detector = build_detector(
+        trained.name, "slim", generator=torch.Generator().manual_seed(3)
+    ).train()
     for targets in (BOXES, NOTHING):
         detector.zero_grad()
         loss = detector.loss(IMAGES, targets).mean()
         loss.backward()
-        gradients = [parameter.grad for parameter in detector.parameters() if parameter.grad is not None]
+        gradients = [
+            parameter.grad for parameter in detector.parameters() if parameter.grad is not None
+        ]
         assert torch.isfinite(loss)
         assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
@@ -111,7 +123,9 @@ def test_unknown_names_and_sizes_are_refused() -> None:
 def test_same_generator_same_weights_and_global_state_untouched() -> None:
     state = torch.get_rng_state()
     digests = {
-        weights_digest(build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(seed)))
+        weights_digest(
+            build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(seed))
+        )
         for seed in (5, 5, 6)
     }
     assert len(digests) == 2
@@ -120,7 +134,11 @@ def test_same_generator_same_weights_and_global_state_untouched() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_full_size_gives_finite_losses_and_detections(name: str) -> None:
-    detector = build_detector(name, "full", generator=torch.Generator().manual_seed(0)).eval().requires_grad_(False)
+    detector = (
+        build_detector(name, "full", generator=torch.Generator().manual_seed(0))
+        .eval()
+        .requires_grad_(False)
+    )
     images = IMAGES[1:3].clone().requires_grad_()
     losses = detector.loss(images, BOXES[1:3]) + detector.loss(images, NOTHING[1:3])
     losses.sum().backward()

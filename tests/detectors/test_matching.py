@@ -26,7 +26,9 @@ def test_limit_is_one_metre_and_counts_as_a_match() -> None:
 def test_higher_score_chooses_first_and_the_other_takes_what_is_free() -> None:
     truth = at((50, 50), (56, 50))
     boxes = at((52, 50), (51, 50), (90, 90))
-    matches = match_detections(boxes, torch.tensor([0.5, 0.9, 0.8]), truth, criterion="centre_1m", gsd_m=0.125)
+    matches = match_detections(
+        boxes, torch.tensor([0.5, 0.9, 0.8]), truth, criterion="centre_1m", gsd_m=0.125
+    )
     assert matches.truth_of_detection.tolist() == [1, 0, -1]
     assert matches.detection_of_truth.tolist() == [1, 0]
     torch.testing.assert_close(matches.score_of_truth, torch.tensor([0.9, 0.5]))
@@ -34,7 +36,11 @@ def test_higher_score_chooses_first_and_the_other_takes_what_is_free() -> None:
 
 def test_a_second_detection_of_one_vehicle_is_a_false_alarm() -> None:
     matches = match_detections(
-        at((50, 50), (50, 51)), torch.tensor([0.6, 0.7]), at((50, 50)), criterion="iou_50", gsd_m=0.125
+        at((50, 50), (50, 51)),
+        torch.tensor([0.6, 0.7]),
+        at((50, 50)),
+        criterion="iou_50",
+        gsd_m=0.125,
     )
     assert matches.truth_of_detection.tolist() == [-1, 0]
 
@@ -42,9 +48,13 @@ def test_a_second_detection_of_one_vehicle_is_a_false_alarm() -> None:
 def test_iou_of_exactly_one_half_matches() -> None:
     truth = torch.tensor([[0.0, 0, 10, 10]])
     boxes = torch.tensor([[0.0, 0, 10, 5], [0.0, 0, 10, 4.9]])
-    matches = match_detections(boxes[:1], torch.tensor([0.5]), truth, criterion="iou_50", gsd_m=0.125)
+    matches = match_detections(
+        boxes[:1], torch.tensor([0.5]), truth, criterion="iou_50", gsd_m=0.125
+    )
     assert matches.truth_of_detection.tolist() == [0]
-    matches = match_detections(boxes[1:], torch.tensor([0.5]), truth, criterion="iou_50", gsd_m=0.125)
+    matches = match_detections(
+        boxes[1:], torch.tensor([0.5]), truth, criterion="iou_50", gsd_m=0.125
+    )
     assert matches.truth_of_detection.tolist() == [-1]
 
 
@@ -64,10 +74,14 @@ def test_ignore_regions_take_only_what_is_unmatched() -> None:
 
 def test_nothing_detected_and_nothing_true() -> None:
     empty = torch.zeros(0, 4)
-    matches = match_detections(empty, torch.zeros(0), at((50, 50)), criterion="centre_1m", gsd_m=0.125)
+    matches = match_detections(
+        empty, torch.zeros(0), at((50, 50)), criterion="centre_1m", gsd_m=0.125
+    )
     assert matches.detection_of_truth.tolist() == [-1]
     assert matches.score_of_truth.tolist() == [0.0]
-    matches = match_detections(at((5, 5)), torch.ones(1), empty, criterion="iou_50", gsd_m=0.125, ignore=empty)
+    matches = match_detections(
+        at((5, 5)), torch.ones(1), empty, criterion="iou_50", gsd_m=0.125, ignore=empty
+    )
     assert matches.truth_of_detection.tolist() == [-1]
 
 
@@ -80,7 +94,10 @@ def brute_force(boxes: list, scores: list, truth: list, criterion: str, gsd_m: f
             a, b = boxes[index], truth[other]
             if criterion == "centre_1m":
                 dx, dy = (a[0] + a[2] - b[0] - b[2]) / 2, (a[1] + a[3] - b[1] - b[3]) / 2
-                quality, enough = -((dx * dx + dy * dy) ** 0.5), (dx * dx + dy * dy) ** 0.5 * gsd_m <= 1.0
+                quality, enough = (
+                    -((dx * dx + dy * dy) ** 0.5),
+                    (dx * dx + dy * dy) ** 0.5 * gsd_m <= 1.0,
+                )
             else:
                 w = max(0.0, min(a[2], b[2]) - max(a[0], b[0]))
                 h = max(0.0, min(a[3], b[3]) - max(a[1], b[1]))

@@ -16,14 +16,20 @@ from skyproof.detectors.folder import build_detector, load_detector, weights_dig
 from skyproof.detectors.training import TRAINING_PRESETS, TrainingSettings, train
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 
-SETTINGS = TrainingSettings(steps=6, batch_size=2, learning_rate=1e-3, validate_every=3, checkpoint_every=2)
+SETTINGS = TrainingSettings(
+    steps=6, batch_size=2, learning_rate=1e-3, validate_every=3, checkpoint_every=2
+)
 TRAINING, VALIDATION = bar_images(7, seed=2), bar_images(3, seed=3)
 
 
-def run(folder: Path, settings: TrainingSettings = SETTINGS, on_step: Any = None, seed: int = 0) -> Any:
+def run(
+    folder: Path, settings: TrainingSettings = SETTINGS, on_step: Any = None, seed: int = 0
+) -> Any:
     generator = torch.Generator().manual_seed(seed)
     detector = build_detector("retinanet", "slim", generator=generator)
-    card = train(detector, TRAINING, VALIDATION, settings, folder, generator=generator, on_step=on_step)
+    card = train(
+        detector, TRAINING, VALIDATION, settings, folder, generator=generator, on_step=on_step
+    )
     return detector, card
 
 
@@ -70,7 +76,10 @@ def test_a_killed_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
 
     def rows(name: str) -> list[dict[str, Any]]:
         lines = (tmp_path / name / "steps.jsonl").read_text().splitlines()
-        return [{key: value for key, value in json.loads(line).items() if key != "seconds"} for line in lines]
+        return [
+            {key: value for key, value in json.loads(line).items() if key != "seconds"}
+            for line in lines
+        ]
 
     assert rows("killed") == rows("straight")
     assert [row["step"] for row in rows("straight") if row["kind"] == "validation"] == [3, 6]
@@ -82,7 +91,11 @@ def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> No
     second, again = run(tmp_path / "run", on_step=seen.append)
     assert not seen
     assert again == card
-    assert weights_digest(second) == weights_digest(first) == weights_digest(load_detector(tmp_path / "run")[0])
+    assert (
+        weights_digest(second)
+        == weights_digest(first)
+        == weights_digest(load_detector(tmp_path / "run")[0])
+    )
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
         "detector.json",
         "steps.jsonl",
@@ -108,10 +121,14 @@ def test_damaged_checkpoint_and_other_settings_are_refused(tmp_path: Path) -> No
         run(tmp_path)
 
 
-def test_ignored_vehicles_are_hidden_and_mixed_sizes_and_empty_images_allowed(tmp_path: Path) -> None:
+def test_ignored_vehicles_are_hidden_and_mixed_sizes_and_empty_images_allowed(
+    tmp_path: Path,
+) -> None:
     small, large = bar_images(4, seed=4), bar_images(3, 128, seed=5)
     region = torch.tensor([[0.0, 0, 50, 50]])
-    mixed = labelled_images([*small.images, *large.images], [*small.boxes, *large.boxes], [region] * 7)
+    mixed = labelled_images(
+        [*small.images, *large.images], [*small.boxes, *large.boxes], [region] * 7
+    )
     generator = torch.Generator().manual_seed(0)
     detector = build_detector("faster_rcnn", "slim", generator=generator)
     card = train(detector, mixed, mixed, replace(SETTINGS, steps=2), tmp_path, generator=generator)

@@ -48,7 +48,12 @@ print(sum(parameter.numel() for parameter in detector.parameters()))
         "PYTHONPATH": source,
     }
     result = subprocess.run(
-        [sys.executable, "-c", program], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", program],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.split() == ["2508659"]

@@ -23,7 +23,9 @@ def make_scene():
             background=BackgroundWindow(tile, 192.0, 192.0, 0.0),
             camera=Camera(math.radians(10), math.radians(-90), 0.125, 384),
             sun=Sun(math.radians(90), math.radians(30)),
-            placements=tuple(Placement(f"pick-up-{i:04d}", 0.0, 0.0, heading_rad) for i in range(vehicles)),
+            placements=tuple(
+                Placement(f"pick-up-{i:04d}", 0.0, 0.0, heading_rad) for i in range(vehicles)
+            ),
             seed=1,
         )
 

@@ -16,13 +16,26 @@ def counted(lost_of_hundred, rng=None, tiles=40, renderer="torch"):
     """Per camouflage `tiles` tiles of 100 vehicles that lose so many; with `rng` the tiles differ."""
     series = {}
     for name, lost in lost_of_hundred.items():
-        gone = np.full(tiles, lost) if rng is None else rng.binomial(100, rng.beta(lost / 50, 2 - lost / 50, tiles))
+        gone = (
+            np.full(tiles, lost)
+            if rng is None
+            else rng.binomial(100, rng.beta(lost / 50, 2 - lost / 50, tiles))
+        )
         counts = np.stack([np.full(tiles, 100), 100 - gone, gone, 0 * gone], axis=1)
         series[Series(name, renderer, "a", "centre_1m")] = counts
     return TileCounts(tuple(f"t{i:02d}" for i in range(tiles)), series)
 
 
-OURS = {"T-U-0": 99, "T-U-1": 97, "T-Ma": 60, "T-Fc": 70, "R-U-0": 3, "S-O@0.4-0": 80, "T-FcMa": 3, "T-U_on_a": 5}
+OURS = {
+    "T-U-0": 99,
+    "T-U-1": 97,
+    "T-Ma": 60,
+    "T-Fc": 70,
+    "R-U-0": 3,
+    "S-O@0.4-0": 80,
+    "T-FcMa": 3,
+    "T-U_on_a": 5,
+}
 
 
 def test_correlations_are_those_of_scipy(rng):
@@ -30,8 +43,12 @@ def test_correlations_are_those_of_scipy(rng):
     assert found.attacks == ["T-U", "S-O", "T-Ma", "T-Fc", "T-FcMa", "R-U"]
     assert found.ours == pytest.approx([0.98, 0.8, 0.6, 0.7, 0.03, 0.03])
     assert found.theirs == [95.77, 89.82, 75.76, 37.22, 12.58, 0.88]
-    assert found.spearman.estimate == pytest.approx(stats.spearmanr(found.ours, found.theirs).statistic)
-    assert found.kendall.estimate == pytest.approx(stats.kendalltau(found.ours, found.theirs).statistic)
+    assert found.spearman.estimate == pytest.approx(
+        stats.spearmanr(found.ours, found.theirs).statistic
+    )
+    assert found.kendall.estimate == pytest.approx(
+        stats.kendalltau(found.ours, found.theirs).statistic
+    )
     # Tiles that are all alike leave the order as it is.
     assert found.spearman.low == pytest.approx(found.spearman.high)
 
@@ -45,7 +62,10 @@ def test_tiles_that_differ_leave_the_order_open(rng):
 
 def test_the_reverse_order(rng):
     found = rank_agreement(counted({"T-U": 1, "T-Ma": 2, "T-Fc": 3}), PAPER, generator=rng)
-    assert (found.spearman.estimate, found.kendall.estimate) == (pytest.approx(-1), pytest.approx(-1))
+    assert (found.spearman.estimate, found.kendall.estimate) == (
+        pytest.approx(-1),
+        pytest.approx(-1),
+    )
 
 
 def test_two_renderers(rng):
@@ -60,10 +80,16 @@ def test_two_renderers(rng):
     assert found.attacks == ["T-Ma", "T-U", "T-Fc"]
     assert found.ours == pytest.approx([0.6, 0.98, 0.7])
     assert found.theirs == pytest.approx([0.7, 0.5, 0.2])
-    assert found.spearman.estimate == pytest.approx(stats.spearmanr(found.ours, found.theirs).statistic)
-    assert found.kendall.estimate == pytest.approx(stats.kendalltau(found.ours, found.theirs).statistic)
+    assert found.spearman.estimate == pytest.approx(
+        stats.spearmanr(found.ours, found.theirs).statistic
+    )
+    assert found.kendall.estimate == pytest.approx(
+        stats.kendalltau(found.ours, found.theirs).statistic
+    )
     # The paper's Blender column beside ours on Cycles alone.
-    blender = rank_agreement(both, {"T-U": 3.0, "T-Ma": 2.0, "T-Fc": 1.0}, generator=rng, renderer="cycles")
+    blender = rank_agreement(
+        both, {"T-U": 3.0, "T-Ma": 2.0, "T-Fc": 1.0}, generator=rng, renderer="cycles"
+    )
     assert blender.ours == pytest.approx([0.5, 0.7, 0.2])
     with pytest.raises(ConfigurationError, match="under both, got 2"):
         renderer_agreement(both, ["T-U", "T-Fc", "T-X"], generator=rng)
@@ -75,7 +101,9 @@ def test_two_renderers_of_unlike_tiles_leave_the_order_open(rng):
     both = TileCounts(ours.tiles, {**ours.series, **other.series})
     found = renderer_agreement(both, ["T-U", "T-Ma", "T-Fc"], generator=rng)
     assert -1 <= found.spearman.low < found.spearman.high <= 1
-    fixed = rank_agreement(both, dict(zip(found.attacks, found.theirs, strict=True)), generator=rng, renderer="torch")
+    fixed = rank_agreement(
+        both, dict(zip(found.attacks, found.theirs, strict=True)), generator=rng, renderer="torch"
+    )
     # Both move here, only one there.
     assert found.spearman.high - found.spearman.low >= fixed.spearman.high - fixed.spearman.low
 

@@ -28,7 +28,9 @@ def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):
         boxes.append(around(centres))
     ignore = [torch.tensor([[0.0, 500.0, 100.0, 900.0]])] * images
     names = [f"image-{index}" for index in range(images)]
-    return detections, LabelledImages([torch.zeros(3, 1, 1, dtype=torch.uint8)] * images, boxes, ignore, names, 0.125)
+    return detections, LabelledImages(
+        [torch.zeros(3, 1, 1, dtype=torch.uint8)] * images, boxes, ignore, names, 0.125
+    )
 
 
 def around(centres):
@@ -60,23 +62,40 @@ def test_weights_mean_repeated_images(criterion):
 def test_the_estimate_is_the_average_precision_and_lies_in_its_interval():
     detections, labelled = fabricate(12, seed=2)
     ap, low, high = ap_interval(
-        detections, labelled, list(labelled.ids), criterion="centre_1m", generator=np.random.default_rng(0)
+        detections,
+        labelled,
+        list(labelled.ids),
+        criterion="centre_1m",
+        generator=np.random.default_rng(0),
     )
-    assert ap == pytest.approx(average_precision(detections, labelled, criterion="centre_1m").ap, abs=1e-12)
+    assert ap == pytest.approx(
+        average_precision(detections, labelled, criterion="centre_1m").ap, abs=1e-12
+    )
     assert 0 <= low < ap < high <= 1
     again = ap_interval(
-        detections, labelled, list(labelled.ids), criterion="centre_1m", generator=np.random.default_rng(0)
+        detections,
+        labelled,
+        list(labelled.ids),
+        criterion="centre_1m",
+        generator=np.random.default_rng(0),
     )
     assert again == (ap, low, high)
 
 
 def test_places_that_differ_make_it_wider_than_their_images():
     places = ["town", "town", "wood", "wood", "farm", "farm"] * 4
-    detections, labelled = fabricate(24, seed=3, found={"town": 0.95, "wood": 0.4, "farm": 0.8}, places=places)
+    detections, labelled = fabricate(
+        24, seed=3, found={"town": 0.95, "wood": 0.4, "farm": 0.8}, places=places
+    )
     widths = []
     for clusters in (list(labelled.ids), places):
         _, low, high = ap_interval(
-            detections, labelled, clusters, criterion="centre_1m", generator=np.random.default_rng(0), replicates=300
+            detections,
+            labelled,
+            clusters,
+            criterion="centre_1m",
+            generator=np.random.default_rng(0),
+            replicates=300,
         )
         widths.append(high - low)
     assert widths[1] > 2 * widths[0]
@@ -91,7 +110,11 @@ def test_intervals_hold_the_truth():
         part = take(detections, labelled, range(40 * run, 40 * run + 40))
         clusters = [str(index // 2) for index in range(40)]
         _, low, high = ap_interval(
-            *part, clusters, criterion="centre_1m", generator=np.random.default_rng(run), replicates=200
+            *part,
+            clusters,
+            criterion="centre_1m",
+            generator=np.random.default_rng(run),
+            replicates=200,
         )
         held += low <= truth <= high
     assert held >= 45
@@ -106,7 +129,15 @@ def test_undefined_limits():
     assert math.isnan(low)
     assert math.isnan(high)
     empty = fabricate(3, seed=5, vehicles=0)
-    answer = ap_interval(*empty, ["a", "b", "c"], criterion="centre_1m", generator=np.random.default_rng(0))
+    answer = ap_interval(
+        *empty, ["a", "b", "c"], criterion="centre_1m", generator=np.random.default_rng(0)
+    )
     assert all(map(math.isnan, answer))
     with pytest.raises(ConfigurationError, match="2 places for 3 images"):
-        ap_interval(detections, labelled, ["a", "b"], criterion="centre_1m", generator=np.random.default_rng(0))
+        ap_interval(
+            detections,
+            labelled,
+            ["a", "b"],
+            criterion="centre_1m",
+            generator=np.random.default_rng(0),
+        )

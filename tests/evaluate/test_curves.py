@@ -25,7 +25,12 @@ def made(lost, tiles=20, found=10):
 def test_p1_by_hand():
     # 2 · 0.9 · 0.6 / 1.5 = 0.72.
     assert float(p1_score(np.array(0.9), 0.6)) == pytest.approx(0.72)
-    assert p1_score(np.array([-0.2, 0.0, 0.5, 0.5]), np.array([0.8, 0.8, 0.0, 0.5])).tolist() == [0, 0, 0, 0.5]
+    assert p1_score(np.array([-0.2, 0.0, 0.5, 0.5]), np.array([0.8, 0.8, 0.0, 0.5])).tolist() == [
+        0,
+        0,
+        0,
+        0.5,
+    ]
     assert float(p1_score(np.array(-0.5), 0.5)) == 0
     assert math.isnan(float(p1_score(np.array(math.nan), 0.5)))
     assert float(p1_score(np.array(0.0), 0.0)) == 0
@@ -56,14 +61,20 @@ def test_a_combined_family_starts_at_its_texture(rng):
 
 
 def test_shape_alone_starts_at_nothing(rng):
-    tiles = made({("S-O@0.4", "a"): 0.9, ("S-O@1.0", "a"): 0.9, ("S-O@0.4", "b"): 0.7, ("S-O@1.0", "b"): 0.9})
+    tiles = made(
+        {("S-O@0.4", "a"): 0.9, ("S-O@1.0", "a"): 0.9, ("S-O@0.4", "b"): 0.7, ("S-O@1.0", "b"): 0.9}
+    )
     curve = practicality_curve(tiles, "S-O", generator=rng)
     assert [(point.perturbation_magnitude, point.p1) for point in curve.points] == [
         (0.0, 0.0),
         (0.4, pytest.approx(2 * 0.8 * 0.6 / 1.4)),
         (1.0, 0.0),
     ]
-    assert (curve.points[0].easr.estimate, curve.best, curve.points[1].share_best) == (0.0, 0.4, 1.0)
+    assert (curve.points[0].easr.estimate, curve.best, curve.points[1].share_best) == (
+        0.0,
+        0.4,
+        1.0,
+    )
     alone = practicality_curve(tiles, "S-O", generator=rng, detector="b")
     assert alone.points[1].easr.estimate == pytest.approx(0.7)
 
@@ -79,8 +90,20 @@ def test_the_best_magnitude_is_as_sure_as_the_replicates_agree(rng):
 
 
 def test_families():
-    names = ("T-U-0", "S-O@0.4-1", "R-S-O@0.4-0", "C-Fc-seq@0.2", "C-Fc-par@0.2", "S-O@0.4_on_a-0", "R-C-Fc@0.2")
-    assert curve_families(made({(name, "a"): 0.5 for name in names})) == ["S-O", "C-Fc-seq", "C-Fc-par"]
+    names = (
+        "T-U-0",
+        "S-O@0.4-1",
+        "R-S-O@0.4-0",
+        "C-Fc-seq@0.2",
+        "C-Fc-par@0.2",
+        "S-O@0.4_on_a-0",
+        "R-C-Fc@0.2",
+    )
+    assert curve_families(made({(name, "a"): 0.5 for name in names})) == [
+        "S-O",
+        "C-Fc-seq",
+        "C-Fc-par",
+    ]
 
 
 def test_nothing_to_draw_is_refused(rng):

@@ -53,7 +53,9 @@ def test_a_unanimous_series_adds_its_share(weights, rng):
     found = difference_interval(own, other, weights)
     # Their true rate can only be lower, so the difference only higher.
     assert found.low == pytest.approx(plain.low)
-    assert found.high - found.estimate == pytest.approx(math.hypot(plain.high - plain.estimate, 0.75 * MARGIN))
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(plain.high - plain.estimate, 0.75 * MARGIN)
+    )
     assert found.unanimous
 
 
@@ -64,7 +66,9 @@ def test_undefined_without_vehicles(weights):
     assert math.isnan(found.low)
 
 
-@pytest.mark.parametrize(("own", "other"), [((0.7, 0.5), (0.9, 0.6)), ((0.7, 0.6, 0.5), (0.999, 0.998, 0.8))])
+@pytest.mark.parametrize(
+    ("own", "other"), [((0.7, 0.5), (0.9, 0.6)), ((0.7, 0.6, 0.5), (0.999, 0.998, 0.8))]
+)
 def test_holds_the_truth(own, other, weights, rng):
     """Simulated tiles of unlike difficulty, the same for both; 0.95 is meant, 0.92 allows for 200 runs."""
     grid = np.linspace(-5, 5, 1001)
@@ -81,7 +85,8 @@ def test_holds_the_truth(own, other, weights, rng):
     for _ in range(runs):
         difficulty = rng.normal(size=TILES)
         one, two = (
-            stack(*(rng.binomial(VEHICLES, chance(rate, difficulty)) for rate in rates)) for rates in (own, other)
+            stack(*(rng.binomial(VEHICLES, chance(rate, difficulty)) for rate in rates))
+            for rates in (own, other)
         )
         found = difference_interval(one, two, resample(TILES, generator=rng, replicates=500))
         held += found.low <= truth <= found.high

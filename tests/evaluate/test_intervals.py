@@ -46,7 +46,9 @@ def alike(rng, clusters, rates, correlation, shared, gained=0.0):
         own = special.betaincinv(rate * spread, (1 - rate) * spread, special.ndtr(mixed))
         found = rng.binomial(vehicles, 0.9)
         lost = rng.binomial(found, own)
-        series.append(np.stack([found - lost, lost, rng.binomial(vehicles - found, gained)], axis=1))
+        series.append(
+            np.stack([found - lost, lost, rng.binomial(vehicles - found, gained)], axis=1)
+        )
     return np.stack(series)
 
 
@@ -104,13 +106,17 @@ def test_coverage_of_a_paired_difference(clusters, attack, control):
     assert 0.93 <= share <= 0.998
 
 
-@pytest.mark.parametrize(("clusters", "rate", "shared"), [(40, 0.9, 0.7), (15, 0.7, 0.7), (40, 0.97, 0.7)])
+@pytest.mark.parametrize(
+    ("clusters", "rate", "shared"), [(40, 0.9, 0.7), (15, 0.7, 0.7), (40, 0.97, 0.7)]
+)
 def test_coverage_of_a_mean_over_repeats_and_detectors(clusters, rate, shared):
     share = coverage(
         7,
         clusters,
         lambda rng: alike(rng, clusters, [rate] * 9, 0.2, shared, 0.05),
-        lambda counts, weights: mean_interval(counts, overall_attack_success_rate, weights, (-math.inf, 1.0)),
+        lambda counts, weights: mean_interval(
+            counts, overall_attack_success_rate, weights, (-math.inf, 1.0)
+        ),
         rate - 0.05 / 9,
     )
     assert 0.93 <= share <= 0.998
@@ -136,7 +142,10 @@ def test_where_few_tiles_decide_the_limit_is_farther_out():
     single -= single.mean()
     for influence in (even, single):
         influence *= 0.01 / np.linalg.norm(influence)
-    assert _effective_limits(0.9, single, (0.0, 1.0))[0] < _effective_limits(0.9, even, (0.0, 1.0))[0] - 0.01
+    assert (
+        _effective_limits(0.9, single, (0.0, 1.0))[0]
+        < _effective_limits(0.9, even, (0.0, 1.0))[0] - 0.01
+    )
 
 
 def test_tiles_are_resampled_not_vehicles(rng):
@@ -177,7 +186,10 @@ def test_undefined(rng):
 
 def test_the_estimate_lies_inside_and_the_seed_decides(rng):
     counts = clustered(rng, 30, 0.6, 0.2)
-    first, second = (cluster_interval(counts, easr, resample(30, generator=np.random.default_rng(1))) for _ in range(2))
+    first, second = (
+        cluster_interval(counts, easr, resample(30, generator=np.random.default_rng(1)))
+        for _ in range(2)
+    )
     assert first == second
     assert first.low < first.estimate < first.high
 

@@ -20,7 +20,11 @@ def outcome(**changes):
 
 
 def test_round_trip(tmp_path):
-    written = [outcome(), outcome(scene="y", detected_adversarial=False), outcome(distance_adversarial_m=math.nan)]
+    written = [
+        outcome(),
+        outcome(scene="y", detected_adversarial=False),
+        outcome(distance_adversarial_m=math.nan),
+    ]
     write_outcomes(tmp_path / "outcomes.parquet", written)
     read = read_outcomes(tmp_path / "outcomes.parquet")
     assert read[:2] == written[:2]

@@ -8,7 +8,12 @@ from scipy import special
 
 from skyproof.errors import ConfigurationError
 from skyproof.evaluate.intervals import cluster_interval, resample
-from skyproof.evaluate.planning import Assumptions, assume_from_pilot, expected_half_width, vehicles_needed
+from skyproof.evaluate.planning import (
+    Assumptions,
+    assume_from_pilot,
+    expected_half_width,
+    vehicles_needed,
+)
 from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.evaluate.tiles import Series, TileCounts
 
@@ -21,7 +26,9 @@ def simulate(rng, tiles, vehicles, asr, er, correlation):
     """`[C, 4]` counts of tiles of `vehicles` each; nine in ten are found before; their fate is alike within a tile."""
     spread = (1 - correlation) / correlation
     found = rng.binomial(vehicles, 0.9, tiles)
-    lost = rng.binomial(found, special.betaincinv(asr * spread, (1 - asr) * spread, rng.random(tiles)))
+    lost = rng.binomial(
+        found, special.betaincinv(asr * spread, (1 - asr) * spread, rng.random(tiles))
+    )
     gained = rng.binomial(vehicles - found, er * 9)
     return np.stack([np.full(tiles, vehicles), found - lost, lost, gained], axis=1)
 
@@ -45,12 +52,18 @@ def test_the_planned_test_gives_the_wanted_half_width(half_width, rate, er, corr
 def test_it_is_the_smallest_such_test():
     assumed = Assumptions(0.8, design_effect=1.5)
     need = vehicles_needed(0.05, assumed)
-    assert expected_half_width(need.tiles, assumed) <= 0.05 < expected_half_width(need.tiles - 1, assumed)
+    assert (
+        expected_half_width(need.tiles, assumed)
+        <= 0.05
+        < expected_half_width(need.tiles - 1, assumed)
+    )
 
 
 def test_by_hand():
     # 1.96² · 0.8 · 0.2 · 1.8 / 0.01² independent vehicles, and about 1 % for the limits being exact.
-    assert vehicles_needed(0.01, Assumptions(0.8, design_effect=1.8)).vehicles == pytest.approx(11063, rel=0.03)
+    assert vehicles_needed(0.01, Assumptions(0.8, design_effect=1.8)).vehicles == pytest.approx(
+        11063, rel=0.03
+    )
     # Where every vehicle is hidden: the lower limit 0.025 ** (1 / tiles) is 0.9 at 36 tiles.
     assert vehicles_needed(0.05, Assumptions(1.0)).tiles == 36
 

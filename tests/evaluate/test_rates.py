@@ -21,7 +21,9 @@ def test_rates_of_hand_counted_pairs():
 def test_easr_is_one_minus_the_ratio_of_true_positives(rng):
     original, adversarial = rng.random(500) < 0.9, rng.random(500) < 0.4
     counts = rates.pair_counts(original, adversarial)
-    assert float(rates.overall_attack_success_rate(counts)) == pytest.approx(1 - adversarial.sum() / original.sum())
+    assert float(rates.overall_attack_success_rate(counts)) == pytest.approx(
+        1 - adversarial.sum() / original.sum()
+    )
 
 
 def test_undefined_when_nothing_was_detected_before():

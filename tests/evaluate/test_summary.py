@@ -114,7 +114,10 @@ def test_random_draws_share_a_row(rows):
 def test_average_precision_difference_and_false_alarms(rows):
     row = rows["T-U", "retinanet", "centre_1m"]
     assert row["apd"] == pytest.approx(0.6)
-    assert (row["false_alarms_per_km2_original"], row["false_alarms_per_km2_adversarial"]) == (10.0, 30.0)
+    assert (row["false_alarms_per_km2_original"], row["false_alarms_per_km2_adversarial"]) == (
+        10.0,
+        30.0,
+    )
 
 
 def test_mcnemar_and_holm(rows):
@@ -136,7 +139,11 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
     # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 - 0.025 ** (1 / 20).
     found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
     found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
-    row = next(row for row in summarise(count_tiles(found), [], generator=rng) if row["camouflage"] == "T-U")
+    row = next(
+        row
+        for row in summarise(count_tiles(found), [], generator=rng)
+        if row["camouflage"] == "T-U"
+    )
     margin = 1 - 0.025 ** (1 / 20)
     assert row["easr_low"] == pytest.approx(1 - margin)
     assert row["net_easr"] == pytest.approx(0.75)
@@ -145,7 +152,9 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
 
 def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
     # One detector loses everything on all 20 tiles, the other all but one vehicle.
-    found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes("T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)])
+    found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes(
+        "T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)]
+    )
     rows = {row["detector"]: row for row in summarise(count_tiles(found), [], generator=rng)}
     margins = [rows[name]["easr"] - rows[name]["easr_low"] for name in ("retinanet", "yolov5")]
     assert margins[0] == pytest.approx(1 - 0.025 ** (1 / 20))
@@ -153,7 +162,9 @@ def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
 
 
 def test_undefined_becomes_null(rng):
-    row = summarise(count_tiles(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)), [], generator=rng)[0]
+    row = summarise(
+        count_tiles(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)), [], generator=rng
+    )[0]
     assert row["easr"] is None
     assert row["easr_low"] is None
     json.dumps(row, allow_nan=False)
@@ -177,21 +188,34 @@ def repeated(rng):
         ("R-Pix-0", "retinanet"): [(1, 0)] * 2 + [(1, 1)] * 18,
         ("R-Pix-0", "yolov5"): [(1, 1)] * 10 + [(0, 0)] * 10,
     }
-    found = [o for (name, detector), detected in seeds.items() for o in outcomes(name, detector, detected)]
-    return {(row["camouflage"], row["detector"]): row for row in summarise(count_tiles(found), [], generator=rng)}
+    found = [
+        o
+        for (name, detector), detected in seeds.items()
+        for o in outcomes(name, detector, detected)
+    ]
+    return {
+        (row["camouflage"], row["detector"]): row
+        for row in summarise(count_tiles(found), [], generator=rng)
+    }
 
 
 def test_repeats_share_a_row_and_their_spread_is_said(repeated):
     row = repeated["T-Pix", "retinanet"]
     assert row["repeats"] == 2
     assert row["easr"] == pytest.approx((12 / 20 + 8 / 20) / 2)
-    assert (row["easr_repeat_min"], row["easr_repeat_max"]) == (pytest.approx(0.4), pytest.approx(0.6))
+    assert (row["easr_repeat_min"], row["easr_repeat_max"]) == (
+        pytest.approx(0.4),
+        pytest.approx(0.6),
+    )
     assert row["easr_repeat_sd"] == pytest.approx(0.2 / 2**0.5)
     assert row["net_easr"] == pytest.approx(0.5 - 0.1)
     mean = repeated["T-Pix", "mean"]
     # Per seed the mean over detectors: (0.6 + 0.5) / 2 and (0.4 - 0.5) / 2.
     assert mean["easr"] == pytest.approx((0.55 - 0.05) / 2)
-    assert (mean["easr_repeat_min"], mean["easr_repeat_max"]) == (pytest.approx(-0.05), pytest.approx(0.55))
+    assert (mean["easr_repeat_min"], mean["easr_repeat_max"]) == (
+        pytest.approx(-0.05),
+        pytest.approx(0.55),
+    )
     assert repeated["R-Pix", "retinanet"]["easr_repeat_sd"] is None
 
 

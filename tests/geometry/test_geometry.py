@@ -52,8 +52,12 @@ def test_ground_points_stay_where_they_are_whatever_the_tilt(tilt_deg, azimuth_d
     torch.testing.assert_close(leaning, upright, atol=1e-9, rtol=0)
 
 
-@pytest.mark.parametrize(("azimuth_deg", "away"), [(0, (-1, 0)), (90, (0, 1)), (180, (1, 0)), (270, (0, -1))])
-def test_height_leans_away_from_the_camera_by_height_times_the_tangent_of_the_tilt(azimuth_deg, away):
+@pytest.mark.parametrize(
+    ("azimuth_deg", "away"), [(0, (-1, 0)), (90, (0, 1)), (180, (1, 0)), (270, (0, -1))]
+)
+def test_height_leans_away_from_the_camera_by_height_times_the_tangent_of_the_tilt(
+    azimuth_deg, away
+):
     # A camera in the east (0 degrees) sees a roof displaced to the west, which is left in the image.
     place, _ = seen_by([[0, 0, 1.6]], tilt_deg=20, azimuth_deg=azimuth_deg)
     lean_px = 1.6 * math.tan(math.radians(20)) / 0.125
@@ -73,14 +77,18 @@ def test_camera_and_sun_point_at_their_azimuth_and_height():
     assert Camera(math.radians(20), math.radians(90), 0.1, 8).direction == pytest.approx(
         (0, math.sin(math.radians(20)), math.cos(math.radians(20)))
     )
-    assert Sun(math.pi, math.radians(30)).direction == pytest.approx((-math.cos(math.pi / 6), 0, 0.5))
+    assert Sun(math.pi, math.radians(30)).direction == pytest.approx(
+        (-math.cos(math.pi / 6), 0, 0.5)
+    )
 
 
 def test_turning_goes_from_east_to_north():
     turned = rotate_about_vertical(
         torch.tensor([[[1.0, 0.0, 5.0]], [[0.0, 1.0, 5.0]]]), torch.tensor([math.pi / 2] * 2)
     )
-    torch.testing.assert_close(turned, torch.tensor([[[0.0, 1.0, 5.0]], [[-1.0, 0.0, 5.0]]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        turned, torch.tensor([[[0.0, 1.0, 5.0]], [[-1.0, 0.0, 5.0]]]), atol=1e-6, rtol=0
+    )
 
 
 def test_normals_of_a_sphere_point_away_from_its_middle():
@@ -88,7 +96,9 @@ def test_normals_of_a_sphere_point_away_from_its_middle():
     outward = torch.nn.functional.normalize(sphere - torch.tensor([0.0, 0.0, 1.0]), dim=-1)
     normals = vertex_normals(sphere, sphere_template().faces)
     assert (normals * outward).sum(-1).min() > 0.999
-    torch.testing.assert_close(normals.norm(dim=-1), torch.ones(1, normals.shape[1], dtype=torch.float64))
+    torch.testing.assert_close(
+        normals.norm(dim=-1), torch.ones(1, normals.shape[1], dtype=torch.float64)
+    )
 
 
 def test_every_edge_of_a_closed_mesh_is_found_once_with_its_two_faces():

@@ -21,7 +21,9 @@ CUBE = torch.tensor(
 
 def pair(first, second):
     """Two triangles without common vertices."""
-    return torch.tensor([*first, *second], dtype=torch.float32), torch.tensor([[0, 1, 2], [3, 4, 5]])
+    return torch.tensor([*first, *second], dtype=torch.float32), torch.tensor(
+        [[0, 1, 2], [3, 4, 5]]
+    )
 
 
 FLOOR = [(0, 0, 0), (4, 0, 0), (0, 4, 0)]
@@ -39,7 +41,16 @@ FLOOR = [(0, 0, 0), (4, 0, 0), (0, 4, 0)]
         ([(3, 3, -1), (3, 3, 1), (9, 9, 0)], 0),
         ([(1, 1, 0.001), (2, 1, -0.001), (1, 9, 5)], 1),
     ],
-    ids=["pierced", "above", "corner on it", "right across", "corner to edge", "flat on it", "past it", "barely"],
+    ids=[
+        "pierced",
+        "above",
+        "corner on it",
+        "right across",
+        "corner to edge",
+        "flat on it",
+        "past it",
+        "barely",
+    ],
 )
 def test_two_triangles(second, count):
     assert self_intersections(*pair(FLOOR, second)) == count
@@ -77,7 +88,9 @@ def brute_force(points, faces):
             height = (triangle - origin) @ normal
             crossings = [
                 (p + (q - p) * hp / (hp - hq)) @ line
-                for (p, hp), (q, hq) in itertools.combinations(list(zip(triangle, height, strict=True)), 2)
+                for (p, hp), (q, hq) in itertools.combinations(
+                    list(zip(triangle, height, strict=True)), 2
+                )
                 if hp * hq < 0
             ]
             spans.append((min(crossings, default=1.0), max(crossings, default=-1.0)))
@@ -120,9 +133,13 @@ def test_a_mesh_without_faces_has_no_intersections():
 
 def test_the_volume_of_boxes_wherever_they_stand():
     # Far away float32 has few digits left for sums that are not taken around the middle.
-    boxes = torch.stack((CORNERS, CORNERS * torch.tensor([4.0, 2.0, 1.5]) + torch.tensor([9e3, -7e3, 3e3])))
+    boxes = torch.stack(
+        (CORNERS, CORNERS * torch.tensor([4.0, 2.0, 1.5]) + torch.tensor([9e3, -7e3, 3e3]))
+    )
     assert enclosed_volume_m3(boxes, CUBE).tolist() == pytest.approx([1.0, 12.0], rel=1e-5)
-    assert enclosed_volume_m3(boxes, CUBE.flip(1)).tolist() == pytest.approx([-1.0, -12.0], rel=1e-5)
+    assert enclosed_volume_m3(boxes, CUBE.flip(1)).tolist() == pytest.approx(
+        [-1.0, -12.0], rel=1e-5
+    )
 
 
 def test_the_volume_of_a_ball_from_its_rings():
@@ -130,7 +147,9 @@ def test_the_volume_of_a_ball_from_its_rings():
     rings, columns = 20, 24
     polar = np.linspace(0, np.pi, rings + 1)[1:-1]
     around = 2 * np.pi * np.arange(columns) / columns
-    points = [(np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)) for p in polar for a in around]
+    points = [
+        (np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)) for p in polar for a in around
+    ]
     points += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
     faces = []
     for c in range(columns):

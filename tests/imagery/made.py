@@ -43,7 +43,17 @@ def smooth_noise(height, width):
 
 
 def tile(
-    paths, folder, *, labels=None, seed=0, gsd_m=0.125, size_px=64, minimum_px=None, block_m=None, like=None, **sources
+    paths,
+    folder,
+    *,
+    labels=None,
+    seed=0,
+    gsd_m=0.125,
+    size_px=64,
+    minimum_px=None,
+    block_m=None,
+    like=None,
+    **sources,
 ):
     """Tiles with small tiles; what is left goes to the sources. Returns the set and the record."""
     record = tile_imagery(

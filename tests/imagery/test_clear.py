@@ -38,9 +38,13 @@ def tiled(folder, labelled=(), ignored=()):
     for split in SPLITS:
         with CocoWriter(folder / split, gsd_m=0.125) as writer:
             for name in (name for name, own in SPLIT_OF.items() if own == split):
-                image = torch.tensor(GROUND, dtype=torch.uint8)[:, None, None].repeat(1, SIZE_PX, SIZE_PX)
+                image = torch.tensor(GROUND, dtype=torch.uint8)[:, None, None].repeat(
+                    1, SIZE_PX, SIZE_PX
+                )
                 for left, top, right, bottom in VEHICLES[name]:
-                    image[:, int(top) : int(bottom), int(left) : int(right)] = torch.tensor(RED)[:, None, None]
+                    image[:, int(top) : int(bottom), int(left) : int(right)] = torch.tensor(RED)[
+                        :, None, None
+                    ]
                 rows = [
                     Annotation(b, ((b[0] + b[2]) / 2, (b[1] + b[3]) / 2), ignore=b in ignored)
                     for b in VEHICLES[name]
@@ -48,11 +52,19 @@ def tiled(folder, labelled=(), ignored=()):
                 ]
                 writer.add(image, name, rows)
                 path = f"{split}/images/{name}.png"
-                tiles.append(BackgroundTile(name, path, split, SIZE_PX, SIZE_PX, "photo.tif", (1, 2), licence="CC0"))
+                tiles.append(
+                    BackgroundTile(
+                        name, path, split, SIZE_PX, SIZE_PX, "photo.tif", (1, 2), licence="CC0"
+                    )
+                )
         if not labelled:
             (folder / split / "annotations.json").unlink()
-    features = [{"type": "Feature", "geometry": None, "properties": {"id": name}} for name in SPLIT_OF]
-    (folder / "index.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    features = [
+        {"type": "Feature", "geometry": None, "properties": {"id": name}} for name in SPLIT_OF
+    ]
+    (folder / "index.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "features": features})
+    )
     write_index(folder, 0.125, tiles)
     return folder
 
@@ -73,7 +85,9 @@ class Reds:
                 part = image[:, int(own[1]) : int(own[3]), int(own[0]) : int(own[2])]
                 if (part[0] - part[1]).mean() > 0.3:
                     boxes.append(own)
-            found.append(Detections(torch.tensor(boxes).reshape(-1, 4), torch.full((len(boxes),), 0.9)))
+            found.append(
+                Detections(torch.tensor(boxes).reshape(-1, 4), torch.full((len(boxes),), 0.9))
+            )
         return found
 
 
@@ -180,7 +194,9 @@ def test_nothing_left_is_one_sentence(tmp_path):
         name = "everywhere"
 
         def detect(self, images):
-            return [Detections(torch.tensor([[5.0, 5, 15, 15]]), torch.tensor([0.9])) for _ in images]
+            return [
+                Detections(torch.tensor([[5.0, 5, 15, 15]]), torch.tensor([0.9])) for _ in images
+            ]
 
     with pytest.raises(ImageryError, match=r"No tile of .* \(5 a vehicle is still found\)"):
         cleared(folder, tmp_path, checker=finder(Everywhere()))
@@ -188,7 +204,9 @@ def test_nothing_left_is_one_sentence(tmp_path):
 
 
 def test_a_detector_of_another_resolution_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"trained at 0.25 m per pixel but the tiles have 0.125 m"):
+    with pytest.raises(
+        ConfigurationError, match=r"trained at 0.25 m per pixel but the tiles have 0.125 m"
+    ):
         cleared(tiled(tmp_path / "tiled"), tmp_path, finder=finder(gsd_m=0.25))
 
 
@@ -200,7 +218,8 @@ def test_damaged_labels_are_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"finding_score": 0.0}, {"largest_masked_share": 1.0}, {"margin_m": -1.0}, {"rounds": -1}]
+    "bad",
+    [{"finding_score": 0.0}, {"largest_masked_share": 1.0}, {"margin_m": -1.0}, {"rounds": -1}],
 )
 def test_settings_check_themselves(bad):
     with pytest.raises(ConfigurationError, match="Clearing expects"):
@@ -219,9 +238,15 @@ def test_large_tiles_are_looked_at_in_windows():
             found = []
             for image in images:
                 rows, columns = torch.nonzero(image[0] > 0.9, as_tuple=True)
-                boxes = [[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]] if len(rows) else []
+                boxes = (
+                    [[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]]
+                    if len(rows)
+                    else []
+                )
                 scores = torch.full((len(boxes),), 0.9)
-                found.append(Detections(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), scores))
+                found.append(
+                    Detections(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), scores)
+                )
             return found
 
     detector = Corner()
@@ -255,7 +280,11 @@ def test_rejected_tiles_are_dropped(tmp_path):
     cleared(tiled(tmp_path / "tiled", labelled="acde"), tmp_path)
     folder = tmp_path / "cleared"
     assert drop_tiles(folder, ["a", "c"]) == ["validation"]
-    assert [tile.id for split in SPLITS for tile in BackgroundSet.open(folder).tiles(split)] == ["b", "d", "e"]
+    assert [tile.id for split in SPLITS for tile in BackgroundSet.open(folder).tiles(split)] == [
+        "b",
+        "d",
+        "e",
+    ]
     assert json.loads((folder / "clearing.json").read_text())["rejected"] == ["a", "c"]
     assert len(json.loads((folder / "index.geojson").read_text())["features"]) == 3
     with pytest.raises(ConfigurationError, match="has no tile 'a'"):

@@ -57,7 +57,11 @@ def test_a_slope_of_brightness_goes_on_without_a_step():
 def test_nothing_is_copied_from_other_vehicles():
     rng = np.random.default_rng(1)
     truth = 0.5 + 0.02 * rng.standard_normal((140, 180, 3))
-    mask = hole() | hole(place=(slice(90, 120), slice(20, 60))) | hole(place=(slice(10, 40), slice(110, 150)))
+    mask = (
+        hole()
+        | hole(place=(slice(90, 120), slice(20, 60)))
+        | hole(place=(slice(10, 40), slice(110, 150)))
+    )
     damaged = truth.copy()
     damaged[mask] = (1.0, 0.0, 1.0)
     filled = fill_by_exemplar(damaged, mask)
@@ -84,12 +88,16 @@ def test_large_holes_are_filled_piece_by_piece():
 
 pytest.importorskip("cv2", reason="needs the imagery extra")
 
-IMAGE = torch.randint(0, 256, (3, 50, 61), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+IMAGE = torch.randint(
+    0, 256, (3, 50, 61), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+)
 MASK = torch.zeros(50, 61, dtype=torch.bool)
 MASK[10:20, 30:45] = True
 
 
-@pytest.mark.parametrize("inpainting", [Exemplar(), Diffusion(), Diffusion("navier-stokes")], ids=str)
+@pytest.mark.parametrize(
+    "inpainting", [Exemplar(), Diffusion(), Diffusion("navier-stokes")], ids=str
+)
 def test_bytes_outside_the_mask_stay(inpainting):
     filled = apply_inpainting(inpainting, IMAGE, MASK)
     assert torch.equal(filled[:, ~MASK], IMAGE[:, ~MASK])

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.imagery.clearing.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.imagery.clearing.vehicle_masks import (
+    Shadow,
+    darkness_profiles,
+    estimate_shadow,
+    vehicle_mask,
+)
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -16,7 +21,11 @@ GSD_M = 0.125
 
 def test_a_mask_without_shadow_is_the_grown_box():
     mask = vehicle_mask(
-        (30, 40), torch.tensor([[10.0, 12, 20, 18]]), Shadow((0.0, 0.0), 0.0, 0.0, 9), gsd_m=GSD_M, margin_m=0.25
+        (30, 40),
+        torch.tensor([[10.0, 12, 20, 18]]),
+        Shadow((0.0, 0.0), 0.0, 0.0, 9),
+        gsd_m=GSD_M,
+        margin_m=0.25,
     )
     expected = torch.zeros(30, 40, dtype=torch.bool)
     expected[10:20, 8:22] = True
@@ -24,7 +33,9 @@ def test_a_mask_without_shadow_is_the_grown_box():
 
 
 def test_an_unknown_shadow_doubles_the_margin_and_the_picture_ends_the_mask():
-    mask = vehicle_mask((30, 40), torch.tensor([[0.0, 12, 20, 18]]), None, gsd_m=GSD_M, margin_m=0.25)
+    mask = vehicle_mask(
+        (30, 40), torch.tensor([[0.0, 12, 20, 18]]), None, gsd_m=GSD_M, margin_m=0.25
+    )
     expected = torch.zeros(30, 40, dtype=torch.bool)
     expected[8:22, 0:24] = True
     assert torch.equal(mask, expected)
@@ -34,7 +45,11 @@ def test_an_unknown_shadow_doubles_the_margin_and_the_picture_ends_the_mask():
 def test_a_mask_with_shadow_is_every_place_the_moving_box_touches(degrees):
     direction = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     mask = vehicle_mask(
-        (60, 60), torch.tensor([[24.0, 26, 36, 32]]), Shadow(direction, 1.5, 0.3, 9), gsd_m=GSD_M, margin_m=0.0
+        (60, 60),
+        torch.tensor([[24.0, 26, 36, 32]]),
+        Shadow(direction, 1.5, 0.3, 9),
+        gsd_m=GSD_M,
+        margin_m=0.0,
     )
     rows, columns = np.mgrid[0:60, 0:60] + 0.5
     expected = np.zeros((60, 60), dtype=bool)
@@ -47,7 +62,9 @@ def test_a_mask_with_shadow_is_every_place_the_moving_box_touches(degrees):
 def drawn(direction, length_px, strength=0.5):
     """Nine bright boxes on noisy ground, each with a shadow moved off in the direction."""
     picture = 120 + 6 * np.random.default_rng(0).standard_normal((240, 240))
-    boxes = [[40.0 + 70 * i, 40.0 + 70 * j, 64 + 70 * i, 54 + 70 * j] for i in range(3) for j in range(3)]
+    boxes = [
+        [40.0 + 70 * i, 40.0 + 70 * j, 64 + 70 * i, 54 + 70 * j] for i in range(3) for j in range(3)
+    ]
     rows, columns = np.mgrid[0:240, 0:240] + 0.5
     for left, top, right, bottom in boxes:
         for step in np.arange(0, length_px, 0.25):
@@ -101,7 +118,12 @@ class Plain:
 def test_the_shadow_of_rendered_vehicles_falls_away_from_the_sun(azimuth):
     fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
     placements = tuple(
-        Placement(vehicle=fleet.ids[i % 2], x_m=-10.0 + 10 * (i % 3), y_m=-6.0 + 12 * (i // 3), heading_rad=0.9 * i)
+        Placement(
+            vehicle=fleet.ids[i % 2],
+            x_m=-10.0 + 10 * (i % 3),
+            y_m=-6.0 + 12 * (i // 3),
+            heading_rad=0.9 * i,
+        )
         for i in range(6)
     )
     scene = Scene(
@@ -117,7 +139,9 @@ def test_the_shadow_of_rendered_vehicles_falls_away_from_the_sun(azimuth):
     shadow = estimate_shadow([darkness_profiles(image, frames.boxes, gsd_m=GSD_M)])
     # Rows run down: north is up.
     away = (-math.cos(azimuth), math.sin(azimuth))
-    assert sum(a * b for a, b in zip(shadow.direction, away, strict=True)) > math.cos(math.radians(20))
+    assert sum(a * b for a, b in zip(shadow.direction, away, strict=True)) > math.cos(
+        math.radians(20)
+    )
     mask = vehicle_mask((300, 300), frames.boxes, shadow, gsd_m=GSD_M, margin_m=0.4)
     changed = (image.float() - 127.5).abs().amax(0) > 12
     assert (changed & mask).sum() > 0.99 * changed.sum()

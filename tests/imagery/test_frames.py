@@ -23,7 +23,12 @@ def _folder(tmp_path, labels, size=(200, 100), names="car\ntruck\nminibus\n"):
 
 
 def _read(folder, **options):
-    settings = {"gsd_m": 0.1, "target_gsd_m": 0.2, "classes": ["car", "minibus"], "border_px": 0.0} | options
+    settings = {
+        "gsd_m": 0.1,
+        "target_gsd_m": 0.2,
+        "classes": ["car", "minibus"],
+        "border_px": 0.0,
+    } | options
     return read_frames_folder(folder, **settings)
 
 
@@ -31,7 +36,9 @@ def test_boxes_scale_with_the_image(tmp_path):
     data = _read(_folder(tmp_path, "0 0.5 0.5 0.2 0.2\n2 0.25 0.5 0.1 0.1\n1 0.75 0.5 0.1 0.1\n"))
     assert data.images[0].shape == (3, 50, 100)
     assert data.gsd_m == 0.2
-    torch.testing.assert_close(data.boxes[0], torch.tensor([[40.0, 20, 60, 30], [20, 22.5, 30, 27.5]]))
+    torch.testing.assert_close(
+        data.boxes[0], torch.tensor([[40.0, 20, 60, 30], [20, 22.5, 30, 27.5]])
+    )
     torch.testing.assert_close(data.ignore[0], torch.tensor([[70.0, 22.5, 80, 27.5]]))
     # The bright block of the picture lies where the first box says.
     inside = data.images[0][:, 21:29, 41:59].float().mean()
@@ -42,7 +49,11 @@ def test_boxes_scale_with_the_image(tmp_path):
 
 def test_border_becomes_ignored(tmp_path):
     # A centre 15 px from the left edge of a 20 px band, and one just inside of it.
-    data = _read(_folder(tmp_path, "0 0.075 0.5 0.05 0.1\n0 0.11 0.5 0.05 0.1\n"), border_px=20.0, target_gsd_m=0.1)
+    data = _read(
+        _folder(tmp_path, "0 0.075 0.5 0.05 0.1\n0 0.11 0.5 0.05 0.1\n"),
+        border_px=20.0,
+        target_gsd_m=0.1,
+    )
     assert data.boxes[0].shape == (1, 4)
     assert float(data.boxes[0][0, 0]) == pytest.approx(17)
     covered = torch.zeros(100, 200, dtype=torch.bool)
@@ -85,7 +96,10 @@ def test_every_pixel_form_gives_the_same(tmp_path):
     document = {
         "categories": [{"id": 1, "name": "car"}, {"id": 2, "name": "truck"}],
         "images": [{"id": 0, "file_name": "one.png", "width": 200, "height": 100}],
-        "annotations": [{"id": i, "image_id": 0, "category_id": c, "bbox": box} for i, (c, box) in enumerate(boxes)],
+        "annotations": [
+            {"id": i, "image_id": 0, "category_id": c, "bbox": box}
+            for i, (c, box) in enumerate(boxes)
+        ],
     }
     coco.write_text(json.dumps(document))
     for labels in (dota, coco):
@@ -94,10 +108,16 @@ def test_every_pixel_form_gives_the_same(tmp_path):
         torch.testing.assert_close(data.ignore[0], expected.ignore[0])
     document["images"][0] |= {"width": 400}
     coco.write_text(json.dumps(document))
-    with pytest.raises(ImageryError, match=r"one\.png has 200 x 100 px but .*labels\.json says 400 x 100"):
+    with pytest.raises(
+        ImageryError, match=r"one\.png has 200 x 100 px but .*labels\.json says 400 x 100"
+    ):
         _read(yolo, labels=coco, classes=["car"])
-    (dota / "one.txt").write_text("80 40 120 40 120 60 80 60 car 0\n240 45 260 45 260 55 240 55 car 0\n")
-    with pytest.raises(ImageryError, match=r"dota, label 2 of one, has a box outside its image of 200 x 100 px"):
+    (dota / "one.txt").write_text(
+        "80 40 120 40 120 60 80 60 car 0\n240 45 260 45 260 55 240 55 car 0\n"
+    )
+    with pytest.raises(
+        ImageryError, match=r"dota, label 2 of one, has a box outside its image of 200 x 100 px"
+    ):
         _read(yolo, labels=dota, classes=["car"])
 
 
@@ -107,14 +127,24 @@ def test_images_may_lie_in_a_folder_of_their_own(tmp_path):
     (tmp_path / "labels").mkdir()
     (tmp_path / "labels" / "one.txt").write_text("0 0.5 0.5 0.2 0.2")
     (tmp_path / "data.yaml").write_text("names: [car]")
-    torch.testing.assert_close(_read(tmp_path, classes=["car"]).boxes[0], torch.tensor([[40.0, 20, 60, 30]]))
+    torch.testing.assert_close(
+        _read(tmp_path, classes=["car"]).boxes[0], torch.tensor([[40.0, 20, 60, 30]])
+    )
 
 
 def test_labels_on_the_map_fit_no_frames(tmp_path):
     folder = _folder(tmp_path, "")
-    point = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [1, 2]}, "properties": {}}
-    (tmp_path / "x.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [point]}))
-    with pytest.raises(ImageryError, match=r"x\.geojson has labels in map coordinates but frames such as one\.png"):
+    point = {
+        "type": "Feature",
+        "geometry": {"type": "Point", "coordinates": [1, 2]},
+        "properties": {},
+    }
+    (tmp_path / "x.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "features": [point]})
+    )
+    with pytest.raises(
+        ImageryError, match=r"x\.geojson has labels in map coordinates but frames such as one\.png"
+    ):
         _read(folder, labels=tmp_path / "x.geojson")
 
 
@@ -148,7 +178,9 @@ def test_bad_folders_raise(tmp_path, labels, names, options, message):
 def test_an_image_without_labels_raises(tmp_path):
     folder = _folder(tmp_path, "")
     Image.new("RGB", (50, 50)).save(folder / "two.png")
-    with pytest.raises(ImageryError, match=r"two\.png has no labels in .*; an image without vehicles needs"):
+    with pytest.raises(
+        ImageryError, match=r"two\.png has no labels in .*; an image without vehicles needs"
+    ):
         _read(folder)
 
 

@@ -31,7 +31,9 @@ def dataset(tmp_path):
     mask = torch.zeros(96, 120, dtype=torch.bool)
     mask[22:40, 57:72] = True
     with CocoWriter(folder, gsd_m=0.125) as writer:
-        image = torch.randint(256, (3, 96, 120), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+        image = torch.randint(
+            256, (3, 96, 120), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+        )
         rows = [
             Annotation((55.25, 20.5, 74.0, 43.0), (64.6, 31.7), mask=mask, corners_px=CORNERS),
             Annotation((10.1, 12.3, 30.6, 21.9), (20.0, 17.0)),
@@ -44,7 +46,9 @@ def dataset(tmp_path):
 
 
 def frames(folder, labels=None, classes=("vehicle",)):
-    return read_frames_folder(folder, labels=labels, gsd_m=0.125, target_gsd_m=0.125, classes=classes, border_px=0.0)
+    return read_frames_folder(
+        folder, labels=labels, gsd_m=0.125, target_gsd_m=0.125, classes=classes, border_px=0.0
+    )
 
 
 @pytest.mark.parametrize("form", ["coco", "yolo"])
@@ -85,11 +89,17 @@ def test_coco_opens_in_the_reference_and_scores_itself_perfect(dataset, tmp_path
     assert {key for row in document["annotations"] for key in row} == {
         *("id", "image_id", "category_id", "bbox", "iscrowd", "area", "segmentation")
     }
-    assert [row["file_name"] for row in document["images"]] == ["images/tile-a.png", "images/tile-b.png"]
+    assert [row["file_name"] for row in document["images"]] == [
+        "images/tile-a.png",
+        "images/tile-b.png",
+    ]
     truth = reference.COCO(str(tmp_path / "labels.json"))
     own = truth.loadAnns(truth.getAnnIds(iscrowd=False))
     assert int(truth.annToMask(own[0]).sum()) == 18 * 15
-    found = [{key: row[key] for key in ("image_id", "category_id", "bbox")} | {"score": 0.9} for row in own]
+    found = [
+        {key: row[key] for key in ("image_id", "category_id", "bbox")} | {"score": 0.9}
+        for row in own
+    ]
     # Half the crowd region is found as well: neither right nor wrong.
     found.append({"image_id": 1, "category_id": 1, "bbox": [80, 50, 30, 30], "score": 0.95})
     judge = reference.COCOeval_faster(truth, truth.loadRes(found), "bbox")
@@ -116,9 +126,15 @@ def test_ultralytics_loads_the_yolo_form(dataset, tmp_path):
         pytest.skip("ultralytics is not installed")
     export_labels(dataset, "yolo", tmp_path / "yolo")
     # In a process of its own, because Ultralytics changes Pillow for all that follows.
-    quiet = {"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": str(tmp_path / "config"), "YOLO_VERBOSE": "false"}
+    quiet = {
+        "YOLO_OFFLINE": "true",
+        "YOLO_CONFIG_DIR": str(tmp_path / "config"),
+        "YOLO_VERBOSE": "false",
+    }
     call = [sys.executable, "-c", LOAD, str(tmp_path / "yolo" / "data.yaml")]
-    answer = subprocess.run(call, env=os.environ | quiet, capture_output=True, text=True, check=True)
+    answer = subprocess.run(
+        call, env=os.environ | quiet, capture_output=True, text=True, check=True
+    )
     names, by_name = json.loads(answer.stdout.splitlines()[-1])
     assert names == {"0": "vehicle"}
     assert by_name["tile-a.png"][0] == [96, 120]
@@ -132,9 +148,14 @@ def test_ultralytics_loads_the_yolo_form(dataset, tmp_path):
 
 
 def write_index(dataset, names=("tile-a", "tile-b")):
-    properties = [{"id": name, "crs": "EPSG:2193", "bounds": [1570000, 5180000, 1570015, 5180012]} for name in names]
+    properties = [
+        {"id": name, "crs": "EPSG:2193", "bounds": [1570000, 5180000, 1570015, 5180012]}
+        for name in names
+    ]
     features = [{"type": "Feature", "properties": one, "geometry": None} for one in properties]
-    write_json(dataset.parent / "index.geojson", {"type": "FeatureCollection", "features": features})
+    write_json(
+        dataset.parent / "index.geojson", {"type": "FeatureCollection", "features": features}
+    )
 
 
 def test_points_come_back_to_their_pixels(dataset, tmp_path):
@@ -146,11 +167,20 @@ def test_points_come_back_to_their_pixels(dataset, tmp_path):
     assert [label.ignore for label in labels.labels] == [False, False, False, True]
     pixels = []
     for label in labels.labels:
-        east, north = transform("EPSG:4326", "EPSG:2193", *map(list, zip(*label.corners, strict=True)))
+        east, north = transform(
+            "EPSG:4326", "EPSG:2193", *map(list, zip(*label.corners, strict=True))
+        )
         # 12.5 cm per pixel; the tile's north-west corner is at (1570000, 5180012).
-        pixels.append([((x - 1570000) / 0.125, (5180012 - y) / 0.125) for x, y in zip(east, north, strict=True)])
+        pixels.append(
+            [
+                ((x - 1570000) / 0.125, (5180012 - y) / 0.125)
+                for x, y in zip(east, north, strict=True)
+            ]
+        )
     # 1e-9 degrees are a tenth of a millimetre.
-    np.testing.assert_allclose(pixels[:3], [[(64.625, 31.75)], [(20.35, 17.1)], [(2, 65)]], atol=2e-3)
+    np.testing.assert_allclose(
+        pixels[:3], [[(64.625, 31.75)], [(20.35, 17.1)], [(2, 65)]], atol=2e-3
+    )
     np.testing.assert_allclose(pixels[3], [(80, 96), (120, 96), (120, 50), (80, 50)], atol=2e-3)
 
 
@@ -160,7 +190,9 @@ def test_images_without_a_place_have_no_geojson(dataset, tmp_path):
     write_index(dataset, ["tile-a"])
     with pytest.raises(ImageryError, match=r"holds tile-b, which .* does not place on the map"):
         export_labels(dataset, "geojson", tmp_path / "x.geojson")
-    (dataset.parent / "index.geojson").write_text('{"features": [{"properties": {"id": "tile-a"}}]}')
+    (dataset.parent / "index.geojson").write_text(
+        '{"features": [{"properties": {"id": "tile-a"}}]}'
+    )
     with pytest.raises(StoredFileError, match=r"index\.geojson is not an index of ours"):
         export_labels(dataset, "geojson", tmp_path / "x.geojson")
     assert not (tmp_path / "x.geojson").exists()
@@ -191,11 +223,26 @@ def test_what_cannot_be_written_leaves_nothing(dataset, tmp_path, form):
 
 
 def test_the_command_says_what_a_form_could_not(dataset, tmp_path, capsys):
-    assert run(["imagery", "labels", str(dataset), "--format", "yolo", "--out", str(tmp_path / "yolo")]) == 0
+    assert (
+        run(
+            ["imagery", "labels", str(dataset), "--format", "yolo", "--out", str(tmp_path / "yolo")]
+        )
+        == 0
+    )
     told = " ".join(capsys.readouterr().out.split())
     assert "3 vehicles and 0 ignore regions of 2 images" in told
     assert "1 ignore regions left out" in told
-    assert run(["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]) == 0
+    assert (
+        run(
+            ["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]
+        )
+        == 0
+    )
     assert "2 vehicles have the upright box" in " ".join(capsys.readouterr().out.split())
-    assert run(["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]) == 2
+    assert (
+        run(
+            ["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]
+        )
+        == 2
+    )
     assert "not overwritten" in " ".join(capsys.readouterr().err.split())

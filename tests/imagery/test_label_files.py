@@ -40,7 +40,11 @@ def coco(**changes):
 
 
 def annotation(**changes):
-    return coco(annotations=[{"id": 5, "image_id": 10, "category_id": 1, "bbox": [30, 15, 20, 10]} | changes])
+    return coco(
+        annotations=[
+            {"id": 5, "image_id": 10, "category_id": 1, "bbox": [30, 15, 20, 10]} | changes
+        ]
+    )
 
 
 def test_coco(tmp_path):
@@ -49,7 +53,10 @@ def test_coco(tmp_path):
     assert labels.classes == ("car", "bus")
     assert labels.sizes_px == {"one": (200, 100)}
     assert labels.images == {
-        "one": (Label("bus", UPRIGHT), Label("car", ((0.0, 0.0), (200.0, 0.0), (200.0, 4.0), (0.0, 4.0)), ignore=True)),
+        "one": (
+            Label("bus", UPRIGHT),
+            Label("car", ((0.0, 0.0), (200.0, 0.0), (200.0, 4.0), (0.0, 4.0)), ignore=True),
+        ),
         "two": (),
     }
 
@@ -57,7 +64,10 @@ def test_coco(tmp_path):
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        (annotation(bbox=[190, 15, 20, 10]), "annotation 5 has a box outside its image of 200 x 100 px"),
+        (
+            annotation(bbox=[190, 15, 20, 10]),
+            "annotation 5 has a box outside its image of 200 x 100 px",
+        ),
         (annotation(bbox=[30, 15, 0, 10]), "annotation 5 has a box without size"),
         (annotation(bbox=[30, 15, 20]), "annotation 5 has no image_id, category_id and bbox"),
         (annotation(bbox=[30, 15, 20, float("nan")]), "annotation 5 has no image_id"),
@@ -67,7 +77,10 @@ def test_coco(tmp_path):
         (coco(annotations=[7]), "annotation 1 has no image_id"),
         (coco(images=[]), "lists no images"),
         (coco(images=[{"id": 1}]), "lacks images"),
-        (coco(images=[{"id": 1, "file_name": "a/x.png"}, {"id": 2, "file_name": "b/x.png"}]), "two images called 'x'"),
+        (
+            coco(images=[{"id": 1, "file_name": "a/x.png"}, {"id": 2, "file_name": "b/x.png"}]),
+            "two images called 'x'",
+        ),
         (coco(categories=3), "lacks images"),
         ({"tiles": []}, "neither COCO nor a GeoJSON"),
         ([1], "neither COCO nor a GeoJSON"),
@@ -197,7 +210,10 @@ def test_bad_dota_lines(tmp_path, line, message):
 
 def test_text_of_no_known_form(tmp_path):
     written(tmp_path / "one.txt", "0 0.5 0.5 0.1 0.1\n")
-    with pytest.raises(ImageryError, match=r"neither DOTA text .*one\.txt begins '0 0\.5.* nor YOLO text \(0 \.names"):
+    with pytest.raises(
+        ImageryError,
+        match=r"neither DOTA text .*one\.txt begins '0 0\.5.* nor YOLO text \(0 \.names",
+    ):
         read_labels(tmp_path)
     written(tmp_path / "one.txt", "")
     with pytest.raises(ImageryError, match=r"all its \.txt files are empty"):
@@ -279,7 +295,10 @@ def test_a_feature_may_ask_to_be_ignored(tmp_path):
     ("document", "message"),
     [
         (features(), "holds no objects"),
-        (features(shape("Point", [1, 2]), shape("LineString", [[1, 2], [3, 4]])), "object 2 is neither a point"),
+        (
+            features(shape("Point", [1, 2]), shape("LineString", [[1, 2], [3, 4]])),
+            "object 2 is neither a point",
+        ),
         (features(None), "object 1 is neither a point"),
         (features(shape("Point", [1])), "object 1 is neither"),
         (features(shape("Point", [1, float("nan")])), "object 1 is neither"),

@@ -48,11 +48,21 @@ def export(tmp_path):
 def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     features = []
     for number, (x, y) in enumerate(CARS):
-        ring = [(EAST + x + dx, NORTH + y + dy) for dx, dy in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
+        ring = [
+            (EAST + x + dx, NORTH + y + dy)
+            for dx, dy in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))
+        ]
         if shape == "points":
             ring = [(EAST + x, NORTH + y)]
         if system == 4326:
-            ring = [*zip(*transform_places("EPSG:2193", "EPSG:4326", *map(list, zip(*ring, strict=True))), strict=True)]
+            ring = [
+                *zip(
+                    *transform_places(
+                        "EPSG:2193", "EPSG:4326", *map(list, zip(*ring, strict=True))
+                    ),
+                    strict=True,
+                )
+            ]
         geometry = (
             {"type": "Point", "coordinates": ring[0]}
             if shape == "points"
@@ -110,7 +120,9 @@ def test_the_command_refuses_in_one_sentence(tmp_path, export, capsys):
 def test_a_sheet_that_is_cut_off_leaves_nothing(tmp_path, export, capsys):
     sheet = export / "BX23_500_032044.tif"
     sheet.write_bytes(sheet.read_bytes()[: sheet.stat().st_size // 2])
-    assert run(["imagery", "tile", str(export), "--size", "128", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        run(["imagery", "tile", str(export), "--size", "128", "--out", str(tmp_path / "out")]) == 2
+    )
     error = capsys.readouterr().err
     assert sheet.name in error
     assert error.count("\n") == 1

@@ -23,7 +23,9 @@ def photograph(sigma_px, noise=0.006, seed=0):
         across = (y - centre_y) * np.cos(turn) - (x - centre_x) * np.sin(turn)
         light[(abs(along) < length / 2) & (abs(across) < width / 2)] = rng.uniform(0.05, 0.8)
     light = ndimage.gaussian_filter(light.reshape(SIZE, FINER, SIZE, FINER).mean((1, 3)), sigma_px)
-    srgb = np.where(light <= 0.0031308, light * 12.92, 1.055 * light.clip(1e-9) ** (1 / 2.4) - 0.055)
+    srgb = np.where(
+        light <= 0.0031308, light * 12.92, 1.055 * light.clip(1e-9) ** (1 / 2.4) - 0.055
+    )
     pixels = (srgb + rng.normal(0, noise, srgb.shape)).clip(0, 1) * 255
     return torch.from_numpy(pixels.round().astype(np.uint8)).expand(3, -1, -1)
 
@@ -49,10 +51,14 @@ def test_soft_edges_beside_sharp_ones_do_not_count():
     soft = photograph(0.7).clone()
     blurred = ndimage.gaussian_filter(soft[0].numpy().astype(float), 2.0)
     soft[:, :, : SIZE // 2] = torch.from_numpy(blurred.round().astype(np.uint8))[:, : SIZE // 2]
-    assert measure_sensor([soft, photograph(0.7, seed=1)]).blur_sigma_px == pytest.approx(0.7, rel=0.2)
+    assert measure_sensor([soft, photograph(0.7, seed=1)]).blur_sigma_px == pytest.approx(
+        0.7, rel=0.2
+    )
 
 
 @pytest.mark.parametrize("images", [[], [torch.full((3, 100, 100), 90, dtype=torch.uint8)]])
 def test_ground_without_edges_is_one_sentence(images):
-    with pytest.raises(ImageryError, match="expects at least 100 clear edges but found 0; give its blur yourself"):
+    with pytest.raises(
+        ImageryError, match="expects at least 100 clear edges but found 0; give its blur yourself"
+    ):
         measure_sensor(images)

@@ -4,7 +4,14 @@ import pytest
 import torch
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.label import ImageLabels, Label, bounds, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels.label import (
+    ImageLabels,
+    Label,
+    bounds,
+    require_classes,
+    require_inside,
+    sort_labels,
+)
 
 
 def label_of(name, *corners, **options):
@@ -47,14 +54,21 @@ def test_points_become_boxes():
 
 
 def test_boxes_are_cut_at_the_edge_and_count_where_their_centre_is():
-    inside, outside, gone = upright("car", -4, 5, 10, 9), upright("car", 95, 5, 106, 9), upright("car", 101, 5, 110, 9)
+    inside, outside, gone = (
+        upright("car", -4, 5, 10, 9),
+        upright("car", 95, 5, 106, 9),
+        upright("car", 101, 5, 110, 9),
+    )
     assert sort(inside, outside, gone) == ([[0, 5, 10, 9]], [[95, 5, 100, 9]])
 
 
 def test_border_band():
     # Centres 9, 10 and 10.5 px from the edge of a band of 10 px.
     truths, ignored = sort(
-        upright("car", 5, 20, 13, 24), upright("car", 6, 26, 14, 30), upright("car", 6.5, 32, 14.5, 36), border_px=10.0
+        upright("car", 5, 20, 13, 24),
+        upright("car", 6, 26, 14, 30),
+        upright("car", 6.5, 32, 14.5, 36),
+        border_px=10.0,
     )
     assert truths == [[6, 26, 14, 30], [6.5, 32, 14.5, 36]]
     assert ignored[0] == [5, 20, 13, 24]
@@ -78,11 +92,15 @@ def test_the_band_runs_along_every_side(x, y):
 def test_a_band_wider_than_the_image_ignores_all_of_it():
     truths, ignored = sort(upright("car", 40, 20, 50, 24), border_px=60.0)
     assert truths == []
-    assert all(0 <= left < right <= 100 and 0 <= top < bottom <= 50 for left, top, right, bottom in ignored)
+    assert all(
+        0 <= left < right <= 100 and 0 <= top < bottom <= 50 for left, top, right, bottom in ignored
+    )
 
 
 def test_no_labels():
-    truths, ignored = sort_labels([], classes=["car"], size_px=(10, 10), border_px=0.0, point_box_px=1.0)
+    truths, ignored = sort_labels(
+        [], classes=["car"], size_px=(10, 10), border_px=0.0, point_box_px=1.0
+    )
     assert truths.shape == ignored.shape == (0, 4)
 
 

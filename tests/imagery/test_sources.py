@@ -30,15 +30,30 @@ def colour_of(backgrounds):
     [
         (bands(10, 20, 30), (RED, GREEN, BLUE), [10, 20, 30], None),
         (bands(10, 20, 30), (BLUE, GREEN, RED), [30, 20, 10], None),
-        (bands(90, 10, 20, 30), (NIR, RED, GREEN, BLUE), [10, 20, 30], "red, green and blue are taken (2, 3, 4)"),
-        (bands(90, 10, 20), (NIR, RED, GREEN), [90, 10, 20], "its band 1 is infrared and it has no blue"),
+        (
+            bands(90, 10, 20, 30),
+            (NIR, RED, GREEN, BLUE),
+            [10, 20, 30],
+            "red, green and blue are taken (2, 3, 4)",
+        ),
+        (
+            bands(90, 10, 20),
+            (NIR, RED, GREEN),
+            [90, 10, 20],
+            "its band 1 is infrared and it has no blue",
+        ),
         (
             bands(10, 20, 30, 90),
             (GREY, *[UNDEFINED] * 3),
             [10, 20, 30],
             "does not say which are colours",
         ),
-        (bands(10, 20, 30, 90), (RED, GREEN, BLUE, ALPHA), [10, 20, 30], "tagged as alpha but holds a picture"),
+        (
+            bands(10, 20, 30, 90),
+            (RED, GREEN, BLUE, ALPHA),
+            [10, 20, 30],
+            "tagged as alpha but holds a picture",
+        ),
         (bands(40), (GREY,), [40, 40, 40], None),
         (bands(40, 255), (GREY, ALPHA), [40, 40, 40], None),
         (bands(40, 70), (GREY, UNDEFINED), [40, 40, 40], "band 1 is taken as grey"),
@@ -55,7 +70,9 @@ def test_bands_become_colours(tmp_path, array, colours, expected, note):
 
 
 def test_band_names_serve_where_interpretation_is_missing(tmp_path):
-    path = write_image(tmp_path / "a.tif", bands(10, 20, 30, 90), colours=(GREY, *[UNDEFINED] * 3), **UTM)
+    path = write_image(
+        tmp_path / "a.tif", bands(10, 20, 30, 90), colours=(GREY, *[UNDEFINED] * 3), **UTM
+    )
 
     with rasterio.open(path, "r+") as dataset:
         dataset.descriptions = ("NIR", "Red", "Green", "Blue")
@@ -98,12 +115,20 @@ def test_empty_ground_yields_no_tile(tmp_path, kind):
     elif kind == "alpha":
         alpha = np.full((1, 200, 200), 255, np.uint8)
         alpha[:, :64, :64] = 0
-        write_image(tmp_path / "a.tif", np.concatenate([array, alpha]), colours=(RED, GREEN, BLUE, ALPHA), **UTM)
+        write_image(
+            tmp_path / "a.tif",
+            np.concatenate([array, alpha]),
+            colours=(RED, GREEN, BLUE, ALPHA),
+            **UTM,
+        )
     else:
         write_image(tmp_path / "a.tif", array, **UTM)
         mask = np.full((200, 200), 255, np.uint8)
         mask[:64, :64] = 0
-        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(tmp_path / "a.tif", "r+") as dataset:
+        with (
+            rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+            rasterio.open(tmp_path / "a.tif", "r+") as dataset,
+        ):
             dataset.write_mask(mask)
     backgrounds, record = tile([tmp_path / "a.tif"], tmp_path / "set")
     assert record.empty == 1
@@ -120,7 +145,9 @@ def test_a_few_empty_pixels_take_their_neighbours_colour(tmp_path):
             backgrounds.pixels(one.id).flatten(1).T.tolist()} == {(80, 90, 100)}  # fmt: skip
 
 
-@pytest.mark.parametrize(("suffix", "world"), [(".jpg", ".jgw"), (".png", ".pgw"), (".png", ".wld"), (".tif", ".tfw")])
+@pytest.mark.parametrize(
+    ("suffix", "world"), [(".jpg", ".jgw"), (".png", ".pgw"), (".png", ".wld"), (".tif", ".tfw")]
+)
 def test_world_files(tmp_path, suffix, world):
     Image.fromarray(noise(200, 200).transpose(1, 2, 0)).save(tmp_path / f"a{suffix}")
     # A world file gives the middle of the top-left pixel.
@@ -137,7 +164,9 @@ def test_world_files(tmp_path, suffix, world):
 
 
 def test_licence_of_the_file_comes_before_the_users(tmp_path):
-    write_image(tmp_path / "a.tif", noise(200, 200), tags={"TIFFTAG_COPYRIGHT": "CC BY 4.0 LINZ"}, **UTM)
+    write_image(
+        tmp_path / "a.tif", noise(200, 200), tags={"TIFFTAG_COPYRIGHT": "CC BY 4.0 LINZ"}, **UTM
+    )
     far = {"crs": "EPSG:32633", "transform": from_origin(510_000, 5_300_000, 0.125, 0.125)}
     write_image(tmp_path / "b.tif", noise(200, 200), **far)
     backgrounds, _ = tile([tmp_path], tmp_path / "set", licence="our own")
@@ -210,7 +239,12 @@ def _hollow_deep(folder):
 
 
 def _nowhere(folder):
-    write_image(folder / "x.tif", noise(200, 200), crs="EPSG:32633", transform=from_origin(5e9, 5e9, 0.125, 0.125))
+    write_image(
+        folder / "x.tif",
+        noise(200, 200),
+        crs="EPSG:32633",
+        transform=from_origin(5e9, 5e9, 0.125, 0.125),
+    )
 
 
 COARSE = {"crs": "EPSG:32633", "transform": from_origin(5e5, 5e6, 0.6, 0.6)}
@@ -258,6 +292,11 @@ def test_missing_and_namesake_images_and_bad_settings(tmp_path):
         tile([tmp_path], tmp_path / "set", source_gsd_m=0.125)
     with pytest.raises(ConfigurationError, match="EPSG:nonsense"):
         tile([tmp_path], tmp_path / "set", crs="EPSG:nonsense")
-    for wrong in ({"source_gsd_m": 0.0}, {"gsd_m": float("nan")}, {"size_px": 0}, {"block_m": -1.0}):
+    for wrong in (
+        {"source_gsd_m": 0.0},
+        {"gsd_m": float("nan")},
+        {"size_px": 0},
+        {"block_m": -1.0},
+    ):
         with pytest.raises(ConfigurationError, match="above 0"):
             tile([tmp_path / "x.tif"], tmp_path / "set", **wrong)

@@ -10,7 +10,16 @@ from skyproof.scenes.backgrounds import SPLITS
 def cells(rows, columns, frame="f"):
     """A grid of cells of 48 m."""
     return [
-        Cell(f"{frame}-{row}-{column}", None, 48.0 * column, -48.0 * row, 384, 0.125, (0,), block=(frame, row, column))
+        Cell(
+            f"{frame}-{row}-{column}",
+            None,
+            48.0 * column,
+            -48.0 * row,
+            384,
+            0.125,
+            (0,),
+            block=(frame, row, column),
+        )
         for row in range(rows)
         for column in range(columns)
     ]
@@ -35,7 +44,9 @@ def test_blocks_are_whole_and_shares_come_out():
 def test_neighbours_are_mostly_together():
     grid = cells(64, 64)
     splits, _ = divide(grid)
-    together = [splits[f"f-{r}-{c}"] == splits[f"f-{r}-{c + 1}"] for r in range(64) for c in range(63)]
+    together = [
+        splits[f"f-{r}-{c}"] == splits[f"f-{r}-{c + 1}"] for r in range(64) for c in range(63)
+    ]
     # Independent cells would agree in 35 % of the cases.
     assert sum(together) / len(together) > 0.85
 

@@ -53,14 +53,20 @@ def one_image(tmp_path, labels, **settings):
     write_image(tmp_path / "a.tif", noise(128, 256))
     given = {"classes": ("car",), **settings}
     _, record = tile(
-        [tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125, labels=(labels, LabelSettings(WHERE, **given))
+        [tmp_path / "a.tif"],
+        tmp_path / "set",
+        source_gsd_m=0.125,
+        labels=(labels, LabelSettings(WHERE, **given)),
     )
     return record
 
 
 def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
     record = one_image(tmp_path, pixels(box(50, 10, 70, 20), box(100, 80, 110, 90)))
-    assert boxes(tmp_path / "set", 0) == {"a-00000-00000": [(50, 10, 64, 20)], "a-00064-00064": [(36, 16, 46, 26)]}
+    assert boxes(tmp_path / "set", 0) == {
+        "a-00000-00000": [(50, 10, 64, 20)],
+        "a-00064-00064": [(36, 16, 46, 26)],
+    }
     assert boxes(tmp_path / "set", 1) == {"a-00000-00064": [(0, 10, 6, 20)]}
     rows = [
         row
@@ -78,7 +84,10 @@ def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
 def test_other_classes_and_what_the_file_ignores_become_ignore_regions(tmp_path):
     one_image(tmp_path, pixels(box(10, 10, 20, 20, "truck"), box(30, 30, 40, 40, ignore=True)))
     assert boxes(tmp_path / "set", 0) == {}
-    assert sorted(boxes(tmp_path / "set", 1)["a-00000-00000"]) == [(10, 10, 20, 20), (30, 30, 40, 40)]
+    assert sorted(boxes(tmp_path / "set", 1)["a-00000-00000"]) == [
+        (10, 10, 20, 20),
+        (30, 30, 40, 40),
+    ]
 
 
 def test_the_border_band_is_the_sources_not_the_tiles(tmp_path):
@@ -170,7 +179,9 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
     write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
     # Coordinates of NZTM that say they are UTM.
     labels = ground((EAST + 10, NORTH - 5), (EAST + 20, NORTH - 5), crs="EPSG:32633")
-    with pytest.raises(ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"):
+    with pytest.raises(
+        ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"
+    ):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
     with pytest.raises(ConfigurationError, match="--border-px"):
         LabelSettings(WHERE, border_px=-1.0)

@@ -24,7 +24,10 @@ MERCATOR = ("EPSG:3857", from_origin(1_000_000, 8_399_738, 0.5, 0.5))
 DEGREES = ("EPSG:4326", from_origin(10.0, 60.0, 0.25 / 55_800, 0.25 / 111_412))
 FEET = ("EPSG:2263", from_origin(980_000, 200_000, 0.25 / 0.3048, 0.25 / 0.3048))
 UTM = ("EPSG:32633", from_origin(500_000, 5_300_000, 0.25, 0.25))
-TURNED = ("EPSG:32633", Affine.translation(500_000, 5_300_000) * Affine.rotation(30) * Affine.scale(0.25, -0.25))
+TURNED = (
+    "EPSG:32633",
+    Affine.translation(500_000, 5_300_000) * Affine.rotation(30) * Affine.scale(0.25, -0.25),
+)
 CASES = {"utm": UTM, "mercator": MERCATOR, "degrees": DEGREES, "feet": FEET, "turned": TURNED}
 
 
@@ -39,7 +42,10 @@ def test_every_pixel_shows_the_ground_its_bounds_say(tmp_path, case):
     crs, affine = CASES[case]
     rows, columns = np.indices((400, 500))
     write_image(
-        tmp_path / "a.tif", np.stack([columns / 2, rows / 2, rows * 0]).astype(np.uint8), crs=crs, transform=affine
+        tmp_path / "a.tif",
+        np.stack([columns / 2, rows / 2, rows * 0]).astype(np.uint8),
+        crs=crs,
+        transform=affine,
     )
     backgrounds, record = tile([tmp_path / "a.tif"], tmp_path / "set", gsd_m=0.25)
     assert record.sources[0]["gsd_m"] == pytest.approx([0.25, 0.25], rel=0.01)
@@ -66,7 +72,10 @@ def test_web_mercator_tiles_are_true_metres_on_the_ground(tmp_path):
         assert ring[0] == ring[-1]
         # On a sphere of the ellipsoid's size at 60 degrees: 16 m, to half a percent.
         (x0, y0), (x1, y1) = ring[0], ring[2]
-        east, north = math.radians(x1 - x0) * 6.389e6 * math.cos(math.radians(60)), math.radians(y1 - y0) * 6.386e6
+        east, north = (
+            math.radians(x1 - x0) * 6.389e6 * math.cos(math.radians(60)),
+            math.radians(y1 - y0) * 6.386e6,
+        )
         assert math.hypot(east, north) == pytest.approx(16 * math.sqrt(2), rel=0.005)
         area = sum(a[0] * b[1] - b[0] * a[1] for a, b in itertools.pairwise(ring))
         assert area > 0, "GeoJSON outlines run anticlockwise"
@@ -77,13 +86,19 @@ def test_web_mercator_tiles_are_true_metres_on_the_ground(tmp_path):
 @pytest.mark.parametrize("georeferenced", [False, True])
 def test_same_resolution_copies_pixels(tmp_path, georeferenced):
     array = noise(160, 160)
-    place = {"crs": NZTM, "transform": from_origin(1_550_000, 5_190_000, 0.125, 0.125)} if georeferenced else {}
+    place = (
+        {"crs": NZTM, "transform": from_origin(1_550_000, 5_190_000, 0.125, 0.125)}
+        if georeferenced
+        else {}
+    )
     write_image(tmp_path / "a.tif", array, **place)
     backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125)
     assert len(all_tiles(backgrounds)) == 4
     for one in all_tiles(backgrounds):
         left, top = one.offset_px
-        assert np.array_equal(backgrounds.pixels(one.id).numpy(), array[:, top : top + 64, left : left + 64])
+        assert np.array_equal(
+            backgrounds.pixels(one.id).numpy(), array[:, top : top + 64, left : left + 64]
+        )
 
 
 @pytest.mark.parametrize("gsd_m", [0.05, 0.04, 0.03, 0.0625])
@@ -92,7 +107,9 @@ def test_fine_checkerboard_becomes_its_mean(tmp_path, gsd_m):
     board = np.where((rows + columns) % 2 == 0, 20, 220).astype(np.uint8)
     path = write_image(tmp_path / "a.tif", np.stack([board] * 3))
     backgrounds, _ = tile([path], tmp_path / "set", source_gsd_m=gsd_m)
-    pixels = torch.cat([backgrounds.pixels(one.id).flatten() for one in all_tiles(backgrounds)]).float()
+    pixels = torch.cat(
+        [backgrounds.pixels(one.id).flatten() for one in all_tiles(backgrounds)]
+    ).float()
     assert float(pixels.mean()) == pytest.approx(120, abs=1.5)
     # Point sampling would give 20 and 220 (a deviation of 100) in a coarse false pattern.
     assert float(pixels.std()) < 12
@@ -123,7 +140,9 @@ def test_overlapping_sources_share_cells_and_splits(tmp_path):
     assert len(ids) == len(set(ids)) == len(bounds_of(tmp_path / "both"))
     boxes = [tuple(one["bounds"]) for one in bounds_of(tmp_path / "both").values()]
     assert all(
-        a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1] for i, a in enumerate(boxes) for b in boxes[:i]
+        a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+        for i, a in enumerate(boxes)
+        for b in boxes[:i]
     )
     # The first that shows a cell gives it; the second alone is cut into the very same cells.
     assert {one.source for one in all_tiles(both)} == {"a.tif", "b.tif"}
@@ -145,13 +164,25 @@ def test_a_cell_on_the_seam_of_two_sheets_is_put_together(tmp_path):
     for one in all_tiles(backgrounds):
         left, _, _, top = placed[one.id]["bounds"]
         column, row = round((left - 1_550_004) * 8), round((5_190_004 - top) * 8)
-        assert np.array_equal(backgrounds.pixels(one.id).numpy(), scene[:, row : row + 64, column : column + 64])
+        assert np.array_equal(
+            backgrounds.pixels(one.id).numpy(), scene[:, row : row + 64, column : column + 64]
+        )
 
 
 def test_imagery_across_a_zone_border_has_one_grid(tmp_path):
     # Longitude 12 is the border of UTM zones 32 and 33.
-    write_image(tmp_path / "a.tif", noise(100, 400), crs="EPSG:4326", transform=from_origin(11.9997, 48, 1e-6, 1e-6))
-    write_image(tmp_path / "b.tif", noise(100, 400), crs="EPSG:4326", transform=from_origin(12.0, 48, 1e-6, 1e-6))
+    write_image(
+        tmp_path / "a.tif",
+        noise(100, 400),
+        crs="EPSG:4326",
+        transform=from_origin(11.9997, 48, 1e-6, 1e-6),
+    )
+    write_image(
+        tmp_path / "b.tif",
+        noise(100, 400),
+        crs="EPSG:4326",
+        transform=from_origin(12.0, 48, 1e-6, 1e-6),
+    )
     tile([tmp_path / "a.tif", tmp_path / "b.tif"], tmp_path / "set", size_px=40)
     assert {one["crs"] for one in bounds_of(tmp_path / "set").values()} == {"EPSG:32632"}
 
@@ -160,14 +191,22 @@ def test_images_without_georeference_have_frames_of_their_own(tmp_path):
     write_image(tmp_path / "a.tif", noise(420, 500))
     write_image(tmp_path / "b.tif", noise(130, 90))
     backgrounds, _ = tile([tmp_path], tmp_path / "set", source_gsd_m=0.125)
-    assert {one.offset_px for one in all_tiles(backgrounds) if one.source == "b.tif"} == {(0, 0), (0, 64)}
+    assert {one.offset_px for one in all_tiles(backgrounds) if one.source == "b.tif"} == {
+        (0, 0),
+        (0, 64),
+    }
     assert len(all_tiles(backgrounds)) == 6 * 7 + 2
     assert bounds_of(tmp_path / "set") == {}
 
 
 def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
     scene = smooth_noise(800, 800)
-    write_image(tmp_path / "first.tif", scene, crs=NZTM, transform=from_origin(1_550_003, 5_190_002, 0.125, 0.125))
+    write_image(
+        tmp_path / "first.tif",
+        scene,
+        crs=NZTM,
+        transform=from_origin(1_550_003, 5_190_002, 0.125, 0.125),
+    )
     first, _ = tile([tmp_path / "first.tif"], tmp_path / "first")
     # Part of the ground, coarser, in Web Mercator.
     (x,), (y,) = transform_places(NZTM, "EPSG:3857", [1_550_003.0], [5_190_002.0])
@@ -183,20 +222,29 @@ def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
     assert {*record.missing} == {one.id for one in all_tiles(first)} - ids
     before, after = bounds_of(tmp_path / "first"), bounds_of(tmp_path / "second")
     for one in all_tiles(second):
-        assert (one.split, after[one.id]["bounds"]) == (first.tile(one.id).split, before[one.id]["bounds"])
+        assert (one.split, after[one.id]["bounds"]) == (
+            first.tile(one.id).split,
+            before[one.id]["bounds"],
+        )
         difference = first.pixels(one.id).float() - second.pixels(one.id).float()
         assert float(difference.abs().mean()) < 4
-    write_image(tmp_path / "far.tif", other, crs="EPSG:3857", transform=from_origin(0, 5e6, 0.2, 0.2))
+    write_image(
+        tmp_path / "far.tif", other, crs="EPSG:3857", transform=from_origin(0, 5e6, 0.2, 0.2)
+    )
     with pytest.raises(ImageryError, match="None of the imagery shows ground"):
         tile([tmp_path / "far.tif"], tmp_path / "third", like=tmp_path / "first")
 
 
 def test_small_images_shrink_their_tiles_where_that_is_allowed(tmp_path):
     write_image(tmp_path / "a.tif", noise(100, 100))
-    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125, size_px=100, minimum_px=40)
+    backgrounds, _ = tile(
+        [tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125, size_px=100, minimum_px=40
+    )
     assert [len(backgrounds.tiles(split)) for split in SPLITS] == [1, 1, 1, 1]
     write_image(tmp_path / "large.tif", noise(300, 300))
-    backgrounds, _ = tile([tmp_path], tmp_path / "mixed", source_gsd_m=0.125, size_px=120, minimum_px=40)
+    backgrounds, _ = tile(
+        [tmp_path], tmp_path / "mixed", source_gsd_m=0.125, size_px=120, minimum_px=40
+    )
     sizes = {one.source: one.width_px for one in all_tiles(backgrounds)}
     assert sizes == {"a.tif": 96, "large.tif": 120}
 

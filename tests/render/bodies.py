@@ -16,7 +16,9 @@ def sphere_template(rings: int = 31, columns: int = 32) -> Template:
     faces, face_uvs = [], []
     uvs = [(c / columns, (r + 1) / (rings + 1)) for r in range(rings) for c in range(columns + 1)]
     first_pole = len(uvs)
-    uvs += [((c + 0.5) / columns, 0.0) for c in range(columns)] + [((c + 0.5) / columns, 1.0) for c in range(columns)]
+    uvs += [((c + 0.5) / columns, 0.0) for c in range(columns)] + [
+        ((c + 0.5) / columns, 1.0) for c in range(columns)
+    ]
 
     def vertex(ring: int, column: int) -> int:
         return ring * columns + column % columns
@@ -35,10 +37,16 @@ def sphere_template(rings: int = 31, columns: int = 32) -> Template:
                 faces.append(tuple(vertex(*corner) for corner in corners))
                 face_uvs.append(tuple(texel(*corner) for corner in corners))
     mirror = list(range(count + 2))
-    vertex_uvs = [(c / columns, (r + 1) / (rings + 1)) for r in range(rings) for c in range(columns)]
+    vertex_uvs = [
+        (c / columns, (r + 1) / (rings + 1)) for r in range(rings) for c in range(columns)
+    ]
     vertex_uvs += [(0.5, 0.0), (0.5, 1.0)]
     return Template(
-        torch.tensor(faces), torch.tensor(face_uvs), torch.tensor(uvs), torch.tensor(mirror), torch.tensor(vertex_uvs)
+        torch.tensor(faces),
+        torch.tensor(face_uvs),
+        torch.tensor(uvs),
+        torch.tensor(mirror),
+        torch.tensor(vertex_uvs),
     )
 
 
@@ -62,7 +70,13 @@ def rounded_box(
             around = 2 * math.pi * c / columns
             radius = bent(math.sin(polar))
             # As in the fleet's template: from the middle of the underside up the left side, so faces look outward.
-            points.append((bent(math.cos(polar)), radius * bent(math.sin(around)), -radius * bent(math.cos(around))))
+            points.append(
+                (
+                    bent(math.cos(polar)),
+                    radius * bent(math.sin(around)),
+                    -radius * bent(math.cos(around)),
+                )
+            )
     points += [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]
     half = torch.tensor([length_m, width_m, height_m]) / 2
     return (torch.tensor(points) * half + torch.tensor([0.0, 0.0, height_m / 2]))[None]
@@ -72,7 +86,9 @@ def smooth_texture(seed: int, count: int = 1, size: int = TEXTURE_SIZE) -> torch
     """A colourful texture without fine detail, continuous across the seam."""
     coarse = torch.rand(count, 3, 8, 8, generator=torch.Generator().manual_seed(seed))
     wide = torch.nn.functional.pad(coarse, (2, 2, 0, 0), mode="circular")
-    full = torch.nn.functional.interpolate(wide, size=(size, size * 12 // 8), mode="bicubic", align_corners=False)
+    full = torch.nn.functional.interpolate(
+        wide, size=(size, size * 12 // 8), mode="bicubic", align_corners=False
+    )
     margin = size * 2 // 8
     return (full[..., margin : margin + size] * 0.7 + 0.1).clamp(0.05, 0.95)
 
@@ -91,7 +107,9 @@ def vehicles(count: int = 1, seed: int = 0) -> VehicleBatch:
 def double(batch: VehicleBatch) -> VehicleBatch:
     """The same vehicles in float64, for gradient checks."""
     template = batch.template
-    template = dataclasses.replace(template, uvs=template.uvs.double(), vertex_uvs=template.vertex_uvs.double())
+    template = dataclasses.replace(
+        template, uvs=template.uvs.double(), vertex_uvs=template.vertex_uvs.double()
+    )
     return dataclasses.replace(
         batch, template=template, vertices=batch.vertices.double(), texture=batch.texture.double()
     )
@@ -105,7 +123,9 @@ class PlainGround:
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:
-            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7)).to(self.dtype)
+            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7)).to(
+                self.dtype
+            )
         return torch.full((3, size_px, size_px), self.value, dtype=self.dtype)
 
 
@@ -123,6 +143,9 @@ def scene(
         BackgroundWindow("tile", 0.0, 0.0, 0.0),
         Camera(math.radians(tilt_deg), 0.7, 0.125, size_px),
         Sun(2.0, math.radians(sun_elevation_deg)),
-        tuple(Placement("box-0000", float(x), float(y), math.radians(heading)) for x, y, heading in places),
+        tuple(
+            Placement("box-0000", float(x), float(y), math.radians(heading))
+            for x, y, heading in places
+        ),
         seed,
     )

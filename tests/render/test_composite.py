@@ -43,13 +43,18 @@ def place(canvas, layer, left, top, margin):
 def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
     """The photograph hidden by blurred coverage, on a canvas that repeats the photograph's edge pixels."""
     size = photograph.shape[-1]
-    ground = to_linear(np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge"))
+    ground = to_linear(
+        np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
+    )
     drawn, shade = np.zeros((4, *ground.shape[1:])), np.zeros((1, *ground.shape[1:]))
     place(drawn, body, *body_at, margin)
     place(shade, shadow, *shadow_at, margin)
     drawn, shade = blurred(drawn, settings.blur_sigma_px), blurred(shade, settings.blur_sigma_px)
     mixed = to_srgb(
-        ground * (1 - shade + np.array(settings.shadow_light)[:, None, None] * shade) * (1 - drawn[3]) + drawn[:3]
+        ground
+        * (1 - shade + np.array(settings.shadow_light)[:, None, None] * shade)
+        * (1 - drawn[3])
+        + drawn[:3]
     )
     return mixed[:, margin : margin + size, margin : margin + size]
 
@@ -58,7 +63,9 @@ def test_on_even_ground_the_blur_is_the_papers():
     """I = I_bg + G(I_fg - I_bg) (PAPER 12), from which ours differs only where the ground has detail."""
     settings = RenderSettings(noise=0.0)
     photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
-    image = compose(photograph, body, [(18, 20)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], settings)
+    image = compose(
+        photograph, body, [(18, 20)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], settings
+    )
     ground, drawn = to_linear(photograph[0].numpy()), np.zeros((4, 48, 48))
     place(drawn, body[0].numpy(), 18, 20, 0)
     front = ground * (1 - drawn[3]) + drawn[:3]
@@ -79,10 +86,22 @@ def test_markings_do_not_shine_through_a_vehicle():
 def layer(size, seed):
     draw = torch.Generator().manual_seed(seed)
     coverage = torch.rand(1, size, size, dtype=torch.float64, generator=draw)
-    return torch.cat((torch.rand(3, size, size, dtype=torch.float64, generator=draw) * coverage, coverage))[None]
+    return torch.cat(
+        (torch.rand(3, size, size, dtype=torch.float64, generator=draw) * coverage, coverage)
+    )[None]
 
 
-def compose(photograph, bodies, body_at, shadows, shadow_at, settings, scene=(0,), nearness=(0.0,), seeds=(0,)):
+def compose(
+    photograph,
+    bodies,
+    body_at,
+    shadows,
+    shadow_at,
+    settings,
+    scene=(0,),
+    nearness=(0.0,),
+    seeds=(0,),
+):
     return composite(
         photograph.clone(),
         (Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
@@ -96,7 +115,9 @@ def compose(photograph, bodies, body_at, shadows, shadow_at, settings, scene=(0,
 
 
 def noise_photograph(count=1, size=48, seed=9):
-    return torch.rand(count, 3, size, size, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(
+        count, 3, size, size, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 @pytest.mark.parametrize("sigma_px", [2.4, 1.0, 0.6])
@@ -106,7 +127,9 @@ def test_a_hand_made_layer_is_composited_as_numpy_does(sigma_px, body_at):
     photograph, body, shadow = noise_photograph(), layer(11, 1), layer(13, 2)[:, 3:]
     shadow_at = (body_at[0] + 4, body_at[1] - 6)
     image = compose(photograph, body, [body_at], shadow, [shadow_at], settings)
-    expected = by_hand(photograph[0].numpy(), body[0].numpy(), body_at, shadow[0].numpy(), shadow_at, settings)
+    expected = by_hand(
+        photograph[0].numpy(), body[0].numpy(), body_at, shadow[0].numpy(), shadow_at, settings
+    )
     np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-9)
 
 
@@ -115,7 +138,10 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
     # White on black: what arrives is the kernel itself.
     settings = RenderSettings(blur_sigma_px=sigma_px, noise=0.0)
     photograph = torch.zeros(1, 3, 48, 48, dtype=torch.float64)
-    dot, nothing = torch.ones(1, 4, 1, 1, dtype=torch.float64), torch.zeros(1, 1, 1, 1, dtype=torch.float64)
+    dot, nothing = (
+        torch.ones(1, 4, 1, 1, dtype=torch.float64),
+        torch.zeros(1, 1, 1, 1, dtype=torch.float64),
+    )
     image = compose(photograph, dot, [(24, 24)], nothing, [(24, 24)], settings)
     reached = image[0, 0] > 0
     rows, columns = reached.any(1).nonzero()[:, 0], reached.any(0).nonzero()[:, 0]
@@ -127,7 +153,9 @@ def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     settings = RenderSettings()
     photograph = noise_photograph().float()
     # Layers with an empty rim: its pixels are computed, and must come out as they were.
-    body, shadow = (torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2))
+    body, shadow = (
+        torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2)
+    )
     image = compose(photograph, body, [(14, 14)], shadow[:, 3:], [(14, 14)], settings)
     untouched = torch.ones(48, 48, dtype=torch.bool)
     untouched[12:37, 12:37] = False
@@ -143,7 +171,9 @@ def test_full_shadow_leaves_its_light_of_each_channel():
     image = compose(photograph, nothing, [(5, 5)], shade, [(10, 12)], settings)
     shaded = to_linear(image[0, :, 12:22, 10:20].numpy())
     open_ground = to_linear(photograph[0, :, 12:22, 10:20].numpy())
-    np.testing.assert_allclose(shaded, np.array([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-9)
+    np.testing.assert_allclose(
+        shaded, np.array([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("nearness", [(1.0, 0.0), (0.0, 1.0)])
@@ -158,14 +188,18 @@ def test_the_nearer_vehicle_hides_the_farther_one(nearness):
     )  # fmt: skip
     both = image[0, :, 12:18, 14:18]
     expected = [1.0, 0.0, 0.0] if nearness[0] > nearness[1] else [0.0, 0.0, 1.0]
-    torch.testing.assert_close(both, torch.tensor(expected, dtype=torch.float64)[:, None, None].expand_as(both))
+    torch.testing.assert_close(
+        both, torch.tensor(expected, dtype=torch.float64)[:, None, None].expand_as(both)
+    )
 
 
 def test_two_shadows_on_one_place_shade_it_once():
     settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
     photograph, nothing = noise_photograph(), torch.zeros(2, 4, 1, 1, dtype=torch.float64)
     shade = torch.ones(2, 1, 6, 6, dtype=torch.float64)
-    twice = compose(photograph, nothing, [(0, 0)] * 2, shade, [(10, 10)] * 2, settings, (0, 0), (0.0, 1.0))
+    twice = compose(
+        photograph, nothing, [(0, 0)] * 2, shade, [(10, 10)] * 2, settings, (0, 0), (0.0, 1.0)
+    )
     once = compose(photograph, nothing[:1], [(0, 0)], shade[:1], [(10, 10)], settings)
     assert torch.equal(once, twice)
 
@@ -175,7 +209,9 @@ def test_vehicles_land_in_their_own_image():
     photographs, bodies = noise_photograph(3), torch.cat((layer(9, 1), layer(9, 2), layer(9, 3)))
     shadows = torch.zeros(3, 1, 9, 9, dtype=torch.float64)
     at = [(5, 5), (30, 8), (12, 28)]
-    image = compose(photographs, bodies, at, shadows, at, settings, (2, 0, 2), (0.0, 0.0, 1.0), (1, 2, 3))
+    image = compose(
+        photographs, bodies, at, shadows, at, settings, (2, 0, 2), (0.0, 0.0, 1.0), (1, 2, 3)
+    )
     assert torch.equal(image[1], photographs[1])
     alone = compose(photographs[:1], bodies[1:2], at[1:2], shadows[:1], at[1:2], settings)
     torch.testing.assert_close(image[:1], alone, atol=1e-12, rtol=0)
@@ -188,7 +224,10 @@ def test_noise_lies_on_rendered_pixels_with_the_strength_asked_for():
     body[:, 3] = 1.0
     nothing = torch.zeros(1, 1, 1, 1, dtype=torch.float64)
     image = compose(photograph, body, [(18, 18)], nothing, [(18, 18)], settings, seeds=(4,))
-    inside, other = image[0, :, 25:70, 25:70], compose(photograph, body, [(18, 18)], nothing, [(0, 0)], settings)
+    inside, other = (
+        image[0, :, 25:70, 25:70],
+        compose(photograph, body, [(18, 18)], nothing, [(0, 0)], settings),
+    )
     assert float(inside.std()) == pytest.approx(0.02, rel=0.05)
     assert not torch.equal(image, other), "another seed was meant to give other noise"
     assert torch.equal(image[0, :, :10], photograph[0, :, :10])

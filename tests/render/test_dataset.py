@@ -52,7 +52,11 @@ def write(folder, fleet, **changed):
 
 
 def files(folder):
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def _any_mask(frames, count):
@@ -73,11 +77,19 @@ def test_a_camouflage_changes_pixels_of_the_vehicle_and_no_labels(fleet):
     differs = (original.image != camouflaged.image).any(1)
     masks = _any_mask(original, len(scenes))
     # What lies just outside the image is blurred into it: its mask is taken from a larger image.
-    wider = [dataclasses.replace(each, camera=dataclasses.replace(each.camera, size_px=96 + 64)) for each in scenes]
+    wider = [
+        dataclasses.replace(each, camera=dataclasses.replace(each.camera, size_px=96 + 64))
+        for each in scenes
+    ]
     whole = _any_mask(renderer(wider, vehicles, masks=True), len(scenes))
     assert torch.equal(whole[:, 32:128, 32:128], masks)
     side = 2 * (settings.blur_radius_px + 1) + 1
-    near = torch.nn.functional.max_pool2d(whole[:, None].float(), side, stride=1, padding=side // 2)[:, 0] > 0
+    near = (
+        torch.nn.functional.max_pool2d(whole[:, None].float(), side, stride=1, padding=side // 2)[
+            :, 0
+        ]
+        > 0
+    )
     near = near[:, 32:128, 32:128]
     assert not (differs & ~near).any()
     # I_bg + G(I_fg - I_bg) keeps the ground's fine detail; its blackest pixels are clipped in both images.
@@ -110,7 +122,9 @@ def test_a_dataset_reads_back_with_the_boxes_and_pixels_that_were_drawn(tmp_path
     )
     rows = document["annotations"]
     assert [row["placement_index"] for row in rows] == [0, 0, 1, 0, 1]
-    assert [row["vehicle"] for row in rows] == [place.vehicle for each in scenes for place in each.placements]
+    assert [row["vehicle"] for row in rows] == [
+        place.vehicle for each in scenes for place in each.placements
+    ]
     assert [row["area"] for row in rows] == frames.masks.flatten(1).sum(1).tolist()
     assert rows[3]["visible_fraction"] == pytest.approx(float(frames.visible_fraction[3]), abs=1e-6)
     assert 0 < rows[3]["visible_fraction"] < 1
@@ -123,7 +137,9 @@ def test_the_same_scenes_give_the_same_bytes(tmp_path, fleet):
     write(tmp_path / "two", fleet)
     one = files(tmp_path / "one")
     assert one == files(tmp_path / "two")
-    assert sorted(one) == sorted(["annotations.json", "scenes.jsonl", *(f"images/scene-{n}.png" for n in range(4))])
+    assert sorted(one) == sorted(
+        ["annotations.json", "scenes.jsonl", *(f"images/scene-{n}.png" for n in range(4))]
+    )
 
 
 def test_matched_pairs_on_disk_share_annotations_and_scenes(tmp_path, fleet):

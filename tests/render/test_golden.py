@@ -32,7 +32,9 @@ def van_and_car():
 
 
 def one_box():
-    return TorchRenderer(PlainGround(0.4), SETTINGS)([scene((0.2, -0.1, 35.0), size_px=64)], vehicles(seed=1))
+    return TorchRenderer(PlainGround(0.4), SETTINGS)(
+        [scene((0.2, -0.1, 35.0), size_px=64)], vehicles(seed=1)
+    )
 
 
 def two_boxes_at_the_border():
@@ -48,14 +50,18 @@ def one_box_without_blur():
 
 def fleet_vehicles():
     place = scene((-2.0, -1.5, 60.0), (2.2, 1.0, 240.0), size_px=80)
-    return TorchRenderer(PlainGround(0.45), SETTINGS)([place], van_and_car().batch(van_and_car().ids))
+    return TorchRenderer(PlainGround(0.45), SETTINGS)(
+        [place], van_and_car().batch(van_and_car().ids)
+    )
 
 
 def fleet_vehicles_in_random_colours():
     place = scene((-2.0, -1.5, 60.0), (2.2, 1.0, 240.0), size_px=80)
     texture = UniversalTexture("R-U-0", generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        return TorchRenderer(PlainGround(0.45), SETTINGS)([place], texture(van_and_car().batch(van_and_car().ids)))
+        return TorchRenderer(PlainGround(0.45), SETTINGS)(
+            [place], texture(van_and_car().batch(van_and_car().ids))
+        )
 
 
 PICTURES = [
@@ -78,4 +84,6 @@ def test_the_picture_is_the_stored_one(draw):
         stored = np.array(image)
     assert stored.shape == drawn.shape
     difference = np.abs(stored.astype(int) - drawn.astype(int))
-    assert difference.max() <= 2, f"{(difference > 2).any(2).sum()} pixels differ, by up to {difference.max()}"
+    assert difference.max() <= 2, (
+        f"{(difference > 2).any(2).sum()} pixels differ, by up to {difference.max()}"
+    )

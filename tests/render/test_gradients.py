@@ -30,7 +30,9 @@ def test_texture_sampling_passes_gradcheck(finest):
     texture = torch.rand(2, 3, 128, 128, dtype=torch.float64, generator=generator(0)) * 0.8 + 0.1
     patch = texture[:, :, 30:34, 60:64].clone().requires_grad_()
     # Points whose four texels lie within the patch, at three levels, and on both textures.
-    uv = torch.tensor([[0.49, 0.25], [0.483, 0.253], [0.49, 0.26], [0.485, 0.247]], dtype=torch.float64)
+    uv = torch.tensor(
+        [[0.49, 0.25], [0.483, 0.253], [0.49, 0.26], [0.485, 0.247]], dtype=torch.float64
+    )
     uv = (uv + 1e-3).requires_grad_()
 
     def sample(patch, uv):
@@ -51,7 +53,9 @@ def test_texture_sampling_is_continuous_across_the_seam_and_held_at_the_ends():
     u = torch.tensor([1e-9, 1 - 1e-9, 0.3, 0.3, 0.3, 0.3], dtype=torch.float64)
     v = torch.tensor([0.4, 0.4, 0.0, 0.003, 1.0, 0.997], dtype=torch.float64)
     zero = torch.zeros(6, dtype=torch.long)
-    left, right, nose, near_nose, tail, near_tail = texture.sample(torch.stack((u, v), 1), zero, zero)
+    left, right, nose, near_nose, tail, near_tail = texture.sample(
+        torch.stack((u, v), 1), zero, zero
+    )
     torch.testing.assert_close(left, right, atol=1e-6, rtol=0)
     # Half a texel from the end (0.0039) nothing changes any more.
     assert torch.equal(nose, near_nose)
@@ -62,7 +66,9 @@ def test_a_coarser_level_holds_the_mean_of_its_texels_in_linear_light():
     stripes = torch.zeros(1, 3, 128, 128, dtype=torch.float64)
     stripes[..., ::2] = 1.0
     sampled = LinearTexture(stripes, 0, torch.float64).sample(
-        torch.full((2, 2), 0.5, dtype=torch.float64), torch.zeros(2, dtype=torch.long), torch.tensor([1, 4])
+        torch.full((2, 2), 0.5, dtype=torch.float64),
+        torch.zeros(2, dtype=torch.long),
+        torch.tensor([1, 4]),
     )
     torch.testing.assert_close(sampled, torch.full_like(sampled, 0.5))
 
@@ -79,7 +85,9 @@ def test_bytes_and_floats_of_one_texture_sample_alike():
 
 
 def test_light_passes_gradcheck_in_the_normal():
-    upward = normalize(normal(6, 3, seed=1) + torch.tensor([0.0, 0.0, 2.0]), dim=-1).requires_grad_()
+    upward = normalize(
+        normal(6, 3, seed=1) + torch.tensor([0.0, 0.0, 2.0]), dim=-1
+    ).requires_grad_()
     sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1).expand(6, 3)
     viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1).expand(6, 3)
     half = normalize(sun + viewer, dim=-1)
@@ -89,7 +97,9 @@ def test_light_passes_gradcheck_in_the_normal():
 def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
     up = torch.tensor([[0.0, 0.0, 1.0]])
     for elevation in (0.3, 0.8, 1.5):
-        sun = torch.tensor([[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]])
+        sun = torch.tensor(
+            [[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]]
+        )
         half = normalize(sun + up, dim=-1)
         matt, _ = light(up, sun, up, half, RenderSettings(reflectance=0.0))
         assert float(matt) == pytest.approx(1.0, abs=1e-6)
@@ -101,7 +111,10 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
 def test_the_image_is_differentiable_in_the_texture():
     batch = double(vehicles(2, seed=4))
     renderer = TorchRenderer(GROUND)
-    scenes = [scene((0.3, -0.2, 40.0), size_px=SIZE), scene((0.0, 0.1, 250.0), size_px=SIZE, name="s1")]
+    scenes = [
+        scene((0.3, -0.2, 40.0), size_px=SIZE),
+        scene((0.0, 0.1, 250.0), size_px=SIZE, name="s1"),
+    ]
     weights = normal(2, 3, SIZE, SIZE, seed=2)
 
     def value(texture):
@@ -114,7 +127,9 @@ def test_the_image_is_differentiable_in_the_texture():
         analytic = float((texture.grad * direction).sum())
         with torch.no_grad():
             step = 1e-5
-            numeric = float(value(texture + step * direction) - value(texture - step * direction)) / (2 * step)
+            numeric = float(
+                value(texture + step * direction) - value(texture - step * direction)
+            ) / (2 * step)
         assert analytic == pytest.approx(numeric, rel=1e-5)
 
 
@@ -195,13 +210,16 @@ def agreement(kind, uniform):
         vertices = base.clone().requires_grad_()
         drawn = renderer(4)(place, dataclasses.replace(batch, vertices=vertices)).image
         gradients = [
-            torch.autograd.grad((drawn[0] * weight).sum(), vertices, retain_graph=True)[0] for weight in weights
+            torch.autograd.grad((drawn[0] * weight).sum(), vertices, retain_graph=True)[0]
+            for weight in weights
         ]
         with torch.no_grad():
             step = 0.01
             for direction in directions:
                 ahead, back = (
-                    renderer(16)(place, dataclasses.replace(batch, vertices=base + sign * step * direction)).image
+                    renderer(16)(
+                        place, dataclasses.replace(batch, vertices=base + sign * step * direction)
+                    ).image
                     for sign in (1, -1)
                 )
                 change = (ahead - back)[0] / (2 * step)
@@ -231,6 +249,8 @@ def test_without_the_silhouette_term_the_gradient_would_be_wrong(monkeypatch):
     # Guards the tests above against a weak measure: they must be able to tell.
     from skyproof.render import layers
 
-    monkeypatch.setattr(layers, "_edges", lambda visibility, points, colour, edge_colour, factor: 0.0)
+    monkeypatch.setattr(
+        layers, "_edges", lambda visibility, points, colour, edge_colour, factor: 0.0
+    )
     cosine, slope = agreement.__wrapped__("smooth", uniform=True)
     assert cosine < 0.8 or not 0.8 <= slope <= 1.2, (cosine, slope)

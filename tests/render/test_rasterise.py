@@ -21,11 +21,19 @@ def reference(screen, depth, faces, size):
         area = (cx - ax) * (by - ay) - (cy - ay) * (bx - ax)
         if area <= 1e-12:
             continue
-        for row in range(max(math.floor(min(ay, by, cy)) - 1, 0), min(math.ceil(max(ay, by, cy)) + 1, size)):
-            for column in range(max(math.floor(min(ax, bx, cx)) - 1, 0), min(math.ceil(max(ax, bx, cx)) + 1, size)):
+        for row in range(
+            max(math.floor(min(ay, by, cy)) - 1, 0), min(math.ceil(max(ay, by, cy)) + 1, size)
+        ):
+            for column in range(
+                max(math.floor(min(ax, bx, cx)) - 1, 0), min(math.ceil(max(ax, bx, cx)) + 1, size)
+            ):
                 x, y = column + 0.5, row + 0.5
                 weights, distances = [], []
-                for (sx, sy), (ex, ey) in (((bx, by), (cx, cy)), ((cx, cy), (ax, ay)), ((ax, ay), (bx, by))):
+                for (sx, sy), (ex, ey) in (
+                    ((bx, by), (cx, cy)),
+                    ((cx, cy), (ax, ay)),
+                    ((ax, ay), (bx, by)),
+                ):
                     twice = (x - sx) * (ey - sy) - (y - sy) * (ex - sx)
                     weights.append(twice / area)
                     distances.append(twice / max(math.hypot(ex - sx, ey - sy), 1e-12))
@@ -33,7 +41,9 @@ def reference(screen, depth, faces, size):
                     doubtful[row][column] = True
                 if min(weights) < 0:
                     continue
-                near = sum(weight * depths[corner] for weight, corner in zip(weights, corners, strict=True))
+                near = sum(
+                    weight * depths[corner] for weight, corner in zip(weights, corners, strict=True)
+                )
                 if seen[row][column] is None or near < seen[row][column][0]:
                     seen[row][column] = (near, number)
     return seen, doubtful
@@ -73,11 +83,17 @@ def bumpy_body(rings, columns):
     body = rounded_box(rings=rings, columns=columns, power=1.0)
     centre = body.mean(1, keepdim=True)
     offset = body - centre
-    return centre + offset * (1 + 0.5 * torch.sin(3.0 * offset[..., :1] + 4.0 * offset[..., 1:2] + 1.0))
+    return centre + offset * (
+        1 + 0.5 * torch.sin(3.0 * offset[..., :1] + 4.0 * offset[..., 1:2] + 1.0)
+    )
 
 
 def seen_from(body, *, azimuth, tilt, size, per_sample_m):
-    direction = [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
+    direction = [
+        math.sin(tilt) * math.cos(azimuth),
+        math.sin(tilt) * math.sin(azimuth),
+        math.cos(tilt),
+    ]
     return project(body, torch.tensor([direction]), per_sample_m, size)
 
 
@@ -99,7 +115,9 @@ def test_random_triangles_in_front_of_each_other_match_the_reference():
     middle = torch.rand(1, 60, 1, 2, generator=generator) * 60 - 6
     corners = middle + torch.randn(1, 60, 3, 2, generator=generator) * 9
     depth = torch.rand(1, 180, generator=generator) * 4 - 2
-    compared, covered = compare(corners.reshape(1, 180, 2), depth, torch.arange(180).view(60, 3), 48)
+    compared, covered = compare(
+        corners.reshape(1, 180, 2), depth, torch.arange(180).view(60, 3), 48
+    )
     assert compared > 2200
     assert covered > 800
 
@@ -120,9 +138,15 @@ def test_a_closed_convex_body_has_no_cracks():
     template, body = sphere_template(), rounded_box(power=0.9)
     generator = torch.Generator().manual_seed(1)
     draws = torch.rand(12, 4, generator=generator).tolist()
-    views = [seen_from(body, azimuth=6.28 * a, tilt=0.9 * t, size=150, per_sample_m=0.04) for a, t, _, _ in draws]
+    views = [
+        seen_from(body, azimuth=6.28 * a, tilt=0.9 * t, size=150, per_sample_m=0.04)
+        for a, t, _, _ in draws
+    ]
     shifts = torch.tensor([[x, y] for _, _, x, y in draws])[:, None]
-    screen, depth = torch.cat([view[0] for view in views]) + shifts, torch.cat([view[1] for view in views])
+    screen, depth = (
+        torch.cat([view[0] for view in views]) + shifts,
+        torch.cat([view[1] for view in views]),
+    )
     drawn = rasterise(screen, depth, template.faces, 150)
     held = drawn.keys != torch.iinfo(torch.int64).max
     assert held.flatten(1).sum(1).min() > 2000
@@ -154,11 +178,15 @@ def test_the_nearer_of_two_triangles_is_seen_whatever_their_order(nearer):
 
 def test_bodies_outside_their_window_draw_nothing():
     faces = sphere_template(5, 6).faces
-    screen, depth = seen_from(rounded_box(rings=5, columns=6), azimuth=0.0, tilt=0.2, size=32, per_sample_m=0.2)
+    screen, depth = seen_from(
+        rounded_box(rings=5, columns=6), azimuth=0.0, tilt=0.2, size=32, per_sample_m=0.2
+    )
     for shift in ([100.0, 0.0], [-100.0, 0.0], [0.0, 100.0], [0.0, -100.0]):
         assert len(rasterise(screen + torch.tensor(shift), depth, faces, 32).covered) == 0
 
 
 def test_too_many_faces_are_refused():
     with pytest.raises(ValueError, match="65536"):
-        rasterise(torch.zeros(1, 3, 2), torch.zeros(1, 3), torch.zeros(65536, 3, dtype=torch.long), 4)
+        rasterise(
+            torch.zeros(1, 3, 2), torch.zeros(1, 3), torch.zeros(65536, 3, dtype=torch.long), 4
+        )

@@ -19,7 +19,9 @@ GSD = 0.125
 
 def post(height_m=3.0, side_m=1.0):
     """A box with nearly sharp edges."""
-    return dataclasses.replace(vehicles(), vertices=rounded_box(side_m, side_m, height_m, power=0.1))
+    return dataclasses.replace(
+        vehicles(), vertices=rounded_box(side_m, side_m, height_m, power=0.1)
+    )
 
 
 def lit_from(place, azimuth_deg, elevation_deg):
@@ -30,7 +32,9 @@ def lit_from(place, azimuth_deg, elevation_deg):
 
 
 def seen_from(place, azimuth_deg, tilt_deg):
-    camera = dataclasses.replace(place.camera, azimuth_rad=math.radians(azimuth_deg), tilt_rad=math.radians(tilt_deg))
+    camera = dataclasses.replace(
+        place.camera, azimuth_rad=math.radians(azimuth_deg), tilt_rad=math.radians(tilt_deg)
+    )
     return dataclasses.replace(place, camera=camera)
 
 
@@ -45,7 +49,9 @@ def reach_m(pixels, azimuth_deg):
 
 @pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
 @pytest.mark.parametrize("elevation_deg", [35, 60])
-def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(azimuth_deg, elevation_deg):
+def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(
+    azimuth_deg, elevation_deg
+):
     place = lit_from(scene((0, 0, 0), tilt_deg=0.0, size_px=112), azimuth_deg, elevation_deg)
     frames = TorchRenderer(PlainGround(0.4), SHARP)([place], post(), masks=True)
     shaded = (frames.image[0] < 0.39).all(0) & ~frames.masks[0]
@@ -58,13 +64,17 @@ def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(azimut
 
 def test_shaded_ground_keeps_what_the_shadow_leaves_of_its_linear_light():
     place = lit_from(scene((0, 0, 0), tilt_deg=0.0), 0, 45)
-    renderer = TorchRenderer(PlainGround(None), dataclasses.replace(SHARP, shadow_light=(0.3, 0.2, 0.5)))
+    renderer = TorchRenderer(
+        PlainGround(None), dataclasses.replace(SHARP, shadow_light=(0.3, 0.2, 0.5))
+    )
     image = renderer([place], post(side_m=2.0)).image
     photograph = photographs(renderer.backgrounds, [place], torch.device("cpu"))
     # Between 1.5 and 3.5 m west of the middle, in the middle of the shadow.
     west = slice(48 - 28, 48 - 12)
     shaded, open_ground = (srgb_to_linear(each[0, :, 44:52, west]) for each in (image, photograph))
-    torch.testing.assert_close(shaded, torch.tensor([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        shaded, torch.tensor([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-5, rtol=0
+    )
 
 
 @pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
@@ -78,16 +88,22 @@ def test_the_roof_leans_away_from_the_camera_by_height_times_tangent_of_tilt(azi
     middle_px = frames.centres[0] - 48
     lean_px = lean_m / 2 / GSD
     away = math.radians(azimuth_deg + 180)
-    assert middle_px.tolist() == pytest.approx([lean_px * math.cos(away), -lean_px * math.sin(away)], abs=0.01)
+    assert middle_px.tolist() == pytest.approx(
+        [lean_px * math.cos(away), -lean_px * math.sin(away)], abs=0.01
+    )
 
 
-@pytest.mark.parametrize(("heading_deg", "towards"), [(0, (1, 0)), (90, (0, -1)), (180, (-1, 0)), (270, (0, 1))])
+@pytest.mark.parametrize(
+    ("heading_deg", "towards"), [(0, (1, 0)), (90, (0, -1)), (180, (-1, 0)), (270, (0, 1))]
+)
 def test_heading_turns_the_nose_from_east_to_north(heading_deg, towards):
     # The first half of the map, from the nose to the middle, is red; the rest is blue.
     texture = torch.zeros(1, 3, 512, 512)
     texture[:, 0, :256], texture[:, 2, 256:] = 0.9, 0.9
     batch = dataclasses.replace(vehicles(), texture=texture)
-    image = TorchRenderer(PlainGround(0.0), SHARP)([scene((0, 0, heading_deg), tilt_deg=0.0)], batch).image[0]
+    image = TorchRenderer(PlainGround(0.0), SHARP)(
+        [scene((0, 0, heading_deg), tilt_deg=0.0)], batch
+    ).image[0]
     ahead, behind = ([48 + sign * 10 * step for step in towards] for sign in (1, -1))
     nose, tail = image[:, ahead[1], ahead[0]], image[:, behind[1], behind[0]]
     assert nose[0] > 2 * nose[2]
@@ -104,7 +120,9 @@ def test_vehicles_stand_east_to_the_right_and_north_upwards():
 
 
 def test_labels_fit_what_is_drawn():
-    frames = TorchRenderer(PlainGround(0.4))([scene((0.4, -0.3, 30.0), tilt_deg=15.0)], vehicles(), masks=True)
+    frames = TorchRenderer(PlainGround(0.4))(
+        [scene((0.4, -0.3, 30.0), tilt_deg=15.0)], vehicles(), masks=True
+    )
     rows, columns = frames.masks[0].nonzero(as_tuple=True)
     drawn = [int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1]
     assert frames.boxes[0].tolist() == pytest.approx(drawn, abs=1.0)
@@ -122,8 +140,12 @@ def test_the_nearer_of_two_vehicles_hides_the_farther_one(order):
         if order == 1
         else torch.tensor([[0.05, 0.05, 0.9], [0.9, 0.05, 0.05]])
     )
-    batch = dataclasses.replace(vehicles(2), texture=colours[:, :, None, None].expand(2, 3, 512, 512).clone())
-    frames = TorchRenderer(PlainGround(0.4), dataclasses.replace(SHARP, reflectance=0.0))([place], batch, masks=True)
+    batch = dataclasses.replace(
+        vehicles(2), texture=colours[:, :, None, None].expand(2, 3, 512, 512).clone()
+    )
+    frames = TorchRenderer(PlainGround(0.4), dataclasses.replace(SHARP, reflectance=0.0))(
+        [place], batch, masks=True
+    )
     outside = ~(frames.masks[0] & frames.masks[1])
     # A pixel at the border of one of them shows the other too.
     both = torch.nn.functional.max_pool2d(outside.float()[None], 3, 1, 1)[0] == 0
@@ -137,11 +159,16 @@ def test_a_vehicle_at_the_border_is_the_middle_of_a_larger_image():
     settings = RenderSettings(noise=0.0)
     small, large = (scene((5.4, -5.8, 25.0), size_px=size) for size in (96, 160))
     renderer = TorchRenderer(PlainGround(0.4), settings)
-    at_border, whole = renderer([small], vehicles(), masks=True), renderer([large], vehicles(), masks=True)
+    at_border, whole = (
+        renderer([small], vehicles(), masks=True),
+        renderer([large], vehicles(), masks=True),
+    )
     torch.testing.assert_close(at_border.image, whole.image[..., 32:128, 32:128], atol=1e-5, rtol=0)
     assert torch.equal(at_border.masks, whole.masks[:, 32:128, 32:128])
     assert at_border.boxes[0, 2:].tolist() == [96.0, 96.0]
-    assert at_border.boxes[0, :2].tolist() == pytest.approx((whole.boxes[0, :2] - 32).tolist(), abs=1e-3)
+    assert at_border.boxes[0, :2].tolist() == pytest.approx(
+        (whole.boxes[0, :2] - 32).tolist(), abs=1e-3
+    )
     share = float(at_border.visible_px / whole.visible_px)
     assert 0.1 < share < 0.9
     assert float(at_border.visible_fraction) == pytest.approx(share, abs=1e-6)
@@ -151,7 +178,9 @@ def test_a_vehicle_outside_the_image_changes_nothing_and_is_not_visible():
     renderer = TorchRenderer(PlainGround(None))
     place = scene((40.0, 0.0, 0.0))
     frames = renderer([place], vehicles(), masks=True)
-    assert torch.equal(frames.image, photographs(renderer.backgrounds, [place], torch.device("cpu")))
+    assert torch.equal(
+        frames.image, photographs(renderer.backgrounds, [place], torch.device("cpu"))
+    )
     assert float(frames.visible_px) == float(frames.visible_fraction) == 0.0
     assert not frames.masks.any()
 
@@ -204,7 +233,11 @@ def test_the_seed_decides_the_noise_and_nothing_else_does():
 def test_another_vehicle_far_away_leaves_pixels_and_their_noise_alone():
     renderer, batch = TorchRenderer(PlainGround(None)), vehicles(2)
     first = dataclasses.replace(
-        batch, vertices=batch.vertices[:1], texture=batch.texture[:1], parts=batch.parts[:1], ids=batch.ids[:1]
+        batch,
+        vertices=batch.vertices[:1],
+        texture=batch.texture[:1],
+        parts=batch.parts[:1],
+        ids=batch.ids[:1],
     )
     alone = renderer([scene((4.0, -3.5, 20.0), size_px=128)], first).image
     both = renderer([scene((4.0, -3.5, 20.0), (-4.0, 3.5, 70.0), size_px=128)], batch).image

@@ -42,19 +42,26 @@ def one_pixel(*srgb):
 
 def test_haze_mixes_airlight_into_linear_light():
     hazy = finish(one_pixel(0.2, 0.5, 0.9), Weather(haze=0.3)).flatten().tolist()
-    expected = [to_srgb(0.7 * to_linear(v) + 0.3 * a) for v, a in zip((0.2, 0.5, 0.9), AIRLIGHT, strict=True)]
+    expected = [
+        to_srgb(0.7 * to_linear(v) + 0.3 * a)
+        for v, a in zip((0.2, 0.5, 0.9), AIRLIGHT, strict=True)
+    ]
     assert hazy == pytest.approx(expected, abs=1e-9)
 
 
 def test_one_stop_doubles_the_light_and_clips_it():
     brighter = finish(one_pixel(0.2, 0.5, 0.9), Weather(exposure_stops=1.0)).flatten().tolist()
-    assert brighter == pytest.approx([to_srgb(2 * to_linear(0.2)), to_srgb(2 * to_linear(0.5)), 1.0], abs=1e-9)
+    assert brighter == pytest.approx(
+        [to_srgb(2 * to_linear(0.2)), to_srgb(2 * to_linear(0.5)), 1.0], abs=1e-9
+    )
     darker = finish(one_pixel(0.2, 0.5, 0.9), Weather(exposure_stops=-1.0)).flatten().tolist()
     assert darker == pytest.approx([to_srgb(to_linear(v) / 2) for v in (0.2, 0.5, 0.9)], abs=1e-9)
 
 
 def test_haze_comes_before_exposure():
-    both = finish(one_pixel(0.3, 0.3, 0.3), Weather(haze=0.4, exposure_stops=-0.5)).flatten().tolist()
+    both = (
+        finish(one_pixel(0.3, 0.3, 0.3), Weather(haze=0.4, exposure_stops=-0.5)).flatten().tolist()
+    )
     expected = [to_srgb((0.6 * to_linear(0.3) + 0.4 * a) * 2**-0.5) for a in AIRLIGHT]
     assert both == pytest.approx(expected, abs=1e-9)
 
@@ -125,7 +132,9 @@ def test_the_pictures_noise_is_not_that_of_its_vehicles():
     place, weather = scene((0, 0, 0.0), seed=3, size_px=64), Weather("noise", noise=0.02)
     quiet = TorchRenderer(PlainGround(0.4), still)([place], vehicles(), masks=True)
     inside = quiet.masks[0]
-    own = (TorchRenderer(PlainGround(0.4), noisy)([place], vehicles()).image - quiet.image)[0][:, inside]
+    own = (TorchRenderer(PlainGround(0.4), noisy)([place], vehicles()).image - quiet.image)[0][
+        :, inside
+    ]
     whole = (finish(quiet.image[0], weather, seed=3) - quiet.image[0])[:, inside]
     assert abs(float(torch.corrcoef(torch.stack((own.flatten(), whole.flatten())))[0, 1])) < 0.1
 
@@ -156,7 +165,9 @@ def post(height_m):
 
 def shaded_length_m(frames, ground):
     """How far the shaded ground reaches from the image's middle, metres."""
-    rows, columns = ((frames.image[0] < ground - 0.005).all(0) & ~frames.masks[0]).nonzero(as_tuple=True)
+    rows, columns = ((frames.image[0] < ground - 0.005).all(0) & ~frames.masks[0]).nonzero(
+        as_tuple=True
+    )
     middle = frames.image.shape[-1] / 2
     return float(torch.hypot((columns + 0.5 - middle), (rows + 0.5 - middle)).max()) * GSD
 
@@ -165,7 +176,9 @@ def shaded_length_m(frames, ground):
 def test_a_low_suns_shadow_is_as_long_as_height_over_tangent(elevation_deg):
     # 10.7 m at 8 degrees: it must not be cut by its window; the image is large enough for it.
     place = scene((0, 0, 0), tilt_deg=0.0, size_px=208)
-    sun = dataclasses.replace(place.sun, azimuth_rad=math.radians(90), elevation_rad=math.radians(elevation_deg))
+    sun = dataclasses.replace(
+        place.sun, azimuth_rad=math.radians(90), elevation_rad=math.radians(elevation_deg)
+    )
     place = dataclasses.replace(place, sun=sun, weather=Weather("low_sun", overcast=0.3))
     frames = TorchRenderer(PlainGround(0.4), SHARP)([place], post(1.5), masks=True)
     length_m = 1.5 / math.tan(math.radians(elevation_deg)) + 0.5
@@ -192,18 +205,28 @@ def test_without_sun_only_the_sky_lights_a_vehicle():
     settings = dataclasses.replace(SHARP, reflectance=0.0)
     batch = dataclasses.replace(vehicles(), texture=torch.full((1, 3, 512, 512), 0.6))
     images = [
-        TorchRenderer(PlainGround(0.1), settings)([under(Weather(overcast=o), (0.0, 0.0, 0.0), tilt_deg=0.0)], batch)
+        TorchRenderer(PlainGround(0.1), settings)(
+            [under(Weather(overcast=o), (0.0, 0.0, 0.0), tilt_deg=0.0)], batch
+        )
         for o in (0.0, 1.0)
     ]
     clear, cloudy = (frames.image[0, 0] for frames in images)
     assert float(clear[48, 48]) == pytest.approx(float(cloudy[48, 48]), abs=0.01)
     turned = cloudy.flip(0, 1)
-    assert float((cloudy - turned).abs().max()) < 0.02 < float((clear - clear.flip(0, 1)).abs().max())
+    assert (
+        float((cloudy - turned).abs().max()) < 0.02 < float((clear - clear.flip(0, 1)).abs().max())
+    )
 
 
-@pytest.mark.parametrize("weather", [Weather(haze=0.3), Weather(exposure_stops=-0.8), Weather(haze=0.2, noise=0.01)])
+@pytest.mark.parametrize(
+    "weather", [Weather(haze=0.3), Weather(exposure_stops=-0.8), Weather(haze=0.2, noise=0.01)]
+)
 def test_gradients_of_what_finishes_a_picture(weather):
-    image = (0.2 + 0.5 * torch.rand(3, 4, 4, generator=torch.Generator().manual_seed(0))).double().requires_grad_()
+    image = (
+        (0.2 + 0.5 * torch.rand(3, 4, 4, generator=torch.Generator().manual_seed(0)))
+        .double()
+        .requires_grad_()
+    )
     assert torch.autograd.gradcheck(lambda x: finish(x, weather), image)
 
 
@@ -217,7 +240,10 @@ def test_gradients_stay_finite_in_black_and_white(stops):
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_every_condition_lets_gradients_reach_texture_and_vertices(condition):
     batch = vehicles(seed=1)
-    texture, vertices = batch.texture.clone().requires_grad_(), batch.vertices.clone().requires_grad_()
+    texture, vertices = (
+        batch.texture.clone().requires_grad_(),
+        batch.vertices.clone().requires_grad_(),
+    )
     batch = dataclasses.replace(batch, texture=texture, vertices=vertices)
     image = TorchRenderer(PlainGround(0.4))([under(draw_weather(condition, 0.2))], batch).image
     image.square().sum().backward()

@@ -40,7 +40,9 @@ def fabricate(folder, scenes=40):
                 if before:
                     found["test", d].append((box, 0.9))
                 for camouflage, rate in HIDES.items():
-                    after = rng.random() > rate * (0.6 + 0.01 * sun) if before else rng.random() < 0.05
+                    after = (
+                        rng.random() > rate * (0.6 + 0.01 * sun) if before else rng.random() < 0.05
+                    )
                     if after:
                         found[f"test-{camouflage}", d].append((box, 0.8))
                     for match in ("centre_1m", "iou_50"):
@@ -61,20 +63,38 @@ def fabricate(folder, scenes=40):
         for name in names:
             if rng.random() < 0.3:
                 found[name, DETECTORS[0]].append(((150, 70, 176, 86), 0.7))
-            coco[name]["images"].append({"id": index, "file_name": f"images/{scene}.png", "width": 192, "height": 192})
+            coco[name]["images"].append(
+                {"id": index, "file_name": f"images/{scene}.png", "width": 192, "height": 192}
+            )
             picture = Image.fromarray(ground.clip(0, 255).astype(np.uint8))
             for place, box in enumerate(boxes):
-                fill = (200, 40, 40) if name == "test" else tuple(int(v) for v in rng.integers(60, 180, 3))
+                fill = (
+                    (200, 40, 40)
+                    if name == "test"
+                    else tuple(int(v) for v in rng.integers(60, 180, 3))
+                )
                 ImageDraw.Draw(picture).rectangle(box, fill=fill)
-                annotation = {"id": len(coco[name]["annotations"]), "image_id": index, "category_id": 1}
-                annotation |= {"bbox": [box[0], box[1], 36, 16], "vehicle": "saloon-0001", "placement_index": place}
+                annotation = {
+                    "id": len(coco[name]["annotations"]),
+                    "image_id": index,
+                    "category_id": 1,
+                }
+                annotation |= {
+                    "bbox": [box[0], box[1], 36, 16],
+                    "vehicle": "saloon-0001",
+                    "placement_index": place,
+                }
                 coco[name]["annotations"].append(annotation)
             path = folder / "datasets" / name / "images" / f"{scene}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             picture.save(path)
             for d in DETECTORS:
                 rows = found[name, d]
-                row = {"image": scene, "boxes": [list(b) for b, _ in rows], "scores": [s for _, s in rows]}
+                row = {
+                    "image": scene,
+                    "boxes": [list(b) for b, _ in rows],
+                    "scores": [s for _, s in rows],
+                }
                 detections[name, d].append(row)
     for name in names:
         write_json(folder / "datasets" / name / "annotations.json", coco[name])
@@ -82,12 +102,21 @@ def fabricate(folder, scenes=40):
         write_jsonl(folder / "evaluation" / "detections" / name / f"{d}.jsonl", rows)
     write_outcomes(folder / "evaluation" / "outcomes.parquet", outcomes)
     sets = [
-        SetScore(camouflage, "torch", d, match, {"original": 0.97, "T-U": 0.4}.get(camouflage, 0.94), 12.0)
+        SetScore(
+            camouflage,
+            "torch",
+            d,
+            match,
+            {"original": 0.97, "T-U": 0.4}.get(camouflage, 0.94),
+            12.0,
+        )
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
     ]
-    write_json(folder / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)})
+    write_json(
+        folder / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)}
+    )
     _write_rest(folder, rng)
     return folder
 
@@ -95,7 +124,8 @@ def fabricate(folder, scenes=40):
 def _write_rest(folder, rng):
     title = "How robust are two vehicle detectors to camouflage? (fabricated)"
     write_json(
-        folder / "config.json", {"title": title, "imagery": "procedural", "attack": {"steps": 300, "rate": 0.02}}
+        folder / "config.json",
+        {"title": title, "imagery": "procedural", "attack": {"steps": 300, "rate": 0.02}},
     )
     write_json(
         folder / "environment.json",
@@ -108,7 +138,10 @@ def _write_rest(folder, rng):
             "commands": ["skyproof demo"],
         },
     )
-    write_json(folder / "timings.json", [{"stage": "train", "seconds": 812.3}, {"stage": "attack", "seconds": 301.0}])
+    write_json(
+        folder / "timings.json",
+        [{"stage": "train", "seconds": 812.3}, {"stage": "attack", "seconds": 301.0}],
+    )
     clean = [
         {
             "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap,
@@ -125,7 +158,13 @@ def _write_rest(folder, rng):
     write_json(folder / "evaluation" / "clean.json", clean)
     for d in DETECTORS:
         validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
-        about = {"name": d, "size": "slim", "threshold": 0.5, "parameters": 712_345, "validation": validation}
+        about = {
+            "name": d,
+            "size": "slim",
+            "threshold": 0.5,
+            "parameters": 712_345,
+            "validation": validation,
+        }
         about["trained_on"] = f"renders for {d}"
         write_json(folder / "detectors" / d / "detector.json", about)
         losses = 2 * np.exp(-np.arange(400) / 80) + 0.1 + 0.05 * rng.random(400)
@@ -135,7 +174,11 @@ def _write_rest(folder, rng):
     write_json(attack / "camouflage.json", {"name": "T-U"})
     fading = np.exp(-np.arange(300) / 100)
     rows = [
-        {"step": i, "loss": float(f), "losses": {d: float(f * (0.5 + 0.1 * rng.random())) for d in DETECTORS}}
+        {
+            "step": i,
+            "loss": float(f),
+            "losses": {d: float(f * (0.5 + 0.1 * rng.random())) for d in DETECTORS},
+        }
         for i, f in enumerate(fading)
     ]
     write_jsonl(attack / "steps.jsonl", rows)
@@ -161,18 +204,33 @@ def fabricate_cycles(folder):
         outcomes.append(dataclasses.replace(outcome, renderer="cycles", detected_adversarial=found))
     write_outcomes(cycles / "outcomes.parquet", outcomes)
     sets = [
-        SetScore(camouflage, "cycles", d, match, {"original": 0.88, "T-U": 0.6}.get(camouflage, 0.8), 15.0)
+        SetScore(
+            camouflage,
+            "cycles",
+            d,
+            match,
+            {"original": 0.88, "T-U": 0.6}.get(camouflage, 0.8),
+            15.0,
+        )
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
     ]
-    write_json(cycles / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)})
+    write_json(
+        cycles / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)}
+    )
     seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
-    clean = [row for row in read_json(evaluation / "clean.json") if row["dataset"] == "rendered test"]
+    clean = [
+        row for row in read_json(evaluation / "clean.json") if row["dataset"] == "rendered test"
+    ]
     write_json(cycles / "clean.json", [{**row, **seen} for row in clean])
     return folder
 
 
 if __name__ == "__main__":
     fabricate(Path(sys.argv[1]))
-    print(json.dumps(str(fabricate_cycles(Path(sys.argv[1])) if "--cycles" in sys.argv else sys.argv[1])))
+    print(
+        json.dumps(
+            str(fabricate_cycles(Path(sys.argv[1])) if "--cycles" in sys.argv else sys.argv[1])
+        )
+    )

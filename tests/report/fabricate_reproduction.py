@@ -35,7 +35,13 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
                 else:
                     lost = spread.binomial(before, min(max(rate, 0.0), 1.0), len(TILES))
                 counts = np.stack(
-                    [np.full(len(TILES), PER_TILE), before - lost, lost, np.zeros(len(TILES), dtype=int)], axis=1
+                    [
+                        np.full(len(TILES), PER_TILE),
+                        before - lost,
+                        lost,
+                        np.zeros(len(TILES), dtype=int),
+                    ],
+                    axis=1,
                 )
                 series[Series(name, renderer, detector, match)] = counts
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
@@ -46,18 +52,35 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
 
 def write_record(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
     """Writes a camouflage.json with what an attack records."""
-    signs = {d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors}
+    signs = {
+        d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors
+    }
     losses = {"before": dict.fromkeys(detectors, 0.1), "after": dict.fromkeys(detectors, 0.2)}
-    attack = {"camouflage": name, "detectors": dict.fromkeys(detectors, "digest"), "settings": {}, "scenes": {}}
+    attack = {
+        "camouflage": name,
+        "detectors": dict.fromkeys(detectors, "digest"),
+        "settings": {},
+        "scenes": {},
+    }
     record = {"attack": attack, "sign_test": signs, "discretisation": losses}
-    write_json(folder / "camouflages" / name / "camouflage.json", {"format": 2, "camouflage": {}, "record": record})
+    write_json(
+        folder / "camouflages" / name / "camouflage.json",
+        {"format": 2, "camouflage": {}, "record": record},
+    )
 
 
 def fabricate(folder):
     """The whole paper, made up: to look at."""
     rng = np.random.default_rng(0)
     texture = {"U": 0.97, "Pix": 0.93, "Lc": 0.9, "PixLc": 0.92, "Fc": 0.45, "PixFc": 0.4}
-    texture |= {"Ma": 0.7, "PixMa": 0.66, "LcMa": 0.6, "PixLcMa": 0.62, "FcMa": 0.2, "PixFcMa": 0.15}
+    texture |= {
+        "Ma": 0.7,
+        "PixMa": 0.66,
+        "LcMa": 0.6,
+        "PixLcMa": 0.62,
+        "FcMa": 0.2,
+        "PixFcMa": 0.15,
+    }
     rates = {}
     for repeat in range(3):
         for name, rate in texture.items():
@@ -74,13 +97,25 @@ def fabricate(folder):
             rates[f"R-S-O@{pm:g}-{repeat}"] = 0.15 * pm
         for detector in DETECTORS:
             rates[f"T-U_on_{detector}-{repeat}"] = 0.8
-    rates |= {"T-U_step1-0": 0.1, "T-U_step10-0": 0.6, "T-Fc_step1-0": 0.3, "T-Fc_step10-0": 0.2, "T-Fc_relaxed-0": 0.6}
+    rates |= {
+        "T-U_step1-0": 0.1,
+        "T-U_step10-0": 0.6,
+        "T-Fc_step1-0": 0.3,
+        "T-Fc_step10-0": 0.2,
+        "T-Fc_relaxed-0": 0.6,
+    }
     names = list(rates)
     for batch in range(0, len(names), 50):
         part = {name: rates[name] for name in names[batch : batch + 50]}
         write_scores(folder / "scores" / f"{batch:03d}", part, spread=rng)
         seen = {name: 0.1 + 0.7 * rate for name, rate in part.items() if "_" not in name}
-        write_scores(folder / "scores-cycles" / f"{batch:03d}", seen, spread=rng, renderer="cycles", found=0.8)
+        write_scores(
+            folder / "scores-cycles" / f"{batch:03d}",
+            seen,
+            spread=rng,
+            renderer="cycles",
+            found=0.8,
+        )
     for name in names:
         if not name.startswith("R-") and "_step" not in name and "_relaxed" not in name:
             alone = name.partition("_on_")[2].rpartition("-")[0]

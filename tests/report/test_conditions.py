@@ -11,7 +11,10 @@ from skyproof.report.conditions import condition_panels
 
 def outcomes(conditions):
     """One vehicle per condition and tile, found before; those in haze are lost."""
-    blank = {f.name: {"str": "", "int": 0, "bool": True, "float": 30.0}[f.type] for f in dataclasses.fields(Outcome)}
+    blank = {
+        f.name: {"str": "", "int": 0, "bool": True, "float": 30.0}[f.type]
+        for f in dataclasses.fields(Outcome)
+    }
     return [
         Outcome(
             **blank
@@ -34,7 +37,11 @@ def panels(conditions):
 
 def test_weather_has_a_panel_where_scenes_differ_in_it():
     panel = panels(["clear", "haze", "low_sun", "haze", "clear", "clear"])["Weather and light"]
-    assert [(bar.label, bar.vehicles) for bar in panel.bins] == [("clear", 3), ("haze", 2), ("low\nsun", 1)]
+    assert [(bar.label, bar.vehicles) for bar in panel.bins] == [
+        ("clear", 3),
+        ("haze", 2),
+        ("low\nsun", 1),
+    ]
     assert [bar.rate.estimate for bar in panel.bins] == [0.0, 1.0, 0.0]
     assert panel.overall == pytest.approx(2 / 6)
 

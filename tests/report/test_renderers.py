@@ -44,21 +44,31 @@ def page(both):
 
 
 def words_of(text):
-    return re.sub(r"\s+", " ", re.sub(r"<(svg|style).*?</\1>|<[^>]+>", " ", text, flags=re.S)).strip()
+    return re.sub(
+        r"\s+", " ", re.sub(r"<(svg|style).*?</\1>|<[^>]+>", " ", text, flags=re.S)
+    ).strip()
 
 
 def table_of(page, caption):
     """The body of the table with these words in its caption, as rows of cells."""
     table = next(
-        part for part in re.findall(r"<table>.*?</table>", page, re.S) if caption in part.split("</caption>")[0]
+        part
+        for part in re.findall(r"<table>.*?</table>", page, re.S)
+        if caption in part.split("</caption>")[0]
     )
     rows = re.findall(r"<tr[^>]*>(.*?)</tr>", table[table.index("<tbody>") :], re.S)
-    return [[words_of(cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row, re.S)] for row in rows]
+    return [
+        [words_of(cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row, re.S)] for row in rows
+    ]
 
 
 def rows_of(path, camouflage, match="centre_1m"):
     rows = read_json(path)["rows"]
-    return {row["detector"]: row for row in rows if (row["camouflage"], row["match"]) == (camouflage, match)}
+    return {
+        row["detector"]: row
+        for row in rows
+        if (row["camouflage"], row["match"]) == (camouflage, match)
+    }
 
 
 def shown(row, key):
@@ -70,7 +80,11 @@ def test_every_number_stands_in_the_cell_of_its_renderer(both, page):
     files = (both / "results.json", both / "evaluation-cycles" / "results.json")
     attack, control = ([rows_of(path, name) for path in files] for name in ("T-U", "R-U"))
     assert list(cells) == ["RetinaNet", "Faster R-CNN", "mean"]
-    for label, name in (("RetinaNet", "retinanet"), ("Faster R-CNN", "faster_rcnn"), ("mean", "mean")):
+    for label, name in (
+        ("RetinaNet", "retinanet"),
+        ("Faster R-CNN", "faster_rcnn"),
+        ("mean", "mean"),
+    ):
         expected = [shown(rows[name], "easr") for rows in attack]
         expected += [shown(rows[name], "easr") for rows in control]
         expected += [shown(rows[name], "net_easr") for rows in attack]
@@ -96,8 +110,13 @@ def test_both_renderers_have_an_answer_and_their_tables(page):
 
 def test_detectors_are_checked_on_the_images_of_both(run_folder, page):
     checked = {(row[0], row[1]): row[4] for row in table_of(page, "On clean, annotated images")}
-    assert {key: words_of(percent(ap, 1)) for key, ap in (("rendered test", 0.97), ("Blender Cycles test", 0.88))} == {
-        name: ap for (detector, name), ap in checked.items() if detector == "RetinaNet" and "test" in name
+    assert {
+        key: words_of(percent(ap, 1))
+        for key, ap in (("rendered test", 0.97), ("Blender Cycles test", 0.88))
+    } == {
+        name: ap
+        for (detector, name), ap in checked.items()
+        if detector == "RetinaNet" and "test" in name
     }
     # Images by Blender are not real ones.
     clean = run_folder / "evaluation" / "clean.json"
@@ -111,9 +130,15 @@ def test_pairs_come_from_the_images_of_their_renderer(page):
         colour = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))))[5, 5]
         return bool(np.abs(colour.astype(int) - (30, 60, 200)).max() < 12)
 
-    pictures = re.findall(r'<img src="data:image/jpeg;base64,([^"]+)" alt="Scene (\S+) [^"]*?camouflage(.*?)"', page)
+    pictures = re.findall(
+        r'<img src="data:image/jpeg;base64,([^"]+)" alt="Scene (\S+) [^"]*?camouflage(.*?)"', page
+    )
     drawn = [(scene, "Cycles" in rest, is_blue(picture)) for picture, scene, rest in pictures]
-    assert [blue for _, _, blue in drawn] == [said for _, said, _ in drawn] == [False] * 16 + [True] * 10
+    assert (
+        [blue for _, _, blue in drawn]
+        == [said for _, said, _ in drawn]
+        == [False] * 16 + [True] * 10
+    )
     assert [scene for scene, _, _ in drawn[:6]] == [scene for scene, _, _ in drawn[16:22]]
 
 
@@ -148,7 +173,11 @@ def headline(renderer, easr, net=None, interval_m=0.05):
     row = {"detector": "retinanet", "easr": easr, "net_easr": net}
     for key in RATES:
         known = row[key] is not None and interval_m is not None
-        row |= {f"{key}_low": row[key] - interval_m, f"{key}_high": row[key] + interval_m} if known else {}
+        row |= (
+            {f"{key}_low": row[key] - interval_m, f"{key}_high": row[key] + interval_m}
+            if known
+            else {}
+        )
         row |= {} if known else {f"{key}_low": None, f"{key}_high": None}
     return Headline("T-U", renderer, row, [row], {})
 
@@ -161,11 +190,19 @@ def headline(renderer, easr, net=None, interval_m=0.05):
             headline("cycles", 0.6, 0.5),
             "The missing part leant on how the differentiable",
         ),
-        (headline("torch", 0.9, 0.85), headline("cycles", 0.88, 0.6), "Random patterns hide more here"),
+        (
+            headline("torch", 0.9, 0.85),
+            headline("cycles", 0.88, 0.6),
+            "Random patterns hide more here",
+        ),
         (headline("torch", 0.6, 0.5), headline("cycles", 0.9, 0.85), "Net success is higher"),
         (headline("torch", 0.9, 0.85), headline("cycles", 0.86, 0.79), "cannot be told apart"),
         (headline("torch", 0.9), headline("cycles", 0.6, 0.5), "The share hidden is lower"),
-        (headline("torch", 0.9, 0.85, None), headline("cycles", 0.6, 0.5), "The difference has no interval"),
+        (
+            headline("torch", 0.9, 0.85, None),
+            headline("cycles", 0.6, 0.5),
+            "The difference has no interval",
+        ),
         (headline("torch", 0.9, 0.85), headline("cycles", None), "cannot be compared"),
     ],
 )
@@ -179,7 +216,8 @@ def test_limits_of_the_change_by_hand():
     second = {"detector": "mean", "net_easr": 0.4, "net_easr_low": 0.37, "net_easr_high": 0.52}
     only_first = {**first, "detector": "yolov5"}
     rows = compare_renderers(
-        Headline("T-U", "torch", {}, [only_first, first], {}), Headline("T-U", "cycles", {}, [second], {})
+        Headline("T-U", "torch", {}, [only_first, first], {}),
+        Headline("T-U", "cycles", {}, [second], {}),
     )
     assert [row.detector for row in rows] == ["mean"]
     change = rows[0].change

@@ -54,7 +54,9 @@ def test_the_numbers_are_those_of_the_results(fabricated, page):
             if row[key] is not None and row["detector"] == "mean":
                 assert percent(row[key]).replace("\u202f", " ") in text
         assert percent(row["asr"], 1).replace("\u202f", " ") in text
-    mean = next(r for r in read_json(fabricated / "results.json")["rows"] if r["detector"] == "mean")
+    mean = next(
+        r for r in read_json(fabricated / "results.json")["rows"] if r["detector"] == "mean"
+    )
     limits = interval(mean["easr_low"], mean["easr_high"]).replace("\u202f", " ")
     assert f"hides {percent(mean['easr'])} (95 % interval {limits})".replace("\u202f", " ") in text
 
@@ -74,7 +76,10 @@ def test_synthetic_data_alone_is_said_in_the_first_lines(run_folder):
     change_checks(run_folder, lambda row: None if row["real"] else row)
     page = rebuilt(run_folder)
     told = first_lines(page)
-    assert "Synthetic data only. Ground, vehicles and every image that the detectors were checked on are" in told
+    assert (
+        "Synthetic data only. Ground, vehicles and every image that the detectors were checked on are"
+        in told
+    )
     assert "They are not evidence about real imagery" in told
     (run_folder / "evaluation" / "clean.json").unlink()
     page = rebuilt(run_folder)
@@ -86,7 +91,9 @@ def test_rendered_frames_do_not_count_as_real(run_folder):
     change_checks(run_folder, lambda row: row | {"real": False})
     assert "Synthetic data only." in first_lines(rebuilt(run_folder))
     # Runs of before it was said go by the name.
-    change_checks(run_folder, lambda row: {key: value for key, value in row.items() if key != "real"})
+    change_checks(
+        run_folder, lambda row: {key: value for key, value in row.items() if key != "real"}
+    )
     assert "Synthetic data only." not in first_lines(rebuilt(run_folder))
 
 
@@ -97,7 +104,10 @@ def test_synthetic_ground_with_a_check_on_real_images(page, run_folder):
         "an AP of 21 % (RetinaNet, 19 to 23 %) and 21 % (Faster R-CNN, 19 to 23 %) on KIT AIS Munich. "
         "RetinaNet and Faster R-CNN are below 80 %: what hides vehicles"
     ) in told
-    change_checks(run_folder, lambda row: row | {"ap_centre_1m": 0.85} if row["detector"] == "retinanet" else row)
+    change_checks(
+        run_folder,
+        lambda row: row | {"ap_centre_1m": 0.85} if row["detector"] == "retinanet" else row,
+    )
     assert "KIT AIS Munich. Faster R-CNN is below 80 %" in first_lines(rebuilt(run_folder))
     change_checks(run_folder, lambda row: row | {"ap_centre_1m": 0.85})
     assert "below 80 %" not in first_lines(rebuilt(run_folder))
@@ -111,14 +121,19 @@ def test_real_ground(run_folder, checked):
     real = rebuilt(run_folder)
     told = first_lines(real)
     assert "Real ground, rendered vehicles." in told
-    assert ("On real vehicles without camouflage the detectors score an AP of 21 %" in told) == checked
+    assert (
+        "On real vehicles without camouflage the detectors score an AP of 21 %" in told
+    ) == checked
     assert ("The detectors were not checked on real vehicles" in told) != checked
     assert "Selwyn 2012" in real[: real.index("The answer")]
 
 
 def test_what_the_detectors_score_stands_above_the_answer(run_folder, page):
     table = page[page.index('<table class="checked">') : page.index("The answer")]
-    rows = [words_of(row).replace("\u202f", " ").strip() for row in re.findall(r"<tr><td.*?</tr>", table, re.S)]
+    rows = [
+        words_of(row).replace("\u202f", " ").strip()
+        for row in re.findall(r"<tr><td.*?</tr>", table, re.S)
+    ]
     assert rows == [
         "rendered test (computer-generated) 60 images, 140 vehicles; intervals over 20 background tiles "
         + " ".join(["97.0 % (95 to 99 %) recall 97 %, precision 90 %"] * 2),
@@ -138,7 +153,9 @@ def test_what_the_detectors_score_stands_above_the_answer(run_folder, page):
         ),
     )
     page = rebuilt(run_folder)
-    table = words_of(page[page.index('<table class="checked">') : page.index("The answer")]).replace("\u202f", " ")
+    table = words_of(
+        page[page.index('<table class="checked">') : page.index("The answer")]
+    ).replace("\u202f", " ")
     assert "intervals over 2 places 21.0 % recall 21 %, precision 90 % –" in table
     assert "an AP of 21 % (RetinaNet) on KIT AIS Munich" in first_lines(page)
 
@@ -197,7 +214,11 @@ def test_missing_optional_parts_are_said(run_folder, missing, said):
 
 def test_rows_with_only_the_required_keys_and_nulls(run_folder):
     required = read_json(run_folder / "results.json")["rows"][0]
-    row = dict(list(required.items())[:16]) | {"net_easr": None, "net_easr_low": None, "net_easr_high": None}
+    row = dict(list(required.items())[:16]) | {
+        "net_easr": None,
+        "net_easr_low": None,
+        "net_easr_high": None,
+    }
     write_json(run_folder / "results.json", {"rows": [row]})
     assert "No random control was run" in rebuilt(run_folder)
     undefined = row | dict.fromkeys(("easr", "easr_low", "easr_high", "asr", "er", "apd"))
@@ -261,7 +282,11 @@ def test_the_report_imports_no_torch():
 
 def test_a_bin_without_an_estimate_is_drawn_empty():
     nan = float("nan")
-    panel = Panel("Body type", [Bin("van", 0, Interval(nan, nan, nan)), Bin("car", 3, Interval(0.5, 0.2, 0.8))], 0.5)
+    panel = Panel(
+        "Body type",
+        [Bin("van", 0, Interval(nan, nan, nan)), Bin("car", 3, Interval(0.5, 0.2, 0.8))],
+        0.5,
+    )
     assert condition_figure([panel]).startswith("<svg")
 
 

@@ -18,14 +18,34 @@ def folder(tmp_path):
     """20 tiles of 10 vehicles, all found before; the same share is lost on every tile."""
     write_scores(
         tmp_path / "scores" / "000",
-        {"T-U-0": 0.8, "T-U-1": 1.0, "R-U-0": 0.1, "R-U-1": 0.3, "T-Fc-0": 0.2, "T-Fc-1": 0.4, "R-Fc-0": 0.1}
+        {
+            "T-U-0": 0.8,
+            "T-U-1": 1.0,
+            "R-U-0": 0.1,
+            "R-U-1": 0.3,
+            "T-Fc-0": 0.2,
+            "T-Fc-1": 0.4,
+            "R-Fc-0": 0.1,
+        }
         | {"T-U_step1-0": 0.1, "T-U_step10-0": 0.9, "T-Fc_step1-0": 0.1, "T-Fc_relaxed-0": 0.5},
     )
     write_scores(
         tmp_path / "scores" / "001",
-        {"S-O@0.2-0": 0.4, "S-O@0.2-1": 0.4, "S-O@0.4-0": 0.9, "S-O@0.4-1": 0.7, "S-O@1-0": 1.0, "R-S-O@0.4-0": 0.1}
+        {
+            "S-O@0.2-0": 0.4,
+            "S-O@0.2-1": 0.4,
+            "S-O@0.4-0": 0.9,
+            "S-O@0.4-1": 0.7,
+            "S-O@1-0": 1.0,
+            "R-S-O@0.4-0": 0.1,
+        }
         | {"S-O@0.2_step1-0": 1.0}
-        | {"C-Fc-seq@0.2-0": 0.8, "C-Fc-seq@0.2-1": 0.8, "R-C-Fc@0.2-0": 0.2, "T-U_on_yolov5-0": 0.6},
+        | {
+            "C-Fc-seq@0.2-0": 0.8,
+            "C-Fc-seq@0.2-1": 0.8,
+            "R-C-Fc@0.2-0": 0.2,
+            "T-U_on_yolov5-0": 0.6,
+        },
     )
     for name in ("T-U-0", "T-U-1", "T-Fc-0", "S-O@0.4-0"):
         write_record(tmp_path, name)
@@ -43,7 +63,9 @@ def folder(tmp_path):
 
 def table(folder, name):
     with open(folder / "tables" / f"{name}.csv", newline="", encoding="utf-8") as file:
-        return {row["attack"] if "attack" in row else row["set"]: row for row in csv.DictReader(file)}
+        return {
+            row["attack"] if "attack" in row else row["set"]: row for row in csv.DictReader(file)
+        }
 
 
 def close(text, expected):
@@ -61,7 +83,12 @@ def test_textures(folder):
     close(row["random_easr"], 20)  # of 10 and 30
     close(row["net_easr"], 70)
     close(row["apd"], 45)  # 0.9 - (0.9 - 0.5 * 0.9)
-    assert (row["repeats"], row["practicality"], row["paper_easr"], row["paper_apd"]) == ("2", "-3", "95.77", "50.97")
+    assert (row["repeats"], row["practicality"], row["paper_easr"], row["paper_apd"]) == (
+        "2",
+        "-3",
+        "95.77",
+        "50.97",
+    )
     assert float(row["easr_low"]) < 90 < float(row["easr_high"])
     # A control has no control; what was not measured has no sum of signs.
     assert (rows["R-U"]["net_easr"], rows["T-Fc"]["practicality"]) == ("–", "–")
@@ -86,7 +113,9 @@ def test_shapes_at_their_best_magnitude(folder):
     close(combined["net_easr"], 60)
     assert (combined["paper_pm_star"], combined["paper_easr"]) == ("0.2", "86.8")
     with open(folder / "tables" / "curves.csv", newline="", encoding="utf-8") as file:
-        points = [(row["attack"], float(row["pm"]), float(row["easr"])) for row in csv.DictReader(file)]
+        points = [
+            (row["attack"], float(row["pm"]), float(row["easr"])) for row in csv.DictReader(file)
+        ]
     assert points == [
         ("S-O", 0, 0), ("S-O", 0.2, 40), ("S-O", 0.4, 80), ("S-O", 1, 100), ("C-Fc-seq", 0, 30), ("C-Fc-seq", 0.2, 80),
     ]  # fmt: skip
@@ -95,7 +124,11 @@ def test_shapes_at_their_best_magnitude(folder):
 def test_ladder_gap_and_signs(folder):
     write_reproduction(folder)
     ladder = table(folder, "ladder")
-    assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == ["10", "90", "80"]
+    assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == [
+        "10",
+        "90",
+        "80",
+    ]
     # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: from 90 to 80 is no sure fall, 100 to 40 is.
     falls = {name: (row["never_falls"], row["never_surely_falls"]) for name, row in ladder.items()}
     assert falls == {"T-U-0": ("no", "yes"), "T-Fc-0": ("yes", "yes"), "S-O@0.2-0": ("no", "no")}
@@ -110,7 +143,9 @@ def test_ladder_gap_and_signs(folder):
 def test_transfer(folder):
     write_reproduction(folder)
     with open(folder / "tables" / "transfer.csv", newline="", encoding="utf-8") as file:
-        rows = [(row["attacked_on"], row["retinanet"], row["yolov5"]) for row in csv.DictReader(file)]
+        rows = [
+            (row["attacked_on"], row["retinanet"], row["yolov5"]) for row in csv.DictReader(file)
+        ]
     assert rows == [("yolov5", "60", "60"), ("retinanet yolov5", "90", "90")]
 
 
@@ -129,14 +164,24 @@ def test_order_beside_the_papers(folder):
 
 def add_cycles(folder):
     """8 of 10 vehicles found before; shares of eighths are lost, on every tile alike."""
-    rates = {"T-U-0": 0.5, "T-U-1": 0.75, "R-U-0": 0.125, "R-U-1": 0.375, "T-Fc-0": 0.5, "R-Fc-0": 0.25}
+    rates = {
+        "T-U-0": 0.5,
+        "T-U-1": 0.75,
+        "R-U-0": 0.125,
+        "R-U-1": 0.375,
+        "T-Fc-0": 0.5,
+        "R-Fc-0": 0.25,
+    }
     rates |= {"T-Fc-1": 0.5, "S-O@0.4-0": 0.5, "S-O@0.4-1": 0.25, "R-S-O@0.4-0": 0.25}
     write_scores(folder / "scores-cycles" / "000", rates, found=0.8, renderer="cycles")
 
 
 def test_cycles_beside_the_renderer(folder):
     write_reproduction(folder)
-    before = {name: table(folder, name) for name in ("textures", "shape_combined", "agreement", "ladder", "gap")}
+    before = {
+        name: table(folder, name)
+        for name in ("textures", "shape_combined", "agreement", "ladder", "gap")
+    }
     page = (folder / "tables" / "README.md").read_text()
     assert "Cycles" not in page
     assert not (folder / "tables" / "cycles.csv").exists()
@@ -149,7 +194,9 @@ def test_cycles_beside_the_renderer(folder):
     assert {row["renderer"] for row in both[len(results) :]} == {"cycles"}
     for name, rows in before.items():
         after = table(folder, name)
-        assert {attack: {key: after[attack][key] for key in row} for attack, row in rows.items()} == rows, name
+        assert {
+            attack: {key: after[attack][key] for key in row} for attack, row in rows.items()
+        } == rows, name
 
     row = table(folder, "textures")["T-U"]
     close(row["cycles_easr"], 62.5)  # of 50 and 75
@@ -167,7 +214,11 @@ def test_cycles_beside_the_renderer(folder):
     close(alone["cycles_easr"], 37.5)
     close(alone["cycles_net_easr"], 12.5)
     combined = table(folder, "shape_combined")["C-Fc-seq"]
-    assert (combined["cycles_easr"], combined["cycles_change"], combined["paper_easr_blender"]) == ("–", "–", "70.37")
+    assert (combined["cycles_easr"], combined["cycles_change"], combined["paper_easr_blender"]) == (
+        "–",
+        "–",
+        "70.37",
+    )
 
 
 def test_how_far_success_moves_to_cycles(folder):
@@ -175,7 +226,13 @@ def test_how_far_success_moves_to_cycles(folder):
     write_reproduction(folder)
     with open(folder / "tables" / "cycles.csv", newline="", encoding="utf-8") as file:
         rows = {row["kind"]: row for row in csv.DictReader(file)}
-    assert list(rows) == ["textures", "shapes", "all attacks", "random textures", "random shapes and combinations"]
+    assert list(rows) == [
+        "textures",
+        "shapes",
+        "all attacks",
+        "random textures",
+        "random shapes and combinations",
+    ]
     # T-U 80, 100 and T-Fc 20, 40 on the renderer; 50, 75 and 50, 50 on Cycles.
     close(rows["textures"]["easr"], 60)
     close(rows["textures"]["cycles_easr"], 56.25)
@@ -184,13 +241,21 @@ def test_how_far_success_moves_to_cycles(folder):
     close(rows["textures"]["change_low"], -3.75 - 100 * (1 - 0.025**0.05))
     # 10, 30 and 10 became 12.5, 37.5 and 25.
     close(rows["random textures"]["change"], 25 - 50 / 3)
-    assert (rows["random textures"]["camouflages"], rows["random textures"]["paper_number"]) == ("2", "4")
+    assert (rows["random textures"]["camouflages"], rows["random textures"]["paper_number"]) == (
+        "2",
+        "4",
+    )
     close(rows["random textures"]["paper_easr_blender"], (16.31 + 18.95 + 18.95 + 20.24) / 4)
     close(rows["shapes"]["change"], 37.5 - 80)  # S-O@0.2 and S-O@1 were not scored on Cycles
 
 
 def test_one_repeat_of_two_on_cycles(folder):
-    write_scores(folder / "scores-cycles" / "000", {"T-U-1": 0.5, "R-U-0": 0.25}, found=0.8, renderer="cycles")
+    write_scores(
+        folder / "scores-cycles" / "000",
+        {"T-U-1": 0.5, "R-U-0": 0.25},
+        found=0.8,
+        renderer="cycles",
+    )
     page = write_reproduction(folder).read_text()
     row = table(folder, "textures")["T-U"]
     close(row["easr"], 90)
@@ -221,7 +286,9 @@ def test_the_page_says_what_the_cycles_column_is(folder):
     assert "| 62.5 (" in texture
     assert "| 37.5 (" in texture
     assert "| 95.77 | 70.02 | 50.97 |" in texture
-    header = next(line for line in page.splitlines() if line.startswith("| attack | practicality |"))
+    header = next(
+        line for line in page.splitlines() if line.startswith("| attack | practicality |")
+    )
     assert header.count("|") == texture.count("|")
     assert "## On Cycles" in page
     assert "Blender’s path tracer Cycles" in page
@@ -236,7 +303,9 @@ def test_the_page_says_what_the_cycles_column_is(folder):
 
 
 def test_undefined_success_is_a_dash(tmp_path):
-    write_scores(tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0)
+    write_scores(
+        tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0
+    )
     write_reproduction(tmp_path)
     assert table(tmp_path, "textures")["T-U"]["easr"] == "–"
     assert "| T-U | – | – |" in (tmp_path / "tables" / "README.md").read_text()
@@ -244,15 +313,23 @@ def test_undefined_success_is_a_dash(tmp_path):
 
 def test_synthetic_data_alone_is_said_first(folder):
     lines = write_reproduction(folder).read_text().split("\n\n")
-    assert lines[1].startswith("**Synthetic data only.** Ground and vehicles are computer-generated")
-    assert "(AP with centres within 1 m: RetinaNet 90.0 %, YOLOv5 90.0 %), not on real ones" in lines[1]
+    assert lines[1].startswith(
+        "**Synthetic data only.** Ground and vehicles are computer-generated"
+    )
+    assert (
+        "(AP with centres within 1 m: RetinaNet 90.0 %, YOLOv5 90.0 %), not on real ones"
+        in lines[1]
+    )
 
 
 def test_files_and_the_same_bytes_again(folder):
     page = write_reproduction(folder)
     assert page == folder / "tables" / "README.md"
     names = {"README.md", "textures.md", "shape_combined.md", "easr_vs_pr.svg", "easr_vs_pr.png"}
-    names |= {f"{name}.csv" for name in ("textures", "shape_combined", "curves", "agreement", "practicality")}
+    names |= {
+        f"{name}.csv"
+        for name in ("textures", "shape_combined", "curves", "agreement", "practicality")
+    }
     names |= {f"{name}.csv" for name in ("transfer", "ladder", "signs", "gap")}
     first = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
     assert set(first) == names

@@ -26,7 +26,9 @@ def _set(folder, image, split="train"):
 
 @pytest.fixture
 def noise():
-    return torch.randint(256, (3, 60, 80), dtype=torch.uint8, generator=torch.Generator().manual_seed(3))
+    return torch.randint(
+        256, (3, 60, 80), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)
+    )
 
 
 def test_whole_pixel_window_is_an_exact_copy(tmp_path, noise):
@@ -75,8 +77,16 @@ def test_sampled_windows_are_inside_and_use_all_of_the_tile(tmp_path, noise):
     for _ in range(300):
         window = backgrounds.sample_window("attack", 40, generator=generator)
         for dx, dy in ((-20, -20), (20, -20), (20, 20), (-20, 20)):
-            x = window.centre_x_px + math.cos(window.rotation_rad) * dx + math.sin(window.rotation_rad) * dy
-            y = window.centre_y_px - math.sin(window.rotation_rad) * dx + math.cos(window.rotation_rad) * dy
+            x = (
+                window.centre_x_px
+                + math.cos(window.rotation_rad) * dx
+                + math.sin(window.rotation_rad) * dy
+            )
+            y = (
+                window.centre_y_px
+                - math.sin(window.rotation_rad) * dx
+                + math.cos(window.rotation_rad) * dy
+            )
             assert -1e-9 <= x <= 80 + 1e-9
             assert -1e-9 <= y <= 60 + 1e-9
         backgrounds.window(window, 40)
@@ -113,7 +123,9 @@ def test_an_exact_quarter_turn_agrees_with_interpolation(tmp_path, noise):
     backgrounds = _set(tmp_path, noise)
     for quarters in range(4):
         exact = backgrounds.window(BackgroundWindow("one", 40.0, 30.0, quarters * math.pi / 2), 40)
-        near = backgrounds.window(BackgroundWindow("one", 40.0, 30.0, quarters * math.pi / 2 + 1e-9), 40)
+        near = backgrounds.window(
+            BackgroundWindow("one", 40.0, 30.0, quarters * math.pi / 2 + 1e-9), 40
+        )
         torch.testing.assert_close(exact, near, atol=1e-4, rtol=0)
 
 
@@ -172,7 +184,9 @@ def test_same_seed_same_bytes_whatever_the_counts(tmp_path):
     name = "tiles/test-00000.png"
     assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
-    assert (tmp_path / "b" / "tiles/test-00001.png").read_bytes() != (tmp_path / "b" / name).read_bytes()
+    assert (tmp_path / "b" / "tiles/test-00001.png").read_bytes() != (
+        tmp_path / "b" / name
+    ).read_bytes()
     assert len(first.tiles("train")) == 2
     assert first.tiles("test")[0].sun_elevation_rad > 0
     assert torch.equal(before, torch.random.get_rng_state())
@@ -180,7 +194,9 @@ def test_same_seed_same_bytes_whatever_the_counts(tmp_path):
 
 def test_progress_and_unknown_split(tmp_path):
     calls = []
-    write_procedural_backgrounds(tmp_path, {"train": 2}, 64, seed=0, progress=lambda *call: calls.append(call))
+    write_procedural_backgrounds(
+        tmp_path, {"train": 2}, 64, seed=0, progress=lambda *call: calls.append(call)
+    )
     assert calls == [(1, 2), (2, 2)]
     with pytest.raises(ConfigurationError, match="holiday"):
         write_procedural_backgrounds(tmp_path, {"holiday": 1}, 64, seed=0)

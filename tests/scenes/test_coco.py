@@ -6,11 +6,20 @@ import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.scenes.coco import Annotation, CocoWriter, encode_rle, read_coco, read_rendering, read_visible_fractions
+from skyproof.scenes.coco import (
+    Annotation,
+    CocoWriter,
+    encode_rle,
+    read_coco,
+    read_rendering,
+    read_visible_fractions,
+)
 
 
 def _image(seed, height=20, width=30):
-    return torch.randint(256, (3, height, width), dtype=torch.uint8, generator=torch.Generator().manual_seed(seed))
+    return torch.randint(
+        256, (3, height, width), dtype=torch.uint8, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 def _mask():
@@ -23,13 +32,20 @@ def _mask():
 def _write(folder):
     with CocoWriter(folder, gsd_m=0.125) as writer:
         first = Annotation((10.0, 4.0, 18.0, 9.0), (13.5, 6.5), 0.75, _mask(), "van-3", 0)
-        writer.add(_image(0), "scene-a", [first, Annotation((0.5, 1.5, 4.0, 6.25), (2.0, 4.0), ignore=True)])
+        writer.add(
+            _image(0),
+            "scene-a",
+            [first, Annotation((0.5, 1.5, 4.0, 6.25), (2.0, 4.0), ignore=True)],
+        )
         writer.add(_image(1, 24, 16), "scene-b", [])
 
 
 def test_run_lengths_by_hand():
     # Columns are (0, 1, 1) and (1, 0, 0): one zero, three ones, two zeros.
-    assert encode_rle(torch.tensor([[0, 1], [1, 0], [1, 0]]).bool()) == {"size": [3, 2], "counts": [1, 3, 2]}
+    assert encode_rle(torch.tensor([[0, 1], [1, 0], [1, 0]]).bool()) == {
+        "size": [3, 2],
+        "counts": [1, 3, 2],
+    }
     assert encode_rle(torch.tensor([[1, 0]]).bool()) == {"size": [1, 2], "counts": [0, 1, 1]}
     assert encode_rle(torch.zeros(2, 2).bool())["counts"] == [4]
     assert encode_rle(torch.ones(2, 2).bool())["counts"] == [0, 4]

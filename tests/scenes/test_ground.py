@@ -38,7 +38,9 @@ def test_seeds_repeat_and_differ():
     assert not torch.equal(first, other)
 
 
-@pytest.mark.parametrize(("azimuth_deg", "shadow"), [(0, (0, -1)), (90, (1, 0)), (180, (0, 1)), (270, (-1, 0))])
+@pytest.mark.parametrize(
+    ("azimuth_deg", "shadow"), [(0, (0, -1)), (90, (1, 0)), (180, (0, 1)), (270, (-1, 0))]
+)
 def test_shadow_falls_away_from_the_sun(azimuth_deg, shadow):
     # A pole of 3 m in the middle; at 45 degrees its shadow is 3 m = 24 px long, on the far side from the sun.
     canvas = _flat_canvas(math.radians(azimuth_deg))
@@ -68,7 +70,10 @@ def test_sizes_follow_the_resolution():
 
 
 def test_kinds_and_suns_vary():
-    grounds = [draw_ground_and_sun(48, 0.125, generator=torch.Generator().manual_seed(i)) for i in range(80)]
+    grounds = [
+        draw_ground_and_sun(48, 0.125, generator=torch.Generator().manual_seed(i))
+        for i in range(80)
+    ]
     assert {ground.kind for ground in grounds} == set(GROUND_KINDS)
     assert sum(KIND_SHARES.values()) == pytest.approx(1)
     assert len({round(ground.sun_azimuth_rad, 3) for ground in grounds}) == 80

@@ -15,13 +15,18 @@ SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4
 
 @pytest.fixture(scope="module")
 def backgrounds(tmp_path_factory):
-    tiles = [BackgroundTile(f"{split}-0", "none.png", split, 560, 600, "made") for split in ("train", "test")]
+    tiles = [
+        BackgroundTile(f"{split}-0", "none.png", split, 560, 600, "made")
+        for split in ("train", "test")
+    ]
     return BackgroundSet(tmp_path_factory.mktemp("set"), 0.125, tiles)
 
 
 def _sample(backgrounds, count=300, seed=0, sizes=SIZES, **settings):
     generator = torch.Generator().manual_seed(seed)
-    return sample_scenes(SceneSettings(**settings), backgrounds, "test", sizes, count, generator=generator)
+    return sample_scenes(
+        SceneSettings(**settings), backgrounds, "test", sizes, count, generator=generator
+    )
 
 
 def _points(placement, step=0.1):
@@ -31,7 +36,9 @@ def _points(placement, step=0.1):
     v = torch.arange(-width / 2, width / 2 + 1e-9, step)
     u, v = torch.meshgrid(u, v, indexing="ij")
     c, s = math.cos(placement.heading_rad), math.sin(placement.heading_rad)
-    return torch.stack([placement.x_m + c * u - s * v, placement.y_m + s * u + c * v], -1).reshape(-1, 2)
+    return torch.stack([placement.x_m + c * u - s * v, placement.y_m + s * u + c * v], -1).reshape(
+        -1, 2
+    )
 
 
 def test_vehicles_keep_their_distance(backgrounds):
@@ -54,7 +61,9 @@ def test_separating_axes_agree_with_points():
         draws = torch.rand(6, generator=generator).tolist()
         first = (0.0, 0.0, draws[0] * 7, 4.4, 1.8)
         second = ((draws[1] - 0.5) * 9, (draws[2] - 0.5) * 9, draws[3] * 7, 5.0, 2.0)
-        grid = torch.stack(torch.meshgrid(*[torch.arange(-4, 4, 0.04)] * 2, indexing="ij"), -1).reshape(-1, 2)
+        grid = torch.stack(
+            torch.meshgrid(*[torch.arange(-4, 4, 0.04)] * 2, indexing="ij"), -1
+        ).reshape(-1, 2)
         inside = torch.ones(len(grid), dtype=torch.bool)
         for x, y, heading, length, width in (first, second):
             d = grid - torch.tensor([x, y])
@@ -72,7 +81,9 @@ def test_counts_are_uniform_and_places_fill_the_image(backgrounds):
     counts = torch.bincount(torch.tensor([len(scene.placements) for scene in scenes]), minlength=6)
     assert counts[0] == 0
     assert (counts[1:] > 150).all()
-    places = torch.tensor([[p.x_m, p.y_m, p.heading_rad] for scene in scenes for p in scene.placements])
+    places = torch.tensor(
+        [[p.x_m, p.y_m, p.heading_rad] for scene in scenes for p in scene.placements]
+    )
     assert places[:, :2].abs().max() <= 22.0
     assert places[:, :2].abs().max() > 21.5
     assert (places[:, :2].mean(0).abs() < 1).all()
@@ -83,15 +94,22 @@ def test_counts_are_uniform_and_places_fill_the_image(backgrounds):
 
 
 def test_exactly_one_and_none(backgrounds):
-    assert all(len(s.placements) == 1 for s in _sample(backgrounds, 50, vehicles_minimum=1, vehicles_maximum=1))
+    assert all(
+        len(s.placements) == 1
+        for s in _sample(backgrounds, 50, vehicles_minimum=1, vehicles_maximum=1)
+    )
     empty = _sample(backgrounds, 5, sizes={}, vehicles_minimum=0, vehicles_maximum=0)
     assert all(s.placements == () for s in empty)
-    assert {len(s.placements) for s in _sample(backgrounds, 60, vehicles_minimum=0, vehicles_maximum=1)} == {0, 1}
+    assert {
+        len(s.placements) for s in _sample(backgrounds, 60, vehicles_minimum=0, vehicles_maximum=1)
+    } == {0, 1}
 
 
 def test_camera_is_a_uniform_point_on_the_disc(backgrounds):
     scenes = _sample(backgrounds, 2000, vehicles_maximum=1)
-    radius = torch.tensor([math.sin(s.camera.tilt_rad) for s in scenes]) / math.sin(math.radians(20))
+    radius = torch.tensor([math.sin(s.camera.tilt_rad) for s in scenes]) / math.sin(
+        math.radians(20)
+    )
     azimuth = torch.tensor([s.camera.azimuth_rad for s in scenes])
     assert radius.max() <= 1
     # On a uniform disc the squared radius is uniform: half of the points lie outside 0.707 of the radius.
@@ -132,15 +150,25 @@ def test_impossible_settings_raise(backgrounds, settings, sizes, message):
 
 
 def test_parked_vehicles_stand_in_rows_without_touching(backgrounds):
-    settings = SceneSettings(size_px=192, vehicles_minimum=4, vehicles_maximum=8, parked_share=1.0, gap_m=0.4)
-    scenes = sample_scenes(settings, backgrounds, "train", SIZES, 60, generator=torch.Generator().manual_seed(3))
+    settings = SceneSettings(
+        size_px=192, vehicles_minimum=4, vehicles_maximum=8, parked_share=1.0, gap_m=0.4
+    )
+    scenes = sample_scenes(
+        settings, backgrounds, "train", SIZES, 60, generator=torch.Generator().manual_seed(3)
+    )
     beside = behind = 0
     for scene in scenes:
         places = scene.placements
         assert 4 <= len(places) <= 8
         assert max(max(abs(each.x_m), abs(each.y_m)) for each in places) <= settings.half_m
-        rectangles = [(each.x_m, each.y_m, each.heading_rad, *SIZES[each.vehicle][:2]) for each in places]
-        assert not any(rectangles_overlap(one, other) for i, one in enumerate(rectangles) for other in rectangles[:i])
+        rectangles = [
+            (each.x_m, each.y_m, each.heading_rad, *SIZES[each.vehicle][:2]) for each in places
+        ]
+        assert not any(
+            rectangles_overlap(one, other)
+            for i, one in enumerate(rectangles)
+            for other in rectangles[:i]
+        )
         axes = np.array([2 * each.heading_rad for each in places])
         # Doubled angles: nose and tail count alike.
         if np.abs(np.exp(1j * axes).mean()) < math.cos(math.radians(6)):
@@ -155,9 +183,16 @@ def test_parked_vehicles_stand_in_rows_without_touching(backgrounds):
 def test_scenes_without_parking_are_the_same_as_ever(backgrounds):
     with_share = SceneSettings(size_px=192, parked_share=0.5)
     without = sample_scenes(
-        SceneSettings(size_px=192), backgrounds, "train", SIZES, 40, generator=torch.Generator().manual_seed(3)
+        SceneSettings(size_px=192),
+        backgrounds,
+        "train",
+        SIZES,
+        40,
+        generator=torch.Generator().manual_seed(3),
     )
-    mixed = sample_scenes(with_share, backgrounds, "train", SIZES, 40, generator=torch.Generator().manual_seed(3))
+    mixed = sample_scenes(
+        with_share, backgrounds, "train", SIZES, 40, generator=torch.Generator().manual_seed(3)
+    )
     assert [scene.background for scene in mixed] == [scene.background for scene in without]
     assert [scene.sun for scene in mixed] == [scene.sun for scene in without]
 

@@ -3,7 +3,15 @@
 import pytest
 
 from skyproof.errors import StoredFileError
-from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun, read_scenes, write_scenes
+from skyproof.scenes.scene import (
+    BackgroundWindow,
+    Camera,
+    Placement,
+    Scene,
+    Sun,
+    read_scenes,
+    write_scenes,
+)
 
 
 def _scene(number: int) -> Scene:

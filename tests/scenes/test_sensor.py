@@ -18,7 +18,9 @@ from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 def folder(tmp_path):
     tiles = []
     for split in ("train", "attack"):
-        tile = BackgroundTile(id=split, file=f"{split}.png", split=split, width_px=200, height_px=200, source="grey")
+        tile = BackgroundTile(
+            id=split, file=f"{split}.png", split=split, width_px=200, height_px=200, source="grey"
+        )
         save_tile(tmp_path, tile, torch.full((3, 200, 200), 100, dtype=torch.uint8))
         tiles.append(tile)
     write_index(tmp_path, 0.125, tiles, Sensor(blur_sigma_px=0.8, noise=0.02))

@@ -29,7 +29,9 @@ RANGES = {
 @pytest.fixture(scope="module")
 def backgrounds(tmp_path_factory):
     return BackgroundSet(
-        tmp_path_factory.mktemp("set"), 0.125, [BackgroundTile("test-0", "none.png", "test", 560, 600, "made")]
+        tmp_path_factory.mktemp("set"),
+        0.125,
+        [BackgroundTile("test-0", "none.png", "test", 560, 600, "made")],
     )
 
 
@@ -48,18 +50,36 @@ def test_a_clear_days_scenes_are_those_of_before_there_was_weather(backgrounds):
         scene.background.centre_x_px, scene.background.centre_y_px, scene.background.rotation_rad,
         scene.camera.tilt_rad, scene.camera.azimuth_rad, scene.sun.azimuth_rad, scene.sun.elevation_rad,
     ]  # fmt: skip
-    before = [283.6964485, 263.1198577, 1.156209703, 0.05902566457, 2.991187699, 0.2892274996, 0.8014880548]
+    before = [
+        283.6964485,
+        263.1198577,
+        1.156209703,
+        0.05902566457,
+        2.991187699,
+        0.2892274996,
+        0.8014880548,
+    ]
     assert drawn == pytest.approx(before, rel=1e-8)
-    assert [placement.vehicle for placement in scene.placements] == ["small", "small", "small", "car", "car"]
+    assert [placement.vehicle for placement in scene.placements] == [
+        "small",
+        "small",
+        "small",
+        "car",
+        "car",
+    ]
     last = scene.placements[-1]
-    assert [last.x_m, last.y_m, last.heading_rad] == pytest.approx([17.27231588, 13.63683434, 2.472768876], rel=1e-8)
+    assert [last.x_m, last.y_m, last.heading_rad] == pytest.approx(
+        [17.27231588, 13.63683434, 2.472768876], rel=1e-8
+    )
 
 
 def test_a_clear_days_file_is_the_one_of_before_there_was_weather(backgrounds, tmp_path):
     scenes = sample(backgrounds, count=3)
     write_scenes(tmp_path / "scenes.jsonl", scenes)
     rows = [json.loads(line) for line in (tmp_path / "scenes.jsonl").read_text().splitlines()]
-    assert all(list(row) == ["id", "background", "camera", "sun", "placements", "seed"] for row in rows)
+    assert all(
+        list(row) == ["id", "background", "camera", "sun", "placements", "seed"] for row in rows
+    )
     # So a file without the key reads as clear.
     assert read_scenes(tmp_path / "scenes.jsonl") == scenes
 
@@ -76,7 +96,9 @@ def test_weather_survives_its_file(backgrounds, tmp_path):
 
 
 @pytest.mark.parametrize("condition", RANGES)
-def test_a_condition_changes_its_own_number_within_its_range_and_nothing_else(backgrounds, condition):
+def test_a_condition_changes_its_own_number_within_its_range_and_nothing_else(
+    backgrounds, condition
+):
     scenes, clear = sample(backgrounds, condition), sample(backgrounds)
     name, low, high = RANGES[condition]
     values = [getattr(scene.weather, name) for scene in scenes]
@@ -84,7 +106,9 @@ def test_a_condition_changes_its_own_number_within_its_range_and_nothing_else(ba
     assert high - 0.05 * (high - low) < max(values) <= high
     for scene, usual in zip(scenes, clear, strict=True):
         assert scene.weather.condition == condition
-        rest = dataclasses.replace(scene.weather, **{"condition": "clear", name: getattr(CLEAR, name)})
+        rest = dataclasses.replace(
+            scene.weather, **{"condition": "clear", name: getattr(CLEAR, name)}
+        )
         assert rest == CLEAR
         sun = usual.sun if condition == "low_sun" else scene.sun
         assert dataclasses.replace(scene, weather=CLEAR, sun=sun) == usual
@@ -101,7 +125,9 @@ def test_a_low_sun_stands_8_to_20_degrees_high_and_the_lower_the_weaker(backgrou
 
 
 def test_no_exposure_is_nearly_right_and_both_sides_are_as_likely(backgrounds):
-    stops = torch.tensor([scene.weather.exposure_stops for scene in sample(backgrounds, "exposure", count=400)])
+    stops = torch.tensor(
+        [scene.weather.exposure_stops for scene in sample(backgrounds, "exposure", count=400)]
+    )
     assert stops.abs().min() >= 0.4
     assert 0.4 < float((stops > 0).double().mean()) < 0.6
 
@@ -113,18 +139,29 @@ def test_conditions_are_equally_likely_and_follow_the_seed(backgrounds):
     assert all(65 < drawn.count(condition) < 135 for condition in CONDITIONS)
     assert scenes == sample(backgrounds, *CONDITIONS, count=800)
     assert scenes[:50] == sample(backgrounds, *CONDITIONS, count=50)
-    assert drawn != [scene.weather.condition for scene in sample(backgrounds, *CONDITIONS, count=800, seed=1)]
+    assert drawn != [
+        scene.weather.condition for scene in sample(backgrounds, *CONDITIONS, count=800, seed=1)
+    ]
 
 
 @pytest.mark.parametrize("conditions", [("clear", "snow"), ()])
 def test_unknown_conditions_are_refused_with_the_known_ones(conditions):
-    with pytest.raises(ConfigurationError, match=r"(snow|none).*clear, haze, rain, low_sun, overcast, exposure, noise"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"(snow|none).*clear, haze, rain, low_sun, overcast, exposure, noise",
+    ):
         SceneSettings(conditions=conditions)
 
 
 def test_unknown_weather_is_refused():
     with pytest.raises(ConfigurationError, match=r"'snow'; choose from clear, haze"):
         draw_weather("snow", 0.5)
-    for wrong in ({"haze": 1.2}, {"wetness": -0.1}, {"overcast": math.nan}, {"noise": -1.0}, {"jpeg_quality": 0}):
+    for wrong in (
+        {"haze": 1.2},
+        {"wetness": -0.1},
+        {"overcast": math.nan},
+        {"noise": -1.0},
+        {"jpeg_quality": 0},
+    ):
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             Weather(**wrong)

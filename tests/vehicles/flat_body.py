@@ -14,7 +14,9 @@ def flat_bodies(*scales: float) -> VehicleBatch:
     u, v = column_u()[:-1], row_v()
     y = WIDTH_M * torch.minimum(u, 1 - u)
     x = LENGTH_M * (0.5 - v)
-    rings = torch.stack([x[1:-1, None].expand(31, 32), y.expand(31, 32), torch.zeros(31, 32)], dim=-1)
+    rings = torch.stack(
+        [x[1:-1, None].expand(31, 32), y.expand(31, 32), torch.zeros(31, 32)], dim=-1
+    )
     poles = torch.tensor([[x[0], WIDTH_M / 4, 0.0], [x[-1], WIDTH_M / 4, 0.0]])
     vertices = torch.cat([rings.reshape(-1, 3), poles]).float()
     count = len(scales)

@@ -60,23 +60,33 @@ def parts() -> dict[str, trimesh.Trimesh]:
     return {"body": body, "roof": roof, "cabin": cabin, "wheels": trimesh.util.concatenate(wheels)}
 
 
-def car(turn: np.ndarray | None = None, unit: float = 1.0, *, inverted: bool = False) -> trimesh.Scene:
+def car(
+    turn: np.ndarray | None = None, unit: float = 1.0, *, inverted: bool = False
+) -> trimesh.Scene:
     """The car as a scene of four objects; turned by a 3 x 3 matrix, in units of `unit` metres."""
     scene = trimesh.Scene()
     image = picture()
     for name, mesh in parts().items():
         vertices = np.asarray(mesh.vertices)
-        uv = np.stack([vertices[:, 0] / LENGTH_M + 0.5, vertices[:, 1] / WIDTH_M + 0.5], axis=1).clip(0.01, 0.99)
+        uv = np.stack(
+            [vertices[:, 0] / LENGTH_M + 0.5, vertices[:, 1] / WIDTH_M + 0.5], axis=1
+        ).clip(0.01, 0.99)
         if name in ("body", "roof"):
             material = SimpleMaterial(image=image, name=f"paint_{name}")
         elif name == "cabin":
-            material = SimpleMaterial(diffuse=[*(round(255 * c) for c in GLASS), 255], name="window_glass")
+            material = SimpleMaterial(
+                diffuse=[*(round(255 * c) for c in GLASS), 255], name="window_glass"
+            )
         else:
             material = SimpleMaterial(diffuse=[20, 20, 20, 255], name="tyres")
         placed = vertices @ (np.eye(3) if turn is None else turn).T / unit
         faces = mesh.faces[:, ::-1] if inverted else mesh.faces
         visual = TextureVisuals(uv=uv, material=material)
-        scene.add_geometry(trimesh.Trimesh(placed, faces, visual=visual, process=False), geom_name=name, node_name=name)
+        scene.add_geometry(
+            trimesh.Trimesh(placed, faces, visual=visual, process=False),
+            geom_name=name,
+            node_name=name,
+        )
     return scene
 
 
@@ -123,7 +133,9 @@ NODE = """<node id="n-{name}" name="{name}"><instance_geometry url="#{name}"><bi
 def write_dae(folder: Path) -> Path:
     """COLLADA in centimetres with y up and a node that moves everything, its pictures in ../materials/textures."""
     geometries, nodes = [], []
-    turn = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])  # ours (x, y, z) to (y, z, x): y up, nose along z
+    turn = np.array(
+        [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+    )  # ours (x, y, z) to (y, z, x): y up, nose along z
     for name, mesh in car(turn, 0.01).geometry.items():
         uv = np.asarray(mesh.visual.uv)
         index = np.repeat(mesh.faces.reshape(-1), 2)

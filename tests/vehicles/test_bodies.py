@@ -71,7 +71,9 @@ def test_rings_are_simple_polygons(body_type: str) -> None:
         start = _rings(body)[..., 1:].double()
         end = start.roll(-1, dims=1)
         p, q, r, s = start[:, :, None], end[:, :, None], start[:, None], end[:, None]
-        crossing = (side(p, q, r) * side(p, q, s) < -1e-12) & (side(r, s, p) * side(r, s, q) < -1e-12)
+        crossing = (side(p, q, r) * side(p, q, s) < -1e-12) & (
+            side(r, s, p) * side(r, s, q) < -1e-12
+        )
         assert not crossing.any()
 
 
@@ -80,7 +82,10 @@ def test_all_four_wheels_reach_the_ground(body_type: str) -> None:
     for body in _bodies(body_type):
         d = body.dimensions
         vertices = body.vertices
-        for axle in (d.length / 2 - d.front_overhang, d.length / 2 - d.front_overhang - d.wheelbase):
+        for axle in (
+            d.length / 2 - d.front_overhang,
+            d.length / 2 - d.front_overhang - d.wheelbase,
+        ):
             near = (vertices[:, 0] - axle).abs() < 0.2
             assert vertices[near & (vertices[:, 1] > 0.5), 2].min() < 0.005
 

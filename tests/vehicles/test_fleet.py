@@ -16,16 +16,22 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 @lru_cache
 def _fleet(seed: int = 0) -> Fleet:
-    return sample_fleet(FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(seed))
+    return sample_fleet(
+        FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(seed)
+    )
 
 
 def _same(one: Fleet, other: Fleet) -> bool:
-    tensors = all(torch.equal(getattr(one, n), getattr(other, n)) for n in ("vertices", "textures", "parts"))
+    tensors = all(
+        torch.equal(getattr(one, n), getattr(other, n)) for n in ("vertices", "textures", "parts")
+    )
     return tensors and one.ids == other.ids and one.settings == other.settings
 
 
 def test_the_seed_decides_everything() -> None:
-    again = sample_fleet(FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(0))
+    again = sample_fleet(
+        FleetSettings(count=5, first_number=10), generator=torch.Generator().manual_seed(0)
+    )
     assert _same(_fleet(), again)
     assert not _same(_fleet(), _fleet(1))
 
@@ -57,12 +63,19 @@ def test_size() -> None:
     fleet = _fleet()
     length, width, height = fleet.size_m(fleet.ids[1])
     x, y, z = fleet.vertices[1].unbind(1)
-    assert (length, width, height) == pytest.approx((float(x.max() - x.min()), 2 * float(y.max()), float(z.max())))
+    assert (length, width, height) == pytest.approx(
+        (float(x.max() - x.min()), 2 * float(y.max()), float(z.max()))
+    )
     assert length > width > height * 0.7
 
 
 def test_settings_refuse_nonsense() -> None:
-    for wrong in ({"count": 0}, {"weights": {"tank": 1.0}}, {"weights": {"van": -1.0}}, {"weights": {}}):
+    for wrong in (
+        {"count": 0},
+        {"weights": {"tank": 1.0}},
+        {"weights": {"van": -1.0}},
+        {"weights": {}},
+    ):
         with pytest.raises(ConfigurationError):
             FleetSettings(**wrong)
 
@@ -70,12 +83,18 @@ def test_settings_refuse_nonsense() -> None:
 def test_save_and_load(tmp_path: Path) -> None:
     _fleet().save(tmp_path / "fleet")
     assert _same(_fleet(), Fleet.load(tmp_path / "fleet"))
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["fleet", "fleet.json", "fleet.safetensors"]
+    assert sorted(p.name for p in tmp_path.rglob("*")) == [
+        "fleet",
+        "fleet.json",
+        "fleet.safetensors",
+    ]
     with pytest.raises(RunFolderError, match="exists already"):
         _fleet().save(tmp_path / "fleet")
 
 
-@pytest.mark.parametrize("damage", ["missing", "no tensors", "cut", "other version", "list", "ids", "not json", "key"])
+@pytest.mark.parametrize(
+    "damage", ["missing", "no tensors", "cut", "other version", "list", "ids", "not json", "key"]
+)
 def test_damaged_folders_are_named_in_one_sentence(tmp_path: Path, damage: str) -> None:
     folder = tmp_path / "fleet"
     _fleet().save(folder)
@@ -135,7 +154,9 @@ def test_glb_file_counts_v_from_the_top(tmp_path: Path) -> None:
         accessor = gltf["accessors"][attributes[name]]
         view = gltf["bufferViews"][accessor["bufferView"]]
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        return np.frombuffer(binary, np.float32, accessor["count"] * width, start).reshape(-1, width)
+        return np.frombuffer(binary, np.float32, accessor["count"] * width, start).reshape(
+            -1, width
+        )
 
     position, uv = read("POSITION", 3), read("TEXCOORD_0", 2)
     nose, tail = position[:, 2].argmax(), position[:, 2].argmin()

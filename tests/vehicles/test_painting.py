@@ -17,7 +17,9 @@ TYPES = sorted(BODY_RANGES)
 
 @lru_cache
 def _fleet(body_type: str) -> Fleet:
-    return sample_fleet(FleetSettings(6, {body_type: 1.0}), generator=torch.Generator().manual_seed(2))
+    return sample_fleet(
+        FleetSettings(6, {body_type: 1.0}), generator=torch.Generator().manual_seed(2)
+    )
 
 
 @lru_cache
@@ -34,7 +36,10 @@ def _area_from_above(body_type: str) -> torch.Tensor:
     down, right = grid.diff(dim=1)[:, :, :-1], grid.diff(dim=2)[:, :-1]
     cell = down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0]
     centre = (torch.arange(512, dtype=torch.float64) + 0.5) / 512
-    row, column = torch.searchsorted(row_v(), centre) - 1, torch.searchsorted(column_u(), centre) - 1
+    row, column = (
+        torch.searchsorted(row_v(), centre) - 1,
+        torch.searchsorted(column_u(), centre) - 1,
+    )
     texels = row_v().diff()[:, None] * column_u().diff() * 512**2
     return (cell / texels).clamp(min=0.0)[:, row][:, :, column]
 
@@ -90,7 +95,9 @@ def test_the_windscreen_reaches_across(body_type: str) -> None:
 def test_a_saloon_has_whole_wheels_on_the_ground() -> None:
     parts = _fleet("saloon").parts[:, :, :256]
     wheels = (parts == Part.WHEEL).sum((1, 2))
-    assert wheels.min() > 5000  # two discs of 0.32 m radius at 1 cm per texel are 6400, and some tread
+    assert (
+        wheels.min() > 5000
+    )  # two discs of 0.32 m radius at 1 cm per texel are 6400, and some tread
     assert wheels.max() < 12000
 
 
@@ -98,7 +105,13 @@ def test_glass_is_darker_than_white_paint_and_wheels_are_low() -> None:
     fleet = _fleet("van")
     brightness = fleet.textures.float().mean(1) / 255
     assert brightness[fleet.parts == Part.GLASS].median() < 0.3
-    assert max(values[parts == Part.BODY].median() for values, parts in zip(brightness, fleet.parts, strict=True)) > 0.7
+    assert (
+        max(
+            values[parts == Part.BODY].median()
+            for values, parts in zip(brightness, fleet.parts, strict=True)
+        )
+        > 0.7
+    )
     assert not (fleet.parts[:, :, 110:402] == Part.WHEEL).any()
 
 

@@ -59,4 +59,7 @@ def test_face_uvs_agree_with_vertex_uvs_up_to_the_seam() -> None:
     ring = TEMPLATE.faces < RINGS * COLUMNS
     difference = (TEMPLATE.uvs[TEMPLATE.face_uvs] - TEMPLATE.vertex_uvs[TEMPLATE.faces])[ring]
     assert difference[:, 1].abs().max() == 0
-    assert set(difference[:, 0].tolist()) == {0.0, 1.0}  # 1 where the seam's vertices, at u = 0, are read at u = 1
+    assert set(difference[:, 0].tolist()) == {
+        0.0,
+        1.0,
+    }  # 1 where the seam's vertices, at u = 0, are read at u = 1

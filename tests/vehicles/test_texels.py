@@ -37,11 +37,15 @@ def test_twice_as_large_is_four_times_the_area():
 
 def test_texels_add_up_to_the_area_of_the_mesh():
     for body_type in BODY_RANGES:
-        fleet = sample_fleet(FleetSettings(2, {body_type: 1.0}), generator=torch.Generator().manual_seed(4))
+        fleet = sample_fleet(
+            FleetSettings(2, {body_type: 1.0}), generator=torch.Generator().manual_seed(4)
+        )
         vehicles = fleet.batch(fleet.ids)
         length_u, length_v, area = texel_metric(vehicles)
         for vertices, texels in zip(vehicles.vertices, area, strict=True):
-            mesh = trimesh.Trimesh(vertices.double().numpy(), vehicles.template.faces.numpy(), process=False)
+            mesh = trimesh.Trimesh(
+                vertices.double().numpy(), vehicles.template.faces.numpy(), process=False
+            )
             assert abs(float(texels.double().sum()) / mesh.area - 1) < 1e-4
         # On the roof the grid is nearly square, so lengths and areas, computed apart, must agree.
         roof = texel_regions(vehicles)["roof"]
@@ -49,7 +53,9 @@ def test_texels_add_up_to_the_area_of_the_mesh():
 
 
 def test_lengths_add_up_to_girth_and_mirrored_sides_agree():
-    fleet = sample_fleet(FleetSettings(1, {"saloon": 1.0}), generator=torch.Generator().manual_seed(4))
+    fleet = sample_fleet(
+        FleetSettings(1, {"saloon": 1.0}), generator=torch.Generator().manual_seed(4)
+    )
     length_u, length_v, area = texel_metric(fleet.batch(fleet.ids))
     for values in (length_u, length_v, area):
         assert torch.allclose(values, values.flip(2), rtol=1e-3)

@@ -25,7 +25,16 @@ from skyproof.vehicles.template import make_template
 from skyproof.vehicles.texels import texel_regions, texel_sizes
 from skyproof.vehicles.vehicle import Part
 from skyproof.vehicles.wrapping.wrap import WrappedVehicle, wrap_mesh
-from tests.vehicles.model_car import HEIGHT_M, LENGTH_M, PAINTS, WHEEL_M, WHEEL_X_M, WIDTH_M, car, write_obj
+from tests.vehicles.model_car import (
+    HEIGHT_M,
+    LENGTH_M,
+    PAINTS,
+    WHEEL_M,
+    WHEEL_X_M,
+    WIDTH_M,
+    car,
+    write_obj,
+)
 
 # Half a turn about z, then z to the side: length along -y, so nothing of the frame is right by chance.
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -43,7 +52,9 @@ def wrapped() -> WrappedVehicle:
 @lru_cache
 def fleet() -> Fleet:
     one = wrapped()
-    return Fleet(None, TEMPLATE, ("car-1000",), one.vertices[None], one.texture[None], one.parts[None])
+    return Fleet(
+        None, TEMPLATE, ("car-1000",), one.vertices[None], one.texture[None], one.parts[None]
+    )
 
 
 def test_it_stands_in_the_vehicle_frame() -> None:
@@ -97,7 +108,9 @@ def test_every_quarter_keeps_its_paint() -> None:
 def test_parts_are_where_the_car_has_them() -> None:
     parts = wrapped().parts
     share = {part: float((parts == part).float().mean()) for part in Part}
-    assert share[Part.LIGHT] == share[Part.BUMPER] == share[Part.TRIM] == 0.0  # nothing tells of them
+    assert (
+        share[Part.LIGHT] == share[Part.BUMPER] == share[Part.TRIM] == 0.0
+    )  # nothing tells of them
     assert share[Part.GLASS] > 0.05
     assert share[Part.WHEEL] > 0.01
     # The roof is paint amid glass; the middle of the floor is underside; bonnet and tail are paint.
@@ -117,7 +130,9 @@ def test_measures_and_notes_are_reported() -> None:
     assert report["iou_above"] > 0.98
     assert report["iou_side"] > 0.97
     assert 0.0 <= report["median_m"] < 0.01
-    assert report["median_m"] <= report["p95_m"] <= report["hausdorff_m"] < 0.7  # inside the wheel arches
+    assert (
+        report["median_m"] <= report["p95_m"] <= report["hausdorff_m"] < 0.7
+    )  # inside the wheel arches
     assert report["forward"] == "-y"
     assert report["nose"].startswith("bonnet")
     assert any("inwards" in note for note in report["notes"])
@@ -128,7 +143,9 @@ def test_every_camouflage_applies_to_it() -> None:
     vehicles = fleet().batch(["car-1000"])
     plain = close_up(vehicles, gsd_m=0.05, side_m=6.0)
     for name in ("T-U", "T-Ma", "S-O@0.3", "R-S-O@0.3"):
-        camouflage = make_camouflage(read_recipe(name), Materials(), generator=torch.Generator().manual_seed(0))
+        camouflage = make_camouflage(
+            read_recipe(name), Materials(), generator=torch.Generator().manual_seed(0)
+        )
         worn = camouflage(vehicles)
         picture = close_up(worn, gsd_m=0.05, side_m=6.0)
         assert picture.shape == plain.shape
@@ -136,7 +153,9 @@ def test_every_camouflage_applies_to_it() -> None:
         assert material_labels(worn).shape == (1, 512, 512)
         if name == "T-Ma":
             assert torch.equal(worn.overlay.mask, vehicles.parts == Part.BODY)
-            (measured,) = measure_texture(vehicles, torch.zeros(3, 512, 512), worn.overlay.mask, None)
+            (measured,) = measure_texture(
+                vehicles, torch.zeros(3, 512, 512), worn.overlay.mask, None
+            )
             assert 5.0 < measured.painted_area_m2 < 20.0
         if name == "R-S-O@0.3":
             measure_shape(vehicles, worn)
@@ -149,7 +168,9 @@ def test_every_camouflage_applies_to_it() -> None:
 
 def test_fleets_mix_and_come_back(tmp_path: Path) -> None:
     drawn = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
-    one = Fleet(**{**vars(fleet()), "sources": {"car-1000": {"mesh": "car.obj", "licence": "ours"}}})
+    one = Fleet(
+        **{**vars(fleet()), "sources": {"car-1000": {"mesh": "car.obj", "licence": "ours"}}}
+    )
     mixed = mix_fleets([drawn, one])
     mixed.save(tmp_path / "mixed")
     back = Fleet.load(tmp_path / "mixed")
@@ -172,7 +193,22 @@ def test_fleets_written_before_wrapping_are_read(tmp_path: Path) -> None:
 def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = write_obj(tmp_path / "mesh")
     out = tmp_path / "wrapped"
-    assert run(["vehicles", "wrap", str(mesh), "--out", str(out), "--names", "Model Car", "--licence", "ours"]) == 0
+    assert (
+        run(
+            [
+                "vehicles",
+                "wrap",
+                str(mesh),
+                "--out",
+                str(out),
+                "--names",
+                "Model Car",
+                "--licence",
+                "ours",
+            ]
+        )
+        == 0
+    )
     assert sorted(path.name for path in out.iterdir()) == [
         "fleet.json",
         "fleet.safetensors",
@@ -189,7 +225,15 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "model-car-1000" in capsys.readouterr().err
     assert not (tmp_path / "twice").exists()
     assert run(["vehicles", "mix", str(out), "--out", str(out)]) == 2
-    strict = ["vehicles", "wrap", str(mesh), "--out", str(tmp_path / "strict"), "--minimum-iou", "0.9999"]
+    strict = [
+        "vehicles",
+        "wrap",
+        str(mesh),
+        "--out",
+        str(tmp_path / "strict"),
+        "--minimum-iou",
+        "0.9999",
+    ]
     assert run(strict) == 2
     assert "IoU" in capsys.readouterr().err
     assert not (tmp_path / "strict").exists()
@@ -201,7 +245,10 @@ def test_real_vehicles_keep_their_outline() -> None:
     if not data:
         pytest.skip("SKYPROOF_DATA names no folder")
     meshes = Path(data) / "vehicles/gazebo_vehicles"
-    for path, scale in (("hatchback/meshes/hatchback.obj", 0.0254), ("pickup/meshes/pickup.dae", None)):
+    for path, scale in (
+        ("hatchback/meshes/hatchback.obj", 0.0254),
+        ("pickup/meshes/pickup.dae", None),
+    ):
         report = wrap_mesh(meshes / path, scale=scale).report
         assert report["iou_above"] > 0.985
         assert report["crossings"] == 0

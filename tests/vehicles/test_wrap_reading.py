@@ -16,7 +16,16 @@ from skyproof.vehicles.wrapping.outer import look_around
 from skyproof.vehicles.wrapping.parts import name_part
 from skyproof.vehicles.wrapping.raster import z_buffer
 from skyproof.vehicles.wrapping.reading import read_mesh
-from tests.vehicles.model_car import GLASS, HEIGHT_M, LENGTH_M, PAINTS, WIDTH_M, car, write_dae, write_obj
+from tests.vehicles.model_car import (
+    GLASS,
+    HEIGHT_M,
+    LENGTH_M,
+    PAINTS,
+    WIDTH_M,
+    car,
+    write_dae,
+    write_obj,
+)
 
 Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
@@ -42,7 +51,11 @@ def expected_paint(x: float, y: float) -> tuple[int, int, int]:
 
 def files(folder: Path) -> dict[str, Path]:
     car(Y_UP).export(folder / "car.glb")
-    return {"obj": write_obj(folder / "obj"), "glb": folder / "car.glb", "dae": write_dae(folder / "dae")}
+    return {
+        "obj": write_obj(folder / "obj"),
+        "glb": folder / "car.glb",
+        "dae": write_dae(folder / "dae"),
+    }
 
 
 @pytest.mark.parametrize("kind", ["obj", "glb", "dae"])
@@ -55,9 +68,13 @@ def test_every_format_gives_the_same_car(tmp_path: Path, kind: str) -> None:
     for x, y in ((2.0, 0.7), (2.0, -0.7), (-2.1, 0.7), (-2.1, -0.7)):
         assert colour_at(mesh, x, y, 1.0) == pytest.approx(expected_paint(x, y), abs=1.5), (x, y)
     # The windscreen.
-    assert colour_at(mesh, 0.6, 0.0, 2.0) == pytest.approx([255 * value for value in GLASS], abs=1.5)
+    assert colour_at(mesh, 0.6, 0.0, 2.0) == pytest.approx(
+        [255 * value for value in GLASS], abs=1.5
+    )
     assert any("objects were joined" in note for note in mesh.notes)
-    assert any(str(tmp_path) in note for note in mesh.notes) == (kind == "dae")  # its picture was elsewhere
+    assert any(str(tmp_path) in note for note in mesh.notes) == (
+        kind == "dae"
+    )  # its picture was elsewhere
 
 
 def test_axes_are_turned_not_mirrored(tmp_path: Path) -> None:
@@ -70,7 +87,9 @@ def test_axes_are_turned_not_mirrored(tmp_path: Path) -> None:
         assert np.linalg.det(turn) == pytest.approx(1.0)
         path = write_obj(tmp_path / f"{up}{forward}", car(turn))
         guessed = up == "z"
-        mesh, facts = orient(read_mesh(path), up=None if guessed else up, forward=None if guessed else forward)
+        mesh, facts = orient(
+            read_mesh(path), up=None if guessed else up, forward=None if guessed else forward
+        )
         assert (facts["up"], facts["forward"]) == (up, forward)
         for x, y in ((2.0, 0.7), (-2.1, 0.7), (-2.1, -0.7)):
             assert colour_at(mesh, x, y, 1.0) == pytest.approx(expected_paint(x, y), abs=1.5)
@@ -91,7 +110,10 @@ def test_a_mesh_of_another_size_is_refused_with_a_scale_that_fits(tmp_path: Path
 
 def test_textures_are_looked_for_by_name(tmp_path: Path) -> None:
     mesh = tmp_path / "models/bus/meshes/bus.obj"
-    near, far = tmp_path / "models/bus/materials/textures/Bus.PNG", tmp_path / "models/suv/materials/textures/w.png"
+    near, far = (
+        tmp_path / "models/bus/materials/textures/Bus.PNG",
+        tmp_path / "models/suv/materials/textures/w.png",
+    )
     for path in (mesh, near, far):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
@@ -119,14 +141,18 @@ def test_vertex_colours_are_taken(tmp_path: Path) -> None:
     mesh.visual.vertex_colors = np.tile([10, 200, 30, 255], (8, 1))
     mesh.export(tmp_path / "box.ply")
     read = read_mesh(tmp_path / "box.ply")
-    assert (read.look(np.array([3]), np.array([[0.2, 0.3, 0.5]]))[0] * 255).tolist() == [pytest.approx([10, 200, 30])]
+    assert (read.look(np.array([3]), np.array([[0.2, 0.3, 0.5]]))[0] * 255).tolist() == [
+        pytest.approx([10, 200, 30])
+    ]
 
 
 @pytest.mark.parametrize("what", ["missing", "text", "points", "empty", "cut", "flat", "no scene"])
 def test_what_is_no_mesh_is_named_in_one_sentence(
     tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / {"text": "car.obj", "cut": "car.glb", "no scene": "car.dae"}.get(what, "car.ply")
+    path = tmp_path / {"text": "car.obj", "cut": "car.glb", "no scene": "car.dae"}.get(
+        what, "car.ply"
+    )
     if what == "text":
         path.write_text("hello\n")
     elif what == "points":
@@ -172,7 +198,10 @@ def test_inside_out_triangles_are_counted_and_turned() -> None:
 
 
 def test_names_say_parts() -> None:
-    said = {name: name_part(name) for name in ("Wheels3", "Tyre_FL", "Windows", "head_lights", "Hybrid", "BodyPaint")}
+    said = {
+        name: name_part(name)
+        for name in ("Wheels3", "Tyre_FL", "Windows", "head_lights", "Hybrid", "BodyPaint")
+    }
     assert list(said.values()) == [Part.WHEEL, Part.WHEEL, Part.GLASS, Part.LIGHT, None, None]
 
 

@@ -13,7 +13,18 @@ TINY = Path(__file__).with_name("tiny.json")
 
 def start(folder):
     return subprocess.Popen(
-        [sys.executable, "-m", "skyproof", "reproduce", "--preset", TINY, "--out", folder, "--cores", "2"],
+        [
+            sys.executable,
+            "-m",
+            "skyproof",
+            "reproduce",
+            "--preset",
+            TINY,
+            "--out",
+            folder,
+            "--cores",
+            "2",
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -59,9 +70,19 @@ def test_killed_in_an_attack_and_finished(tmp_path):
     for name in ("T-Fc", "R-Fc", "S-O", "C-Fc-seq", "C-Fc-par"):
         assert f"\n| {name} |" in page, name
     rows = json.loads((folder / "results.json").read_text())["rows"]
-    assert {row["camouflage"] for row in rows} >= {"T-Fc", "T-Fc_step1", "T-Fc_relaxed", "R-C-Fc@0.4", "C-Fc-par@0.4"}
+    assert {row["camouflage"] for row in rows} >= {
+        "T-Fc",
+        "T-Fc_step1",
+        "T-Fc_relaxed",
+        "R-C-Fc@0.4",
+        "C-Fc-par@0.4",
+    }
     assert (folder / "timings.csv").read_text().count("\n") == 1 + 15
     environment = json.loads((folder / "environment.json").read_text())
     assert environment["finished"]
     assert len(environment["commands"]) == 1
-    assert not [path for path in folder.rglob("*") if ".partial" in path.name or path.name == "checkpoint.safetensors"]
+    assert not [
+        path
+        for path in folder.rglob("*")
+        if ".partial" in path.name or path.name == "checkpoint.safetensors"
+    ]

@@ -26,7 +26,12 @@ def test_tiny_by_hand():
     assert list(tiny.attacks) == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
     assert tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
     texture = tiny.attacks["T-Fc-0"]
-    assert (texture.kind, texture.fixed_colours, texture.texture, texture.keep_at) == ("texture", True, None, (1,))
+    assert (texture.kind, texture.fixed_colours, texture.texture, texture.keep_at) == (
+        "texture",
+        True,
+        None,
+        (1,),
+    )
     assert texture.folders == (
         "T-Fc-0",
         "T-Fc-0/snapshots/T-Fc_step1-0",
@@ -34,7 +39,11 @@ def test_tiny_by_hand():
     )
     # Its texture is finished: no palette, nothing to round.
     sequential = tiny.attacks["C-Fc-seq@0.4-0"]
-    assert (sequential.texture, sequential.fixed_colours, sequential.relaxed) == ("T-Fc-0", False, False)
+    assert (sequential.texture, sequential.fixed_colours, sequential.relaxed) == (
+        "T-Fc-0",
+        False,
+        False,
+    )
     assert tiny.attacks["C-Fc-par@0.4-0"].fixed_colours
     # Random controls are scored by themselves: they wait for no attack.
     assert tiny.batches["000"] == tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
@@ -53,7 +62,10 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     assert tiny.jobs == {**plan().jobs, "render_cycles": 1, "score_cycles": 2}
     assert list(tiny.jobs)[-1] == "tables"
     # Neither transfers nor copies kept on the way.
-    wide = Plan(Preset.parse({**TINY, "detectors": ["a", "b"], "textures": ["U"], "transfer": ["T-U"]}), cycles=True)
+    wide = Plan(
+        Preset.parse({**TINY, "detectors": ["a", "b"], "textures": ["U"], "transfer": ["T-U"]}),
+        cycles=True,
+    )
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
     # The first repeats and draws of each.
     more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
@@ -82,12 +94,19 @@ def test_repeats_seeds_transfer_and_masked():
     assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
     # Copies are kept below the last step, of the first repeat, at one magnitude, and not of transfers.
     kept = {name: job.keep_at for name, job in wide.attacks.items() if job.keep_at}
-    assert kept == {"T-U-0": (1, 5), "T-PixFcMa-0": (1, 5), "S-O@0.5-0": (1,), "C-U-seq@0.5-0": (1, 5)}
+    assert kept == {
+        "T-U-0": (1, 5),
+        "T-PixFcMa-0": (1, 5),
+        "S-O@0.5-0": (1,),
+        "C-U-seq@0.5-0": (1, 5),
+    }
     scored = [folder for batch in wide.batches.values() for folder in batch]
     assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
     assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
     # Two detectors: all but one is the other one, which is there already.
-    assert [name for name in plan(detectors=["a", "b"], transfer=["T-U"]).attacks if "_" in name] == [
+    assert [
+        name for name in plan(detectors=["a", "b"], transfer=["T-U"]).attacks if "_" in name
+    ] == [
         "T-U_on_a-0",
         "T-U_on_b-0",
     ]
@@ -96,7 +115,16 @@ def test_repeats_seeds_transfer_and_masked():
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_name_can_be_made_and_has_its_control(preset):
     full = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())))
-    assert len({pooled_name(name) for name in full.attacks if name.startswith("T-") and "_" not in name}) == 12
+    assert (
+        len(
+            {
+                pooled_name(name)
+                for name in full.attacks
+                if name.startswith("T-") and "_" not in name
+            }
+        )
+        == 12
+    )
     controls = {pooled_name(name) for name in full.controls}
     for name, job in full.attacks.items():
         recipe = read_recipe(name)
@@ -110,8 +138,25 @@ def test_every_name_can_be_made_and_has_its_control(preset):
 
 def dry_run(folder, preset, *more):
     """Snakemake's jobs by rule, and all it says."""
-    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder, "--dry-run"]
-    command += ["--printshellcmds", "--cores", "2", "--rerun-triggers", "mtime", "--configfile", preset]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--snakefile",
+        SNAKEFILE,
+        "--directory",
+        folder,
+        "--dry-run",
+    ]
+    command += [
+        "--printshellcmds",
+        "--cores",
+        "2",
+        "--rerun-triggers",
+        "mtime",
+        "--configfile",
+        preset,
+    ]
     done = subprocess.run([*command, *more], capture_output=True, text=True)
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
@@ -132,7 +177,10 @@ def test_commands_on_cycles(tmp_path):
     _, said = dry_run(tmp_path, preset, "--config", "cycles=1", "blender=/opt/my blender/python")
     commands = [line for line in said.splitlines() if "--renderer cycles" in line]
     assert len(commands) == 3
-    assert all("--renderer cycles --blender '/opt/my blender/python' --workers 1 " in line for line in commands)
+    assert all(
+        "--renderer cycles --blender '/opt/my blender/python' --workers 1 " in line
+        for line in commands
+    )
     assert "--scenes scenes/test.jsonl" in commands[0]
     assert "--out datasets/test-cycles" in commands[0]
     attacks = next(line for line in commands if "T-Fc-0" in line)
@@ -150,7 +198,10 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
         ["backgrounds", "fleets", "scenes", "palette.json"],
         [f"datasets/{split}" for split in ("train", "validation", "test")],
         ["detectors/retinanet/detector.json"],
-        [f"camouflages/{name}/camouflage.json" for name in (*tiny.controls, "T-Fc-0", "S-O@0.4-0", "C-Fc-par@0.4-0")],
+        [
+            f"camouflages/{name}/camouflage.json"
+            for name in (*tiny.controls, "T-Fc-0", "S-O@0.4-0", "C-Fc-par@0.4-0")
+        ],
         ["camouflages/C-Fc-seq@0.4-0/camouflage.json"],
         ["measures.json", *(f"scores/{batch}" for batch in tiny.batches)],
         ["results.json", "tables/README.md"],
@@ -162,7 +213,9 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
                 path.touch()
             os.utime(path, (1000 + 10 * age, 1000 + 10 * age))
     counted, said = dry_run(tmp_path, preset, "--config", "cycles=1")
-    assert counted == {"render_cycles": 1, "score_cycles": 2, "tables": 1, "all": 1, "total": 5}, said
+    assert counted == {"render_cycles": 1, "score_cycles": 2, "tables": 1, "all": 1, "total": 5}, (
+        said
+    )
     # Finished too, then stopped before the tables were written again.
     for name in ("datasets/test-cycles", "scores-cycles/000", "scores-cycles/001"):
         (tmp_path / name).mkdir(parents=True)

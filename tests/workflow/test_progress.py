@@ -2,7 +2,13 @@
 
 import os
 
-from skyproof.workflow.progress import FinishedJob, failed_log, finished_jobs, time_left_s, write_timings
+from skyproof.workflow.progress import (
+    FinishedJob,
+    failed_log,
+    finished_jobs,
+    time_left_s,
+    write_timings,
+)
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time\n"
 LOG = """
@@ -33,7 +39,10 @@ def test_finished_jobs_in_order_and_their_timings(tmp_path):
         path.write_text(HEADER + row)
         os.utime(path, (1000 - age, 1000 - age))
     jobs = finished_jobs(tmp_path)
-    assert jobs == [FinishedJob("world", "world", 3.0, None), FinishedJob("attack", "S-O@0.4-1", 12.5, 900.25)]
+    assert jobs == [
+        FinishedJob("world", "world", 3.0, None),
+        FinishedJob("attack", "S-O@0.4-1", 12.5, 900.25),
+    ]
     write_timings(tmp_path / "timings.csv", jobs)
     assert (tmp_path / "timings.csv").read_text() == (
         "rule,name,seconds,largest_memory_mb\nattack,S-O@0.4-1,12.5,900\nworld,world,3.0,\n"
@@ -51,4 +60,7 @@ def test_time_left():
 
 def test_the_failed_job_is_named():
     assert failed_log(LOG) == "logs/attack/S-O@0.4-1.log"
-    assert failed_log("Finished jobid: 5 (Rule: palette)\n    log: logs/x.log (check log file(s))") is None
+    assert (
+        failed_log("Finished jobid: 5 (Rule: palette)\n    log: logs/x.log (check log file(s))")
+        is None
+    )

@@ -27,7 +27,15 @@ from skyproof.camouflage.names import variant_name
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.files import read_json, read_jsonl, refuse_foreign, write_beside, write_bytes, write_json, write_jsonl
+from skyproof.files import (
+    read_json,
+    read_jsonl,
+    refuse_foreign,
+    write_beside,
+    write_bytes,
+    write_json,
+    write_jsonl,
+)
 
 __all__ = ["AttackSettings", "attack", "make_optimiser"]
 
@@ -63,10 +71,21 @@ class AttackSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.batch_size, self.balance_batches, self.preview_every, self.checkpoint_every) < 1:
+        if (
+            min(
+                self.steps,
+                self.batch_size,
+                self.balance_batches,
+                self.preview_every,
+                self.checkpoint_every,
+            )
+            < 1
+        ):
             raise ConfigurationError(f"An attack expects counts of at least 1, but got {self}.")
         if not self.learning_rate > 0:
-            raise ConfigurationError(f"An attack expects a learning rate above 0, but got {self.learning_rate}.")
+            raise ConfigurationError(
+                f"An attack expects a learning rate above 0, but got {self.learning_rate}."
+            )
 
 
 def attack(
@@ -147,7 +166,8 @@ def attack(
         gap = {"before": before, "after": _measure(camouflage, detectors, world, settings)}
     write_jsonl(folder / "steps.jsonl", run.rows)
     discretisation = {
-        when: {name: statistics.fmean(each) for name, each in found.items()} for when, found in gap.items()
+        when: {name: statistics.fmean(each) for name, each in found.items()}
+        for when, found in gap.items()
     }
     facts = {"attack": identity, "weights": run.weights, "discretisation": discretisation}
     save_camouflage(folder, camouflage, {**facts, **(record or {})})
@@ -169,18 +189,25 @@ def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.op
             rate = settings.learning_rate * camouflage.learning_rates.get(name, 1.0)
             groups.append({"params": [value], "lr": rate, "first_lr": rate})
     if not groups:
-        raise ConfigurationError(f"{camouflage.name} has nothing to learn; attack with one that is not finished.")
+        raise ConfigurationError(
+            f"{camouflage.name} has nothing to learn; attack with one that is not finished."
+        )
     return torch.optim.Adam(groups)
 
 
 @torch.no_grad()
 def _measure(
-    camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
 ) -> dict[str, list[float]]:
     """Every detector's mean loss on each of the batches that no step sees."""
     found: dict[str, list[float]] = {detector.name: [] for detector in detectors}
     for batch in range(settings.balance_batches):
-        images = world.frames(camouflage, world.step_scenes(settings.batch_size, settings.seed, -batch)).image
+        images = world.frames(
+            camouflage, world.step_scenes(settings.batch_size, settings.seed, -batch)
+        ).image
         for name, losses in empty_truth_losses(detectors, images).items():
             found[name].append(float(losses.mean()))
     return found
@@ -192,13 +219,17 @@ def _snapshot(camouflage: Camouflage, variant: str, folder: Path, *, finalise: b
     copied.name = variant_name(camouflage.name, variant)
     if finalise:
         copied.finalise()
-    save_camouflage(folder / "snapshots" / copied.name, copied, {"of": camouflage.name, "variant": variant})
+    save_camouflage(
+        folder / "snapshots" / copied.name, copied, {"of": camouflage.name, "variant": variant}
+    )
 
 
 class _Run:
     """All that changes during an attack."""
 
-    def __init__(self, camouflage: Camouflage, settings: AttackSettings, identity: dict[str, Any]) -> None:
+    def __init__(
+        self, camouflage: Camouflage, settings: AttackSettings, identity: dict[str, Any]
+    ) -> None:
         self.camouflage, self.settings = camouflage, settings
         self.identity = json.loads(json.dumps(identity))
         self.optimiser = make_optimiser(camouflage, settings)
@@ -236,7 +267,9 @@ class _Run:
 
     def store(self, folder: Path) -> None:
         """Writes a checkpoint; the tensors come last and say their step."""
-        tensors = {f"camouflage.{name}": value for name, value in self.camouflage.state_dict().items()}
+        tensors = {
+            f"camouflage.{name}": value for name, value in self.camouflage.state_dict().items()
+        }
         for index, state in self.optimiser.state_dict()["state"].items():
             tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
         tensors["step"] = torch.tensor(self.step)
@@ -250,12 +283,18 @@ class _Run:
             refuse_foreign(folder, ())
             return
         record = read_json(folder / "checkpoint.json")
-        _same_attack(record.get("identity") if isinstance(record, dict) else None, self.identity, folder)
+        _same_attack(
+            record.get("identity") if isinstance(record, dict) else None, self.identity, folder
+        )
         if not (folder / _CHECKPOINT).exists():
             return
         try:
             tensors = load_file(folder / _CHECKPOINT)
-            state = {k.removeprefix("camouflage."): v for k, v in tensors.items() if k.startswith("camouflage.")}
+            state = {
+                k.removeprefix("camouflage."): v
+                for k, v in tensors.items()
+                if k.startswith("camouflage.")
+            }
             self.camouflage.load_state_dict(state)
             adam: dict[int, dict[str, Tensor]] = {}
             for name, value in tensors.items():
@@ -267,7 +306,9 @@ class _Run:
             self.weights = record["weights"]
         except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
             path = folder / _CHECKPOINT
-            raise StoredFileError(f"{path} is damaged ({error}); remove {folder} and attack again.") from error
+            raise StoredFileError(
+                f"{path} is damaged ({error}); remove {folder} and attack again."
+            ) from error
         # A kill between two files can leave rows of later steps.
         self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
 

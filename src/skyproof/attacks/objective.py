@@ -41,7 +41,9 @@ def empty_truth_losses(
 
 def balanced_weights(first_losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """Weights that bring every detector's first losses to 1 (PAPER 24)."""
-    return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in first_losses.items()}
+    return {
+        name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in first_losses.items()
+    }
 
 
 def paper_weights(camouflage: str, detectors: Sequence[str]) -> dict[str, float]:
@@ -80,4 +82,6 @@ def frozen(detectors: Sequence[TrainableDetector]) -> Iterator[None]:
         yield
     for detector, digest in zip(detectors, before, strict=True):
         if weights_digest(detector) != digest:
-            raise RuntimeError(f"the weights or buffers of {detector.name} changed during the attack")
+            raise RuntimeError(
+                f"the weights or buffers of {detector.name} changed during the attack"
+            )

@@ -24,7 +24,10 @@ _NEAR_M = 1.0
 
 
 def sign_test(
-    camouflage: Camouflage, detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
 ) -> dict[str, dict[str, Any]]:
     """One step of the attack's own optimiser on a batch, and what it does to the scores on that batch's vehicles.
 
@@ -47,8 +50,13 @@ def sign_test(
             moved = copy.deepcopy(camouflage)
             moved.before_step_(1, settings.steps)
             frames = world.frames(moved, scenes)
-            losses = {name: values.mean() for name, values in empty_truth_losses(detectors, frames.image).items()}
-            weights = balanced_weights({name: [float(value.detach())] for name, value in losses.items()})
+            losses = {
+                name: values.mean()
+                for name, values in empty_truth_losses(detectors, frames.image).items()
+            }
+            weights = balanced_weights(
+                {name: [float(value.detach())] for name, value in losses.items()}
+            )
             optimiser = make_optimiser(moved, settings)
             torch.stack([weights[name] * value for name, value in losses.items()]).sum().backward()
             optimiser.step()
@@ -56,8 +64,12 @@ def sign_test(
             with torch.no_grad():
                 stepped = world.frames(moved, scenes)
                 for detector in detectors:
-                    before[detector.name].append(target_scores(detector, frames, world.scenes.gsd_m))
-                    after[detector.name].append(target_scores(detector, stepped, world.scenes.gsd_m))
+                    before[detector.name].append(
+                        target_scores(detector, frames, world.scenes.gsd_m)
+                    )
+                    after[detector.name].append(
+                        target_scores(detector, stepped, world.scenes.gsd_m)
+                    )
     return {name: _judged(torch.cat(before[name]), torch.cat(after[name])) for name in before}
 
 
@@ -66,7 +78,9 @@ def target_scores(detector: TrainableDetector, frames: Frames, gsd_m: float) -> 
     """The highest score of a candidate whose centre lies within 1 m of the image's one vehicle; 0 without one."""
     found = detector.candidates(frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
-    distance_m = ((found.boxes[..., :2] + found.boxes[..., 2:]) / 2 - centres[:, None]).norm(dim=-1) * gsd_m
+    distance_m = ((found.boxes[..., :2] + found.boxes[..., 2:]) / 2 - centres[:, None]).norm(
+        dim=-1
+    ) * gsd_m
     near = found.valid & (distance_m <= _NEAR_M)
     return found.scores.masked_fill(~near, 0.0).amax(1)
 

@@ -53,11 +53,15 @@ class AttackWorld:
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Random scenes on the attack backgrounds."""
-        return sample_scenes(self.scenes, self.backgrounds, "attack", self.fleet.sizes_m, count, generator=generator)
+        return sample_scenes(
+            self.scenes, self.backgrounds, "attack", self.fleet.sizes_m, count, generator=generator
+        )
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
         """The scenes of one step; those of steps 0, -1, -2 ... are seen by no step, and serve to measure."""
-        return self.draw(count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63))
+        return self.draw(
+            count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
+        )
 
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
         """The scenes, their vehicles in the camouflage, on its device."""

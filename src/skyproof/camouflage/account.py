@@ -39,16 +39,24 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
     worn = None
     if texture is not None:
         block_px = TEXTURE_SIZE // texture.blocks if texture.constraints.pixelised else None
-        worn = mean_measures(measure_texture(vehicles, texture.bytes(), texture.mask(vehicles), block_px))
+        worn = mean_measures(
+            measure_texture(vehicles, texture.bytes(), texture.mask(vehicles), block_px)
+        )
     deformed = None
     if changed and shape is not None:
         rows = measure_shape(vehicles, shape(vehicles))
         names = [name for name, value in asdict(rows[0]).items() if not isinstance(value, str)]
         deformed = {name: fmean(float(getattr(row, name)) for row in rows) for name in names}
-        deformed["share_self_intersecting"] = fmean(row.intersections_after > row.intersections_before for row in rows)
+        deformed["share_self_intersecting"] = fmean(
+            row.intersections_after > row.intersections_before for row in rows
+        )
     return {
         "name": camouflage.name,
-        "score": {"texture": asdict(score.texture), "shape": asdict(score.shape), "total": score.total},
+        "score": {
+            "texture": asdict(score.texture),
+            "shape": asdict(score.shape),
+            "total": score.total,
+        },
         "texture": worn,
         "shape": deformed,
     }

@@ -32,11 +32,18 @@ class Combination(Camouflage):
     """
 
     def __init__(
-        self, name: str, texture: UniversalTexture, shape: DisplacementMap, *, turn_steps: int | None = None
+        self,
+        name: str,
+        texture: UniversalTexture,
+        shape: DisplacementMap,
+        *,
+        turn_steps: int | None = None,
     ) -> None:
         super().__init__()
         if turn_steps is not None and turn_steps < 1:
-            raise ConfigurationError(f"A parallel attack expects turns of at least 1 step, got {turn_steps}.")
+            raise ConfigurationError(
+                f"A parallel attack expects turns of at least 1 step, got {turn_steps}."
+            )
         self.name, self.texture, self.shape, self.turn_steps = name, texture, shape, turn_steps
         if turn_steps is None:
             texture.requires_grad_(False)

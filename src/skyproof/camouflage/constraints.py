@@ -58,5 +58,7 @@ class TextureConstraints:
         )
         constraints = cls(pixelised="Pix" in words, colours=colours, masked="Ma" in words)
         if constraints.name != text:
-            raise ConfigurationError(f"Texture constraints {text!r} must be written {constraints.name!r}.")
+            raise ConfigurationError(
+                f"Texture constraints {text!r} must be written {constraints.name!r}."
+            )
         return constraints

@@ -45,7 +45,12 @@ class DisplacementMap(Camouflage):
     learning_rates: Mapping[str, float] = {"displacement": 16.0}
 
     def __init__(
-        self, name: str, magnitude: float, *, generator: torch.Generator | None = None, frozen_parts: bool = True
+        self,
+        name: str,
+        magnitude: float,
+        *,
+        generator: torch.Generator | None = None,
+        frozen_parts: bool = True,
     ) -> None:
         """Nearly undeformed, or the random control.
 
@@ -111,7 +116,9 @@ class DisplacementMap(Camouflage):
         return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
 
 
-def sample_map(displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
+def sample_map(
+    displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]
+) -> Float[Tensor, " V"]:
     """Reads a map bilinearly between its texel centres (i + 0.5) / 64: circular in u, replicated in v (PAPER 45)."""
     column = uvs[:, 0] * DISPLACEMENT_SIZE - 0.5
     row = (uvs[:, 1] * DISPLACEMENT_SIZE - 0.5).clamp(0.0, DISPLACEMENT_SIZE - 1.0)
@@ -136,7 +143,9 @@ def _frozen(vehicles: VehicleBatch) -> Bool[Tensor, "N V"]:
     return frozen | frozen[:, template.mirror]
 
 
-def _way_to_ground(vertices: Float[Tensor, "N V 3"], direction: Float[Tensor, "N V 3"]) -> Float[Tensor, "N V"]:
+def _way_to_ground(
+    vertices: Float[Tensor, "N V 3"], direction: Float[Tensor, "N V 3"]
+) -> Float[Tensor, "N V"]:
     """How far each vertex may go along its direction before z = 0; infinite where it does not go down."""
     height, fall = vertices[..., 2].clamp(min=0.0), -direction[..., 2]
     return torch.where(fall > 0, height / fall.clamp(min=1e-9), torch.inf)

@@ -24,7 +24,9 @@ __all__ = ["load_camouflage", "save_camouflage"]
 _FORMAT = 2
 
 
-def save_camouflage(folder: Path, camouflage: Camouflage, record: dict[str, Any] | None = None) -> None:
+def save_camouflage(
+    folder: Path, camouflage: Camouflage, record: dict[str, Any] | None = None
+) -> None:
     """Writes the folder; `camouflage.json` comes last, so a folder that has it is whole.
 
     Args:
@@ -36,16 +38,23 @@ def save_camouflage(folder: Path, camouflage: Camouflage, record: dict[str, Any]
         RunFolderError: the disk is full or not writable.
     """
     folder = Path(folder)
-    state = {name: tensor.detach().cpu().contiguous() for name, tensor in camouflage.state_dict().items()}
+    state = {
+        name: tensor.detach().cpu().contiguous() for name, tensor in camouflage.state_dict().items()
+    }
     write_bytes(folder / "camouflage.safetensors", save(state))
-    parts = [camouflage.texture, camouflage.shape] if isinstance(camouflage, Combination) else [camouflage]
+    parts = (
+        [camouflage.texture, camouflage.shape]
+        if isinstance(camouflage, Combination)
+        else [camouflage]
+    )
     for part in parts:
         if isinstance(part, UniversalTexture):
             _write_png(folder / "texture.png", part.bytes().permute(1, 2, 0))
         elif isinstance(part, DisplacementMap):
             _write_png(folder / "displacement.png", (part.map().detach() * 255).round().byte())
     write_json(
-        folder / "camouflage.json", {"format": _FORMAT, "camouflage": _describe(camouflage), "record": record or {}}
+        folder / "camouflage.json",
+        {"format": _FORMAT, "camouflage": _describe(camouflage), "record": record or {}},
     )
 
 
@@ -57,17 +66,27 @@ def load_camouflage(folder: Path) -> Camouflage:
     """
     path = Path(folder) / "camouflage.json"
     document = read_json(path)
-    if not isinstance(document, dict) or document.get("format") != _FORMAT or "camouflage" not in document:
-        raise StoredFileError(f"{path} was not written by this version of skyproof; make the camouflage again.")
+    if (
+        not isinstance(document, dict)
+        or document.get("format") != _FORMAT
+        or "camouflage" not in document
+    ):
+        raise StoredFileError(
+            f"{path} was not written by this version of skyproof; make the camouflage again."
+        )
     weights = Path(folder) / "camouflage.safetensors"
     try:
         camouflage = _build(document["camouflage"])
     except (KeyError, TypeError, AttributeError, ValueError, ConfigurationError) as error:
-        raise StoredFileError(f"{path} is damaged ({error!r}); make the camouflage again.") from error
+        raise StoredFileError(
+            f"{path} is damaged ({error!r}); make the camouflage again."
+        ) from error
     try:
         camouflage.load_state_dict(load_file(weights))
     except (OSError, SafetensorError, RuntimeError) as error:
-        raise StoredFileError(f"{weights} is missing or damaged ({error}); make the camouflage again.") from error
+        raise StoredFileError(
+            f"{weights} is missing or damaged ({error}); make the camouflage again."
+        ) from error
     return camouflage.requires_grad_(False)
 
 
@@ -99,7 +118,10 @@ def _build(described: dict[str, Any]) -> Camouflage:
     if kind == "NoCamouflage":
         return NoCamouflage()
     if kind == "UniversalTexture":
-        constraints, colours = TextureConstraints.parse(described["constraints"]), described["colours"]
+        constraints, colours = (
+            TextureConstraints.parse(described["constraints"]),
+            described["colours"],
+        )
         return UniversalTexture(
             name,
             constraints,

@@ -64,14 +64,23 @@ def measure_texture(
         ConfigurationError: blocks that do not fit the map a whole number of times.
     """
     if block_px is not None and (block_px < 1 or TEXTURE_SIZE % block_px):
-        raise ConfigurationError(f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}.")
+        raise ConfigurationError(
+            f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}."
+        )
     painted = (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
     colour, colours = _numbered_colours(texture)
     same_right, same_below = colour == colour.roll(-1, 1), colour[:-1] == colour[1:]
     length_u, length_v, area = texel_metric(vehicles)
     # A texel and its right neighbour, circular in u, meet along v; a texel and the one below meet along u.
-    edge_right, edge_below = (length_v + length_v.roll(-1, 2)) / 2, (length_u[:, :-1] + length_u[:, 1:]) / 2
-    block_sizes = [{}] * len(vehicles) if block_px is None else _block_sizes(vehicles, length_u, length_v, block_px)
+    edge_right, edge_below = (
+        (length_v + length_v.roll(-1, 2)) / 2,
+        (length_u[:, :-1] + length_u[:, 1:]) / 2,
+    )
+    block_sizes = (
+        [{}] * len(vehicles)
+        if block_px is None
+        else _block_sizes(vehicles, length_u, length_v, block_px)
+    )
 
     measures = []
     for i, worn in enumerate(painted):
@@ -144,7 +153,9 @@ def _count_blocks(worn: Bool[Tensor, "512 512"], block_px: int) -> int:
 
 
 def _count_regions(
-    worn: Bool[Tensor, "512 512"], joined_right: Bool[Tensor, "512 512"], joined_below: Bool[Tensor, "511 512"]
+    worn: Bool[Tensor, "512 512"],
+    joined_right: Bool[Tensor, "512 512"],
+    joined_below: Bool[Tensor, "511 512"],
 ) -> int:
     """Connected components, in a picture twice as large where texels and their joints are alternate pixels."""
     picture = np.zeros((2 * TEXTURE_SIZE - 1, 2 * TEXTURE_SIZE), dtype=bool)
@@ -154,5 +165,7 @@ def _count_regions(
     labels, count = ndimage.label(picture)
     # The last column holds the joints across the seam: they tie labels there to labels in the first column.
     seam = picture[:, -1]
-    ties = coo_array((np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count))
+    ties = coo_array(
+        (np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count)
+    )
     return int(connected_components(ties, directed=False, return_labels=False)) if count else 0

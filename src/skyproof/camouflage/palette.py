@@ -17,7 +17,9 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 __all__ = ["fit_palette", "load_palette", "save_palette"]
 
 
-def fit_palette(pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int) -> Float[Tensor, "K 3"]:
+def fit_palette(
+    pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int
+) -> Float[Tensor, "K 3"]:
     """The colours of the ground, by K-means in CIELAB, the most frequent first.
 
     In CIELAB equal distances look about equally different, so that dark ground does not lose its colours to bright
@@ -37,7 +39,9 @@ def fit_palette(pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int) ->
         ConfigurationError: fewer than two colours are asked for, or the pixels have fewer distinct ones.
     """
     if colours < 2:
-        raise ConfigurationError(f"A palette expects at least 2 colours, got {colours}; give more colours.")
+        raise ConfigurationError(
+            f"A palette expects at least 2 colours, got {colours}; give more colours."
+        )
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:
         raise ConfigurationError(
@@ -69,7 +73,9 @@ def load_palette(path: Path) -> Float[Tensor, "K 3"]:
     document = read_json(Path(path))
     rows = document.get("colours_srgb") if isinstance(document, dict) else None
     whole = isinstance(rows, list) and all(
-        isinstance(row, list) and len(row) == 3 and all(isinstance(v, int) and 0 <= v <= 255 for v in row)
+        isinstance(row, list)
+        and len(row) == 3
+        and all(isinstance(v, int) and 0 <= v <= 255 for v in row)
         for row in rows
     )
     if not whole:

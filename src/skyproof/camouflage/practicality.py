@@ -50,7 +50,9 @@ class PracticalityScore:
 _NO_CHANGE = Signs(0, 0, 0)
 
 
-def score_practicality(texture: TextureConstraints | None, shape_changed: bool) -> PracticalityScore:
+def score_practicality(
+    texture: TextureConstraints | None, shape_changed: bool
+) -> PracticalityScore:
     """The paper's rules (PAPER 54).
 
     - Installation is + with Pix, as blocks can be stuck on or painted one by one, otherwise −.
@@ -72,7 +74,9 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 
 
 _LIKE_T_MA = score_practicality(TextureConstraints(masked=True), False)
-_LIKE_T_PIXFCMA = score_practicality(TextureConstraints(pixelised=True, colours="fixed", masked=True), False)
+_LIKE_T_PIXFCMA = score_practicality(
+    TextureConstraints(pixelised=True, colours="fixed", masked=True), False
+)
 
 # Scores of other works (PAPER 55). The paper likens all but one to settings of its own, so the rules give their signs.
 # "Du OFF" lies beside the vehicle, where no rule applies: its signs are the paper's own judgement (cost unclear,

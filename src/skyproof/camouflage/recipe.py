@@ -77,7 +77,9 @@ def read_recipe(name: str) -> Recipe:
         constraints = TextureConstraints.parse(match["constraints"])
         return Recipe(name, constraints, None, None, random=match["kind"] == "R")
     if match := _SHAPE.fullmatch(base):
-        return Recipe(name, None, _magnitude(match["magnitude"], name), None, random=bool(match["random"]))
+        return Recipe(
+            name, None, _magnitude(match["magnitude"], name), None, random=bool(match["random"])
+        )
     if match := _LEARNT.fullmatch(base):
         order: Literal["seq", "par"] = "seq" if match["order"] == "seq" else "par"
         constraints = TextureConstraints.parse(match["constraints"])
@@ -91,7 +93,9 @@ def read_recipe(name: str) -> Recipe:
     )
 
 
-def make_camouflage(recipe: Recipe, materials: Materials, *, generator: torch.Generator) -> Camouflage:
+def make_camouflage(
+    recipe: Recipe, materials: Materials, *, generator: torch.Generator
+) -> Camouflage:
     """The camouflage at the start of its attack, or the finished random control.
 
     Raises:
@@ -106,7 +110,9 @@ def make_camouflage(recipe: Recipe, materials: Materials, *, generator: torch.Ge
                 f"{'none' if given is None else given.name}; give its folder with --texture."
             )
         assert recipe.magnitude is not None
-        made: Camouflage = Combination(recipe.name, given, DisplacementMap(recipe.name, recipe.magnitude))
+        made: Camouflage = Combination(
+            recipe.name, given, DisplacementMap(recipe.name, recipe.magnitude)
+        )
     elif recipe.texture is None:
         made = _shape(recipe, generator)
     else:
@@ -132,7 +138,9 @@ def make_camouflage(recipe: Recipe, materials: Materials, *, generator: torch.Ge
 
 def _shape(recipe: Recipe, generator: torch.Generator) -> DisplacementMap:
     assert recipe.magnitude is not None
-    return DisplacementMap(recipe.name, recipe.magnitude, generator=generator if recipe.random else None)
+    return DisplacementMap(
+        recipe.name, recipe.magnitude, generator=generator if recipe.random else None
+    )
 
 
 def _palette(recipe: Recipe, materials: Materials) -> Tensor | None:
@@ -150,5 +158,7 @@ def _magnitude(text: str, name: str) -> float:
     except ValueError:
         value = float("nan")
     if not 0 <= value <= 1:
-        raise ConfigurationError(f"{name} expects a perturbation magnitude (PM) from 0 to 1 after the @, got {text}.")
+        raise ConfigurationError(
+            f"{name} expects a perturbation magnitude (PM) from 0 to 1 after the @, got {text}."
+        )
     return value

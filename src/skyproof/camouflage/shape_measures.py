@@ -49,11 +49,17 @@ def measure_shape(before: VehicleBatch, after: VehicleBatch) -> tuple[ShapeMeasu
         ValueError: the two batches hold different vehicles.
     """
     if before.ids != after.ids:
-        raise ValueError(f"expected the same vehicles before and after, got {before.ids} and {after.ids}")
+        raise ValueError(
+            f"expected the same vehicles before and after, got {before.ids} and {after.ids}"
+        )
     faces = before.template.faces
-    volume, volume_after = (enclosed_volume_m3(batch.vertices, faces).tolist() for batch in (before, after))
+    volume, volume_after = (
+        enclosed_volume_m3(batch.vertices, faces).tolist() for batch in (before, after)
+    )
     moved = (after.vertices - before.vertices).norm(dim=-1).amax(dim=1).tolist()
-    size, size_after = (batch.vertices.amax(dim=1) - batch.vertices.amin(dim=1) for batch in (before, after))
+    size, size_after = (
+        batch.vertices.amax(dim=1) - batch.vertices.amin(dim=1) for batch in (before, after)
+    )
     added = (size_after - size).tolist()
     return tuple(
         ShapeMeasures(

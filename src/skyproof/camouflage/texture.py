@@ -70,7 +70,11 @@ class UniversalTexture(Camouflage):
         literal: bool = False,
     ) -> None:
         super().__init__()
-        self.name, self.constraints, self.literal = name, constraints or TextureConstraints(), literal
+        self.name, self.constraints, self.literal = (
+            name,
+            constraints or TextureConstraints(),
+            literal,
+        )
         self.blocks = blocks if self.constraints.pixelised else TEXTURE_SIZE
         if self.blocks < 1 or TEXTURE_SIZE % self.blocks:
             raise ConfigurationError(
@@ -90,7 +94,9 @@ class UniversalTexture(Camouflage):
         else:
             count = colours
         if kind != "free" and count < 2:
-            raise ConfigurationError(f"A palette expects at least 2 colours, got {count}; give more colours.")
+            raise ConfigurationError(
+                f"A palette expects at least 2 colours, got {count}; give more colours."
+            )
         grid = (self.blocks, self.blocks)
         if kind == "free":
             self.cells = nn.Parameter(torch.rand(3, *grid, generator=generator))
@@ -102,7 +108,9 @@ class UniversalTexture(Camouflage):
         self.learning_rates = {} if literal else {"cells": 6.0}
         if kind == "learnt":
             self.palette = nn.Parameter(torch.rand(count, 3, generator=generator))
-        self.register_buffer("temperature", torch.tensor(LITERAL_TEMPERATURE**2 if literal else _FIRST_TEMPERATURE))
+        self.register_buffer(
+            "temperature", torch.tensor(LITERAL_TEMPERATURE**2 if literal else _FIRST_TEMPERATURE)
+        )
         self.register_buffer("finished", torch.tensor(False))
 
     @property
@@ -120,7 +128,9 @@ class UniversalTexture(Camouflage):
         if self.finished:
             return self.palette[self.cells.detach().argmax(0)].permute(2, 0, 1)
         logits = self.cells.clamp(min=1e-12).log() if self.literal else self.cells
-        return torch.einsum("kc,kij->cij", self.palette, torch.softmax(logits / self.temperature, dim=0))
+        return torch.einsum(
+            "kc,kij->cij", self.palette, torch.softmax(logits / self.temperature, dim=0)
+        )
 
     def bytes(self) -> UInt8[Tensor, "3 512 512"]:
         """The map as its PNG holds it."""
@@ -153,7 +163,9 @@ class UniversalTexture(Camouflage):
         """Lowers the temperature, geometrically."""
         if self.restricted and not self.literal and not self.finished:
             share = (step - 1) / max(steps - 1, 1)
-            self.temperature.fill_(_FIRST_TEMPERATURE * (_LAST_TEMPERATURE / _FIRST_TEMPERATURE) ** share)
+            self.temperature.fill_(
+                _FIRST_TEMPERATURE * (_LAST_TEMPERATURE / _FIRST_TEMPERATURE) ** share
+            )
 
     @torch.no_grad()
     def project_(self) -> None:

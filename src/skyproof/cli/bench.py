@@ -80,14 +80,21 @@ class Bench(Rendering):
             write_json(self.json, figures)
 
     def _world(self, folder: Path) -> tuple[BackgroundSet, Fleet, Callable[..., list[Scene]]]:
-        backgrounds = write_procedural_backgrounds(folder / "tiles", {"attack": 4}, _TILE_PX, seed=0)
+        backgrounds = write_procedural_backgrounds(
+            folder / "tiles", {"attack": 4}, _TILE_PX, seed=0
+        )
         fleet = sample_fleet(FleetSettings(count=16), generator=generator_of(0, "fleet"))
         settings = SceneSettings(size_px=self.image_px, vehicles_maximum=1)
 
         def scenes(count: int, most: int = 1) -> list[Scene]:
             chosen = replace(settings, vehicles_maximum=most)
             return sample_scenes(
-                chosen, backgrounds, "attack", fleet.sizes_m, count, generator=generator_of(0, "scenes")
+                chosen,
+                backgrounds,
+                "attack",
+                fleet.sizes_m,
+                count,
+                generator=generator_of(0, "scenes"),
             )
 
         return backgrounds, fleet, scenes
@@ -134,13 +141,15 @@ class Bench(Rendering):
         self, fleet: Fleet, renderer: TorchRenderer, batch: list[Scene], device: torch.device
     ) -> dict[str, float]:
         """Attack steps on some camouflages, and the same step on ready-made images; taken in turn."""
-        models = [build_detector(name, "slim", generator=generator_of(0, name)) for name in self.detectors]
+        models = [
+            build_detector(name, "slim", generator=generator_of(0, name)) for name in self.detectors
+        ]
         models = [model.to(device).to(memory_format=torch.channels_last) for model in models]
         palette = torch.rand(5, 3, generator=generator_of(0, "palette"))
         camouflages = {
-            name: make_camouflage(read_recipe(recipe), Materials(palette), generator=generator_of(0, "texture")).to(
-                device
-            )
+            name: make_camouflage(
+                read_recipe(recipe), Materials(palette), generator=generator_of(0, "texture")
+            ).to(device)
             for name, recipe in _ATTACKS.items()
         }
 
@@ -162,12 +171,18 @@ class Bench(Rendering):
             ready = renderer(batch, placed_vehicles(fleet, batch).to(device)).image
             for turn in range(self.repeats + 1):
                 for name, camouflage in camouflages.items():
-                    pair = _seconds(partial(step, camouflage), device), _seconds(partial(detectors_only, ready), device)
+                    pair = (
+                        _seconds(partial(step, camouflage), device),
+                        _seconds(partial(detectors_only, ready), device),
+                    )
                     if turn:
                         ratios[name].append(pair[0] / pair[1])
                         alone.append(pair[1])
         found = {"detectors_only_step_ms": round(1000 * statistics.median(alone), 1)}
-        return found | {f"{name}_step_over_detectors": round(statistics.median(r), 3) for name, r in ratios.items()}
+        return found | {
+            f"{name}_step_over_detectors": round(statistics.median(r), 3)
+            for name, r in ratios.items()
+        }
 
     def _median(self, work: Callable[[], None], device: torch.device) -> float:
         work()
@@ -182,7 +197,9 @@ class _Crops:
             replace(
                 scene,
                 camera=replace(scene.camera, size_px=64),
-                placements=tuple(replace(placement, x_m=0.0, y_m=0.0) for placement in scene.placements),
+                placements=tuple(
+                    replace(placement, x_m=0.0, y_m=0.0) for placement in scene.placements
+                ),
             )
             for scene in scenes
         ]
@@ -204,7 +221,9 @@ class _Crops:
     def _vertices(self) -> None:
         moved = self.vehicles.vertices.clone().requires_grad_()
         worn = self.texture(replace(self.vehicles, vertices=moved))
-        self.renderer(self.scenes, replace(worn, texture=worn.texture.detach())).image.sum().backward()
+        self.renderer(
+            self.scenes, replace(worn, texture=worn.texture.detach())
+        ).image.sum().backward()
 
 
 class _Grey:

@@ -56,4 +56,6 @@ def _peak_memory_mb(process: int) -> float:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:
         return float("nan")
-    return next((float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), float("nan"))
+    return next(
+        (float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), float("nan")
+    )

@@ -52,7 +52,9 @@ class Bring:
         refuse_existing(self.out)
         device = choose_device(self.device)
         card = bring_detector(
-            Checkpoint(self.checkpoint, self.kind, self.vehicle_classes, self.architecture, self.gsd),
+            Checkpoint(
+                self.checkpoint, self.kind, self.vehicle_classes, self.architecture, self.gsd
+            ),
             read_coco(self.validation),
             self.out,
             name=self.name,

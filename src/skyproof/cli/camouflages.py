@@ -48,7 +48,9 @@ class Palette:
         """Chooses and writes."""
         ground_palette(self.backgrounds, self.out, colours=self.colours, seed=self.seed)
         colours = (load_palette(self.out) * 255).round().int().tolist()
-        say(f"Palette: {self.out.resolve()}: {', '.join('#' + bytes(colour).hex() for colour in colours)}")
+        say(
+            f"Palette: {self.out.resolve()}: {', '.join('#' + bytes(colour).hex() for colour in colours)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,9 @@ class Score(Rendering):
     def run(self) -> None:
         """Renders, compares, prints the means."""
         if not self.detectors or not self.camouflages:
-            raise ConfigurationError("Scoring expects at least one detector and one camouflage folder.")
+            raise ConfigurationError(
+                "Scoring expects at least one detector and one camouflage folder."
+            )
         rows = score_camouflages(
             self.detectors,
             self.camouflages,

@@ -62,7 +62,9 @@ class Check:
                 for each in sets:
                     found = detect_all(detector.to(device), each.images.images)
                     judge = Judge(detector, card.threshold)
-                    row = check_clean(judge, each, found, generator=np.random.default_rng(self.seed))
+                    row = check_clean(
+                        judge, each, found, generator=np.random.default_rng(self.seed)
+                    )
                     rows.append({**row, "folder": folder.name})
                     update(len(rows), len(sets) * len(loaded))
         write_json(self.out, {"rows": rows})

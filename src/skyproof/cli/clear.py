@@ -72,18 +72,31 @@ class Clear:
                 updates[stage](done, total)
 
             record = clear_backgrounds(
-                self.folder, partial, inpainting, settings, finder=finder, checker=checker, progress=progress
+                self.folder,
+                partial,
+                inpainting,
+                settings,
+                finder=finder,
+                checker=checker,
+                progress=progress,
             )
         totals = record["totals"]
-        left_out = ", ".join(f"{count} because {why}" for why, count in totals["left_out"].items()) or "none"
+        left_out = (
+            ", ".join(f"{count} because {why}" for why, count in totals["left_out"].items())
+            or "none"
+        )
         say(f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}.")
         for split in totals["splits_without_tiles"]:
-            say(f"No tile of the split {split} is left; give more imagery before using this folder for it.")
+            say(
+                f"No tile of the split {split} is left; give more imagery before using this folder for it."
+            )
         removed = totals["labelled_removed"] + totals["detected_removed"]
         say(f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled.")
         if checker is None:
             say("Not checked by a detector: a person has to look at every tile.")
-        say(f"Look at {(self.out / 'sheets' / 'index.html').resolve()}; reject tiles with skyproof imagery drop.")
+        say(
+            f"Look at {(self.out / 'sheets' / 'index.html').resolve()}; reject tiles with skyproof imagery drop."
+        )
 
     def _inpainting(self) -> Inpainting:
         if self.inpainting is not None:
@@ -111,7 +124,9 @@ class Drop:
         emptied = drop_tiles(self.folder, self.tiles)
         say(f"Dropped {len(set(self.tiles))} tiles from {self.folder.resolve()}")
         for split in emptied:
-            say(f"No tile of the split {split} is left; give more imagery before using this folder for it.")
+            say(
+                f"No tile of the split {split} is left; give more imagery before using this folder for it."
+            )
 
 
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
@@ -119,4 +134,6 @@ def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
         return None
     detector, card = load_detector(folder)
     digest = weights_digest(detector)
-    return VehicleFinder(detector.to(choose_device(device)), card.threshold, card.gsd_m, f"{folder} ({digest[:12]})")
+    return VehicleFinder(
+        detector.to(choose_device(device)), card.threshold, card.gsd_m, f"{folder} ({digest[:12]})"
+    )

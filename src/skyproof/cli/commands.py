@@ -75,7 +75,13 @@ class Scenes:
         )
         generator = generator_of(self.seed, "scenes", self.split)
         scenes = sample_scenes(
-            settings, backgrounds, self.split, fleet.sizes_m, self.count, generator=generator, prefix=self.split
+            settings,
+            backgrounds,
+            self.split,
+            fleet.sizes_m,
+            self.count,
+            generator=generator,
+            prefix=self.split,
         )
         write_scenes(self.out, scenes)
         say(f"Scenes: {self.out.resolve()}")
@@ -153,12 +159,25 @@ class Train:
             raise ConfigurationError(
                 f"expected a detector out of {known} in size slim or full, got {self.detector} {self.size}."
             )
-        given = {"steps": self.steps, "batch_size": self.batch_size, "learning_rate": self.learning_rate}
+        given = {
+            "steps": self.steps,
+            "batch_size": self.batch_size,
+            "learning_rate": self.learning_rate,
+        }
         preset = TRAINING_PRESETS[self.detector, self.size]
-        settings = type(preset)(**{**vars(preset), **{k: v for k, v in given.items() if v is not None}})
+        settings = type(preset)(
+            **{**vars(preset), **{k: v for k, v in given.items() if v is not None}}
+        )
         device = choose_device(self.device)
         train_detector(
-            self.detector, self.size, self.data, self.validation, settings, self.out, seed=self.seed, device=device
+            self.detector,
+            self.size,
+            self.data,
+            self.validation,
+            settings,
+            self.out,
+            seed=self.seed,
+            device=device,
         )
         card = read_card(self.out)
         say(
@@ -201,10 +220,14 @@ class Evaluate:
             if not name or not place:
                 raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
             if name in pairs:
-                raise ConfigurationError(f"--camouflaged names {name} twice; give each camouflage once.")
+                raise ConfigurationError(
+                    f"--camouflaged names {name} twice; give each camouflage once."
+                )
             pairs[name] = Path(place)
         if not pairs or not self.detectors:
-            raise ConfigurationError("Evaluation expects at least one detector and one camouflaged dataset.")
+            raise ConfigurationError(
+                "Evaluation expects at least one detector and one camouflaged dataset."
+            )
         gsd_m = read_card(self.detectors[0]).gsd_m
         clean = read_frames(self.frames, self.frame_classes, gsd_m)
         rows = evaluate_folders(

@@ -23,7 +23,14 @@ from skyproof.cli.stages import (
     render_folder,
     train_detector,
 )
-from skyproof.cli.world import GSD_M, WorldSizes, scene_settings, write_fleet, write_ground, write_scene_files
+from skyproof.cli.world import (
+    GSD_M,
+    WorldSizes,
+    scene_settings,
+    write_fleet,
+    write_ground,
+    write_scene_files,
+)
 from skyproof.cycles.blender import find_blender
 from skyproof.detectors.folder import build_detector
 from skyproof.detectors.training import TrainingSettings
@@ -108,7 +115,9 @@ _NOT_SETTINGS = ("out", "imagery", "device", "cycles", "blender")
 def run_demo(demo: Demo) -> None:
     """Runs all stages that are not finished yet, and prints where the report lies."""
     if demo.blender is not None and not demo.cycles:
-        raise ConfigurationError("--blender says which Blender draws for --cycles; give --cycles too.")
+        raise ConfigurationError(
+            "--blender says which Blender draws for --cycles; give --cycles too."
+        )
     device = choose_device(demo.device)
     names = [str(path) for path in demo.imagery]
     config = {
@@ -158,19 +167,34 @@ def _attack_and_compare(demo: Demo, run: RunFolder, device: torch.device) -> Non
         run.stage("render", place, partial(_render, out, split, place, device))
     for name in demo.detectors:
         folder = out / "detectors" / name
-        run.stage(f"train {name}", folder / "detector.json", partial(_train, demo, name, folder, device))
+        run.stage(
+            f"train {name}", folder / "detector.json", partial(_train, demo, name, folder, device)
+        )
     trained, (attack, *controls) = _trained(demo), _camouflages(sizes)
     learnt = out / "camouflages" / attack
-    run.stage("attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device))
+    run.stage(
+        "attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device)
+    )
     for name in controls:
         folder = out / "camouflages" / name
-        run.stage("random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed))
+        run.stage(
+            "random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed)
+        )
     worn = {name: out / "datasets" / f"test-{name}" for name in (attack, *controls)}
     for name, place in worn.items():
         camouflage = out / "camouflages" / name
         run.stage("render pairs", place, partial(_render, out, "test", place, device, camouflage))
     original = out / "datasets" / "test"
-    work = partial(evaluate_folders, trained, original, worn, out / "evaluation", clean=clean, seed=seed, device=device)
+    work = partial(
+        evaluate_folders,
+        trained,
+        original,
+        worn,
+        out / "evaluation",
+        clean=clean,
+        seed=seed,
+        device=device,
+    )
     run.stage("evaluate", out / "evaluation", work)
     write_bytes(out / "results.json", (out / "evaluation" / "results.json").read_bytes())
     run.stage(
@@ -192,13 +216,19 @@ def _compare_on_cycles(demo: Demo, run: RunFolder, device: torch.device) -> None
     say(f"skyproof demo on Blender Cycles, run folder {out}")
     original = out / "datasets" / "test-cycles"
     worn = {name: out / "datasets" / f"test-cycles-{name}" for name in _camouflages(demo.sizes)}
-    run.stage("render Cycles", original, partial(_render, out, "test", original, device, rendering=rendering))
+    run.stage(
+        "render Cycles",
+        original,
+        partial(_render, out, "test", original, device, rendering=rendering),
+    )
     for name, place in worn.items():
         camouflage = out / "camouflages" / name
         work = partial(_render, out, "test", place, device, camouflage, rendering=rendering)
         run.stage("render Cycles", place, work)
     results = out / "evaluation-cycles"
-    compare = partial(evaluate_folders, _trained(demo), original, worn, results, seed=seed, device=device)
+    compare = partial(
+        evaluate_folders, _trained(demo), original, worn, results, seed=seed, device=device
+    )
     run.stage("evaluate Cycles", results, compare)
     run.finish()
     say("  report ...")
@@ -210,7 +240,9 @@ def _compare_on_cycles(demo: Demo, run: RunFolder, device: torch.device) -> None
 def _shows_cycles(out: Path) -> bool:
     """Whether the report was written after the evaluation of Cycles images: a stop may have come between them."""
     results = out / "evaluation-cycles"
-    return results.exists() and (out / "report.html").stat().st_mtime_ns >= results.stat().st_mtime_ns
+    return (
+        results.exists() and (out / "report.html").stat().st_mtime_ns >= results.stat().st_mtime_ns
+    )
 
 
 def _camouflages(sizes: DemoSizes) -> list[str]:
@@ -237,8 +269,14 @@ def _render(
     camouflage: Path | None = None,
     rendering: Rendering | None = None,
 ) -> None:
-    scenes, fleet, ground = out / "scenes" / f"{split}.jsonl", out / "fleets" / split, out / "backgrounds"
-    render_folder(scenes, ground, fleet, place, camouflage=camouflage, rendering=rendering, device=device)
+    scenes, fleet, ground = (
+        out / "scenes" / f"{split}.jsonl",
+        out / "fleets" / split,
+        out / "backgrounds",
+    )
+    render_folder(
+        scenes, ground, fleet, place, camouflage=camouflage, rendering=rendering, device=device
+    )
 
 
 def _train(demo: Demo, name: str, folder: Path, device: torch.device) -> None:

@@ -71,7 +71,9 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
 
 def _border_px(given: _Given) -> float:
     """None in our own datasets: whatever reaches into their images is labelled."""
-    return 0.0 if given.labels is None and (given.folder / "annotations.json").is_file() else BORDER_PX
+    return (
+        0.0 if given.labels is None and (given.folder / "annotations.json").is_file() else BORDER_PX
+    )
 
 
 def _parse(text: str) -> _Given:

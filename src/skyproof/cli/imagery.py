@@ -61,11 +61,15 @@ class Tile:
 
     def run(self) -> None:
         """Writes the tiles and says how many."""
-        settings = TilingSettings(gsd_m=self.gsd, size_px=self.size, block_m=self.block_m, like=self.like)
+        settings = TilingSettings(
+            gsd_m=self.gsd, size_px=self.size, block_m=self.block_m, like=self.like
+        )
         source_settings = SourceSettings(self.source_gsd, self.crs, self.licence)
         labels = None
         if self.labels is not None:
-            label_settings = LabelSettings(self.labels, self.classes, self.border_px, self.point_box_m)
+            label_settings = LabelSettings(
+                self.labels, self.classes, self.border_px, self.point_box_m
+            )
             labels = read_labels(self.labels), label_settings
         with finished_folder(self.out) as folder, progress_bar("tiles") as update:
             record = tile_imagery(
@@ -83,10 +87,16 @@ class Tile:
             say(f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json")
         for split in SPLITS:
             count = record.counts[split]
-            found = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions" if labels is not None else ""
+            found = (
+                f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
+                if labels is not None
+                else ""
+            )
             say(f"  {split:<10} {count['tiles']:>7} tiles{found}")
         if self.like is not None:
-            say(f"  {len(record.missing)} tiles of {self.like} are missing here (listed in tiling.json)")
+            say(
+                f"  {len(record.missing)} tiles of {self.like} are missing here (listed in tiling.json)"
+            )
         elif record.empty:
             say(f"  {record.empty} cells left out: more than 2 % of each is empty")
         say(f"Tiles: {self.out.resolve()}")

@@ -33,8 +33,14 @@ class Labels:
         """Writes them, and says what the form could not say."""
         with progress_bar("labels") as update:
             done = export_labels(self.dataset, self.format, self.out, progress=update)
-        say(f"{done.vehicles} vehicles and {done.ignored} ignore regions of {done.images} images: {self.out.resolve()}")
+        say(
+            f"{done.vehicles} vehicles and {done.ignored} ignore regions of {done.images} images: {self.out.resolve()}"
+        )
         if done.left_out:
-            say(f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they count as background.")
+            say(
+                f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they count as background."
+            )
         if done.upright:
-            say(f"{done.upright} vehicles have the upright box, because their heading is not known.")
+            say(
+                f"{done.upright} vehicles have the upright box, because their heading is not known."
+            )

@@ -100,10 +100,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
         say_error(str(error))
         return 2
     except OSError as error:
-        say_error(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}; check it and try again.")
+        say_error(
+            f"{error.filename or 'A file'} cannot be used: {error.strerror or error}; check it and try again."
+        )
         return 2
     except torch.OutOfMemoryError:
-        say_error("the device's memory is full; lower the batch size or the image size, or give --device cpu.")
+        say_error(
+            "the device's memory is full; lower the batch size or the image size, or give --device cpu."
+        )
         return 2
     except KeyboardInterrupt:
         say_error("stopped; give the same command again to go on.")

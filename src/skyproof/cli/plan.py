@@ -61,7 +61,9 @@ class Plan:
     def _assumptions(self) -> tuple[Assumptions, str]:
         correlation = self.intra_tile_correlation
         if correlation is not None and not 0 <= correlation <= 1:
-            raise ConfigurationError(f"--intra-tile-correlation expects a number from 0 to 1, got {correlation:g}.")
+            raise ConfigurationError(
+                f"--intra-tile-correlation expects a number from 0 to 1, got {correlation:g}."
+            )
         if self.pilot is None:
             start, source = Assumptions(_EASR, vehicles_per_tile=_VEHICLES_PER_TILE), "assumed"
             correlation = _CORRELATION if correlation is None else correlation
@@ -70,15 +72,21 @@ class Plan:
             source = f"as {name} in the pilot"
             if self.vehicles_per_tile is not None and correlation is None:
                 # The design effect belongs to the pilot's tiles; what carries over is the correlation.
-                correlation = (start.design_effect - 1) / max(start.vehicles_per_tile * start.found_before - 1, 1e-9)
+                correlation = (start.design_effect - 1) / max(
+                    start.vehicles_per_tile * start.found_before - 1, 1e-9
+                )
                 correlation = min(correlation, 1.0)
         given = {
             "easr": self.easr,
             "enhancement_rate": self.enhancement_rate,
             "vehicles_per_tile": self.vehicles_per_tile,
         }
-        made = dataclasses.replace(start, **{name: value for name, value in given.items() if value is not None})
+        made = dataclasses.replace(
+            start, **{name: value for name, value in given.items() if value is not None}
+        )
         if correlation is None:
             return made, source
         found = made.vehicles_per_tile * made.found_before
-        return dataclasses.replace(made, design_effect=1 + max(found - 1, 0.0) * correlation), source
+        return dataclasses.replace(
+            made, design_effect=1 + max(found - 1, 0.0) * correlation
+        ), source

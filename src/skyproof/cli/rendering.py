@@ -43,7 +43,9 @@ class Rendering:
 
 
 @contextmanager
-def open_renderer(rendering: Rendering, backgrounds: BackgroundSet, out: Path) -> Iterator[Renderer]:
+def open_renderer(
+    rendering: Rendering, backgrounds: BackgroundSet, out: Path
+) -> Iterator[Renderer]:
     """The renderer that was asked for.
 
     Path-traced crops are kept beside `out` until the block ends well: what was stopped goes on where it was.
@@ -63,8 +65,14 @@ def open_renderer(rendering: Rendering, backgrounds: BackgroundSet, out: Path) -
 
 def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
     """Blender's processes, a context; one per core where their number is not given."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Workers(find_blender(rendering.blender), cores if rendering.workers is None else rendering.workers, results)
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    return Workers(
+        find_blender(rendering.blender),
+        cores if rendering.workers is None else rendering.workers,
+        results,
+    )
 
 
 def cycles_settings(rendering: Rendering) -> CyclesSettings:

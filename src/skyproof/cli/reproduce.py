@@ -25,7 +25,13 @@ from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import read_json
 from skyproof.workflow.plan import SNAKEFILE, Plan, Preset, read_preset
-from skyproof.workflow.progress import FinishedJob, failed_log, finished_jobs, time_left_s, write_timings
+from skyproof.workflow.progress import (
+    FinishedJob,
+    failed_log,
+    finished_jobs,
+    time_left_s,
+    write_timings,
+)
 
 __all__ = ["Reproduce"]
 
@@ -69,7 +75,9 @@ class Reproduce:
         settings = read_json(path)
         preset = Preset.parse(settings)
         if find_spec("snakemake") is None:
-            raise ConfigurationError("skyproof reproduce needs Snakemake; run pip install 'skyproof[reproduce]' first.")
+            raise ConfigurationError(
+                "skyproof reproduce needs Snakemake; run pip install 'skyproof[reproduce]' first."
+            )
         cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
         if cores < 1:
             raise ConfigurationError(f"--cores expects at least 1, got {self.cores}.")
@@ -86,10 +94,19 @@ class Reproduce:
             more = ["--config", f"device={self.device}", *cycles]
             command = _snakemake(self.out, self.out / "config.json", *more)
             # Marks left by a kill must not stop the next try; our own lock keeps a second run away.
-            command += ["--cores", str(cores), "--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
+            command += [
+                "--cores",
+                str(cores),
+                "--rerun-incomplete",
+                "--nolock",
+                "--scheduler",
+                "greedy",
+            ]
             if preset.resources.get("gpu"):
                 command += ["--resources", "gpu=1"]
-            say(f"skyproof reproduce, preset {name}: {_listed(plan.jobs)}; {cores} cores, run folder {self.out}")
+            say(
+                f"skyproof reproduce, preset {name}: {_listed(plan.jobs)}; {cores} cores, run folder {self.out}"
+            )
             _follow(command, self.out, plan.jobs, cores, lock)
             run.finish()
         say(f"Tables: {(self.out / 'tables' / 'README.md').resolve()}")
@@ -102,7 +119,9 @@ class Reproduce:
         """
         if not self.cycles:
             if self.blender is not None:
-                raise ConfigurationError("--blender is for the Cycles column; give --cycles too, or leave it out.")
+                raise ConfigurationError(
+                    "--blender is for the Cycles column; give --cycles too, or leave it out."
+                )
             return []
         # Not resolved: the Python of a virtual environment is a link, and loses its packages when followed.
         return ["cycles=1", f"blender={find_blender(self.blender).path.absolute()}"]
@@ -112,12 +131,22 @@ class Reproduce:
         with tempfile.TemporaryDirectory() as empty:
             place = self.out if self.out.exists() else Path(empty)
             done = subprocess.run(
-                [*_snakemake(place, path, *more), "--cores", "1", "--dry-run", "--nolock", "--quiet", "all"],
+                [
+                    *_snakemake(place, path, *more),
+                    "--cores",
+                    "1",
+                    "--dry-run",
+                    "--nolock",
+                    "--quiet",
+                    "all",
+                ],
                 capture_output=True,
                 text=True,
             )
         if done.returncode:
-            raise ConfigurationError(f"Snakemake refuses this plan: {' '.join(done.stderr.split())[-400:]}")
+            raise ConfigurationError(
+                f"Snakemake refuses this plan: {' '.join(done.stderr.split())[-400:]}"
+            )
         say(f"Jobs: {_listed(plan.jobs)}.")
         say("By hand, or with options for a cluster's executor:")
         say("  " + shlex.join(_snakemake(self.out, path, *more)) + " --cores 2")
@@ -128,7 +157,15 @@ def _listed(jobs: Mapping[str, int]) -> str:
 
 
 def _snakemake(out: Path, config: Path, *more: str) -> list[str]:
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--directory", str(out.resolve())]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--snakefile",
+        str(SNAKEFILE),
+        "--directory",
+        str(out.resolve()),
+    ]
     command += ["--configfile", str(config.resolve()), *more]
     # A newer version of the package does not throw away what an older one took hours for.
     return [*command, "--rerun-triggers", "mtime"]
@@ -145,11 +182,15 @@ def _alone(out: Path) -> Iterator[int]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise RunFolderError(f"Another run is working in {out}; wait for it, or choose another --out.") from error
+            raise RunFolderError(
+                f"Another run is working in {out}; wait for it, or choose another --out."
+            ) from error
         yield file.fileno()
 
 
-def _follow(command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: int, lock: int) -> None:
+def _follow(
+    command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: int, lock: int
+) -> None:
     """Runs Snakemake and prints a line per finished job."""
     place = out / "snakemake.log"
     before = set(_finished(out, jobs))
@@ -158,7 +199,9 @@ def _follow(command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: i
     with open(place, "ab") as log, _stop_signals():
         start = log.tell()
         # In a session of its own, so that Ctrl-C reaches it once, through us; it holds the lock as long as it lives.
-        child = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, pass_fds=[lock])
+        child = subprocess.Popen(
+            command, stdout=log, stderr=log, start_new_session=True, pass_fds=[lock]
+        )
         try:
             while child.poll() is None:
                 time.sleep(_POLL_S)
@@ -173,7 +216,9 @@ def _follow(command: Sequence[str], out: Path, jobs: Mapping[str, int], cores: i
         raise RunFolderError(_failure(out, place.read_bytes()[start:].decode(errors="replace")))
 
 
-def _say_finished(out: Path, jobs: Mapping[str, int], cores: int, before: set[FinishedJob]) -> set[FinishedJob]:
+def _say_finished(
+    out: Path, jobs: Mapping[str, int], cores: int, before: set[FinishedJob]
+) -> set[FinishedJob]:
     """Says what is new; a job that was done again counts as new, as it took another time."""
     finished = _finished(out, jobs)
     left_s = time_left_s(jobs, finished, cores)
@@ -203,7 +248,10 @@ def _failure(out: Path, text: str) -> str:
         return f"Snakemake stopped; see {out / 'snakemake.log'}, then give the same command again to go on."
     path = out / log
     lines = path.read_text(encoding="utf-8", errors="replace").split("\n") if path.exists() else []
-    last = next((line.removeprefix("skyproof: ") for line in reversed(lines) if line.strip()), "it printed nothing")
+    last = next(
+        (line.removeprefix("skyproof: ") for line in reversed(lines) if line.strip()),
+        "it printed nothing",
+    )
     return f"A job failed ({last.strip()}); see {path}, then give the same command again to go on."
 
 

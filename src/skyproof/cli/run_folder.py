@@ -47,11 +47,15 @@ class RunFolder:
         entries = {entry.name for entry in self.path.iterdir() if not is_leftover(entry)}
         if "config.json" not in entries:
             if entries:
-                raise RunFolderError(f"{self.path} is not empty and not a run of skyproof; choose another --out.")
+                raise RunFolderError(
+                    f"{self.path} is not empty and not a run of skyproof; choose another --out."
+                )
             return
         stored = read_json(self.path / "config.json")
         if not isinstance(stored, dict):
-            raise RunFolderError(f"{self.path / 'config.json'} is not that of a run; choose another --out.")
+            raise RunFolderError(
+                f"{self.path / 'config.json'} is not that of a run; choose another --out."
+            )
         if stored != self._config and not entries <= _RECORDS:
             names = {*stored, *self._config}
             changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
@@ -103,7 +107,10 @@ class RunFolder:
             "skyproof": __version__,
             "commit": _commit(),
             "python": platform.python_version(),
-            **{name: _version(name) for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")},
+            **{
+                name: _version(name)
+                for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")
+            },
             "platform": platform.platform(),
             "cpu": _cpu_name(),
             "cores": os.cpu_count(),
@@ -133,7 +140,10 @@ def _commit() -> str | None:
         return None
     try:
         answer = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, timeout=5
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
+            capture_output=True,
+            text=True,
+            timeout=5,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -41,7 +41,9 @@ class SetSensor:
         }
         measured = Sensor()
         if len(given) < 2:
-            measured = measure_sensor(backgrounds.pixels(tile.id) for tile in backgrounds.tiles("train"))
+            measured = measure_sensor(
+                backgrounds.pixels(tile.id) for tile in backgrounds.tiles("train")
+            )
         sensor = replace(measured, **given)
         write_sensor(self.folder, sensor)
         say(f"Blur {sensor.blur_sigma_px:g} px, noise {sensor.noise:g}: {self.folder.resolve()}")

@@ -70,7 +70,9 @@ def choose_device(name: str) -> torch.device:
         # Read back: torch also knows devices without memory.
         torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError) as error:
-        raise ConfigurationError(f"--device {name} is not usable here; give cpu, cuda or auto.") from error
+        raise ConfigurationError(
+            f"--device {name} is not usable here; give cpu, cuda or auto."
+        ) from error
     return device
 
 
@@ -108,7 +110,9 @@ def _render(
 ) -> None:
     worn: Camouflage | None = load_camouflage(camouflage).to(device) if camouflage else None
     with progress_bar(f"render {out.name}") as update:
-        render_dataset(out, scenes, fleet, renderer, camouflage=worn, device=device, progress=update)
+        render_dataset(
+            out, scenes, fleet, renderer, camouflage=worn, device=device, progress=update
+        )
 
 
 def train_detector(
@@ -149,14 +153,20 @@ def _origin(dataset: Path) -> str:
     names: list[str] = []
     if "renderer" not in info and (dataset.parent / "index.json").exists():
         # A split of a tiled folder.
-        names = list(dict.fromkeys(tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)))
+        names = list(
+            dict.fromkeys(
+                tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)
+            )
+        )
     if names:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         return f"{dataset.name}: tiles of real imagery ({', '.join(names[:3])}{more})"
     # Datasets of before there was a choice of renderer say only that they are scenes.
     drawn = info.get("renderer", "torch" if info.get("description") == "skyproof scenes" else None)
     renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(drawn)
-    return f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
+    return (
+        f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
+    )
 
 
 def load_ensemble(
@@ -172,7 +182,9 @@ def load_ensemble(
     for folder in folders:
         detector, card = load_detector(folder)
         if any(detector.name == other.name for other, _ in loaded):
-            raise ConfigurationError(f"{folder} is a second {detector.name}; give each kind of detector once.")
+            raise ConfigurationError(
+                f"{folder} is a second {detector.name}; give each kind of detector once."
+            )
         if not math.isclose(card.gsd_m, gsd_m):
             raise ConfigurationError(
                 f"{folder} was trained at {card.gsd_m} m per pixel but the images have {gsd_m} m; "
@@ -198,7 +210,9 @@ def attack_ensemble(
     """Learns the camouflage of a name against an ensemble, after a sign test of its gradient."""
     recipe, made_from = read_recipe(name), materials or Materials()
     if recipe.random:
-        raise ConfigurationError(f"{name} is a random control, which is not learnt; draw it with skyproof control.")
+        raise ConfigurationError(
+            f"{name} is a random control, which is not learnt; draw it with skyproof control."
+        )
     if recipe.magnitude == 0:
         raise ConfigurationError(
             f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
@@ -209,7 +223,9 @@ def attack_ensemble(
     world = AttackWorld(renderer, photographs, Fleet.load(fleet), scenes)
     generator = generator_of(settings.seed, "texture", name)
     camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
-    signs = {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)
+    signs = (
+        {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)
+    )
     with progress_bar(f"attack {name}") as update:
         attack(
             camouflage,
@@ -226,15 +242,21 @@ def draw_control(name: str, folder: Path, seed: int, *, materials: Materials | N
     """A random draw of the same kind of camouflage, not learnt (PAPER 34, 37)."""
     recipe = read_recipe(name)
     if not recipe.random:
-        raise ConfigurationError(f"{name} is learnt, not drawn; random controls are called R-..., such as R-PixFc.")
-    control = make_camouflage(recipe, materials or Materials(), generator=generator_of(seed, "control", name))
+        raise ConfigurationError(
+            f"{name} is learnt, not drawn; random controls are called R-..., such as R-PixFc."
+        )
+    control = make_camouflage(
+        recipe, materials or Materials(), generator=generator_of(seed, "control", name)
+    )
     save_camouflage(folder, control, {"seed": seed})
 
 
 def ground_palette(backgrounds: Path, out: Path, *, colours: int, seed: int) -> None:
     """The palette of the ground that attacks see, evenly from all of their tiles (PAPER 33)."""
     generator = generator_of(seed, "palette")
-    pixels = BackgroundSet.open(backgrounds).sample_pixels("attack", _PALETTE_PIXELS, generator=generator)
+    pixels = BackgroundSet.open(backgrounds).sample_pixels(
+        "attack", _PALETTE_PIXELS, generator=generator
+    )
     palette = fit_palette(pixels, colours, seed=seed)
     save_palette(out, palette, {"backgrounds": str(backgrounds), "split": "attack", "seed": seed})
 
@@ -254,7 +276,9 @@ def evaluate_folders(
     ensemble = load_ensemble(detectors, device, scenes[0].camera.gsd_m)
     judges = [Judge(detector, threshold) for detector, threshold in ensemble]
     with progress_bar("evaluate") as update:
-        return evaluate_pairs(judges, original, camouflaged, out, clean=clean, seed=seed, progress=update)
+        return evaluate_pairs(
+            judges, original, camouflaged, out, clean=clean, seed=seed, progress=update
+        )
 
 
 def score_camouflages(
@@ -273,7 +297,9 @@ def score_camouflages(
     """Renders the scenes with each camouflage folder (its name is the camouflage's) and compares; keeps no images."""
     names = [folder.name for folder in camouflages]
     if len(set(names)) != len(names):
-        raise ConfigurationError("--camouflages expects folders of different names; score the others separately.")
+        raise ConfigurationError(
+            "--camouflages expects folders of different names; score the others separately."
+        )
     # The evaluation refuses what follows too, but only once everything is rendered.
     refuse_existing(out)
     rendering = rendering or Rendering()
@@ -300,13 +326,17 @@ def score_camouflages(
             return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
 
 
-def measure_camouflages(camouflages: Sequence[Path], fleet: Path, out: Path) -> list[dict[str, Any]]:
+def measure_camouflages(
+    camouflages: Sequence[Path], fleet: Path, out: Path
+) -> list[dict[str, Any]]:
     """Practicality of each camouflage folder on a fleet, as JSON (PAPER 54, 55)."""
     vehicles = Fleet.load(fleet)
     batch, rows = vehicles.batch(vehicles.ids), []
     with progress_bar("measure") as update:
         for folder in camouflages:
-            rows.append({**practicality_account(load_camouflage(folder), batch), "name": folder.name})
+            rows.append(
+                {**practicality_account(load_camouflage(folder), batch), "name": folder.name}
+            )
             update(len(rows), len(camouflages))
     write_json(out, {"fleet": str(fleet), "vehicles": len(batch), "rows": rows})
     return rows

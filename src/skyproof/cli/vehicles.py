@@ -64,9 +64,13 @@ class Wrap:
     def __post_init__(self) -> None:
         for flag, given, single in (("--scale", self.scale, True), ("--names", self.names, False)):
             if given and len(given) != len(self.meshes) and not (single and len(given) == 1):
-                raise ConfigurationError(f"{flag} expects one value per mesh ({len(self.meshes)}), got {len(given)}.")
+                raise ConfigurationError(
+                    f"{flag} expects one value per mesh ({len(self.meshes)}), got {len(given)}."
+                )
         if any(not 0 < scale < float("inf") for scale in self.scale):
-            raise ConfigurationError(f"--scale expects metres per unit above 0, got {min(self.scale)}.")
+            raise ConfigurationError(
+                f"--scale expects metres per unit above 0, got {min(self.scale)}."
+            )
         if not self.meshes:
             raise ConfigurationError("No mesh was given; name OBJ, GLB or DAE files.")
 
@@ -81,7 +85,9 @@ class Wrap:
         wrapped: list[WrappedVehicle] = []
         with progress_bar("vehicles") as update:
             for path, name, scale in zip(self.meshes, names, scales, strict=True):
-                vehicle = wrap_mesh(path, scale=scale, up=self.up, forward=self.forward, paintable=self.paintable)
+                vehicle = wrap_mesh(
+                    path, scale=scale, up=self.up, forward=self.forward, paintable=self.paintable
+                )
                 vehicle_id = f"{_body_type(name)}-{self.first_number + len(wrapped):04d}"
                 reports[vehicle_id] = {**vehicle.report, "licence": self.licence}
                 wrapped.append(vehicle)
@@ -101,7 +107,10 @@ class Wrap:
             torch.stack([vehicle.vertices for vehicle in wrapped]),
             torch.stack([vehicle.texture for vehicle in wrapped]),
             torch.stack([vehicle.parts for vehicle in wrapped]),
-            {name: {"mesh": report["mesh"], "licence": self.licence} for name, report in reports.items()},
+            {
+                name: {"mesh": report["mesh"], "licence": self.licence}
+                for name, report in reports.items()
+            },
         )
         with finished_folder(self.out) as folder:
             fleet.write_into(folder)
@@ -110,7 +119,9 @@ class Wrap:
                 turntable_row(vehicle.mesh, fleet.batch([name]), _caption(name, reports[name]))
                 for name, vehicle in zip(reports, wrapped, strict=True)
             ]
-            Image.fromarray(turntable_sheet(rows).permute(1, 2, 0).numpy()).save(folder / "turntable.png")
+            Image.fromarray(turntable_sheet(rows).permute(1, 2, 0).numpy()).save(
+                folder / "turntable.png"
+            )
         say(f"Fleet of {len(fleet)}: {self.out.resolve()} (look at turntable.png)")
 
 
@@ -146,12 +157,17 @@ def _caption(name: str, report: dict[str, Any]) -> str:
 
 def _print_reports(reports: dict[str, dict[str, Any]]) -> None:
     width = max(len(name) for name in reports)
-    say(f"{'':{width}}  {'length x width x height':>23}" + "".join(f"{title:>15}" for title in _COLUMNS.values()))
+    say(
+        f"{'':{width}}  {'length x width x height':>23}"
+        + "".join(f"{title:>15}" for title in _COLUMNS.values())
+    )
     for name, report in reports.items():
         size = " x ".join(f"{value:.2f}" for value in report["size_m"]) + " m"
         numbers = (f"{report[key]:.3f}".removesuffix(".000") for key in _COLUMNS)
         say(f"{name:{width}}  {size:>23}" + "".join(f"{number:>15}" for number in numbers))
     for name, report in reports.items():
-        say(f"{name}: up {report['up']}, nose {report['forward']} ({report['nose']}), {report['scale']:g} m per unit.")
+        say(
+            f"{name}: up {report['up']}, nose {report['forward']} ({report['nose']}), {report['scale']:g} m per unit."
+        )
         for note in report["notes"]:
             say(f"{name}: {note.rstrip('.')}.")

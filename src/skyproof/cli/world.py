@@ -13,12 +13,25 @@ from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds, write_sensor
+from skyproof.scenes.backgrounds import (
+    SPLITS,
+    BackgroundSet,
+    write_procedural_backgrounds,
+    write_sensor,
+)
 from skyproof.scenes.sampling import SceneSettings, sample_scenes
 from skyproof.scenes.scene import write_scenes
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
-__all__ = ["GSD_M", "World", "WorldSizes", "scene_settings", "write_fleet", "write_ground", "write_scene_files"]
+__all__ = [
+    "GSD_M",
+    "World",
+    "WorldSizes",
+    "scene_settings",
+    "write_fleet",
+    "write_ground",
+    "write_scene_files",
+]
 
 GSD_M = 0.125
 
@@ -48,7 +61,12 @@ class WorldSizes:
     parked_share: float = 0.0
 
     def __post_init__(self) -> None:
-        counts = (self.training_images, self.validation_images, self.test_images, self.training_vehicles)
+        counts = (
+            self.training_images,
+            self.validation_images,
+            self.test_images,
+            self.training_vehicles,
+        )
         if min(self.image_px, *self.tiles, *self.vehicles, *counts) < 1:
             raise ConfigurationError(f"--sizes expects counts of at least 1, but got {self}.")
 
@@ -109,7 +127,9 @@ def write_ground(
             record = tile_imagery(
                 imagery,
                 folder,
-                settings=TilingSettings(gsd_m=GSD_M, size_px=window_px * 3 // 2, minimum_px=window_px),
+                settings=TilingSettings(
+                    gsd_m=GSD_M, size_px=window_px * 3 // 2, minimum_px=window_px
+                ),
                 generator=generator_of(seed, "imagery"),
                 source_settings=SourceSettings(assumed_gsd_m),
                 progress=update,
@@ -125,9 +145,13 @@ def write_ground(
                 say(f"  note: {note}")
         else:
             counts = dict(zip(SPLITS, sizes.tiles, strict=True))
-            write_procedural_backgrounds(folder, counts, window_px + 112, seed=seed, progress=update)
+            write_procedural_backgrounds(
+                folder, counts, window_px + 112, seed=seed, progress=update
+            )
         if blur_sigma_px is not None:
-            write_sensor(folder, replace(BackgroundSet.open(folder).sensor, blur_sigma_px=blur_sigma_px))
+            write_sensor(
+                folder, replace(BackgroundSet.open(folder).sensor, blur_sigma_px=blur_sigma_px)
+            )
 
 
 def write_fleet(out: Path, sizes: WorldSizes, seed: int, split: str) -> None:
@@ -136,7 +160,9 @@ def write_fleet(out: Path, sizes: WorldSizes, seed: int, split: str) -> None:
     # Numbers go on from split to split: no vehicle is in two of them.
     settings = FleetSettings(count=sizes.vehicles[index], first_number=sum(sizes.vehicles[:index]))
     with progress_bar(f"vehicles {split}") as update:
-        fleet = sample_fleet(settings, generator=generator_of(seed, "fleet", split), progress=update)
+        fleet = sample_fleet(
+            settings, generator=generator_of(seed, "fleet", split), progress=update
+        )
     fleet.save(out / "fleets" / split)
 
 
@@ -151,7 +177,10 @@ def write_scene_files(out: Path, sizes: WorldSizes, seed: int) -> None:
     usual = scene_settings(sizes)
     # Some training images are empty, so that ground alone is learnt too.
     training = replace(
-        usual, vehicles_minimum=0, vehicles_maximum=sizes.training_vehicles, parked_share=sizes.parked_share
+        usual,
+        vehicles_minimum=0,
+        vehicles_maximum=sizes.training_vehicles,
+        parked_share=sizes.parked_share,
     )
     wanted = {
         "train": (sizes.training_images, training),
@@ -163,6 +192,12 @@ def write_scene_files(out: Path, sizes: WorldSizes, seed: int) -> None:
             fleet = Fleet.load(out / "fleets" / split)
             generator = generator_of(seed, "scenes", split)
             scenes = sample_scenes(
-                settings, backgrounds, split, fleet.sizes_m, count, generator=generator, prefix=split
+                settings,
+                backgrounds,
+                split,
+                fleet.sizes_m,
+                count,
+                generator=generator,
+                prefix=split,
             )
             write_scenes(folder / f"{split}.jsonl", scenes)

@@ -49,18 +49,28 @@ def find_blender(path: Path | None = None) -> Blender:
     """
     chosen = _search() if path is None else Path(path)
     if not chosen.is_file():
-        raise ConfigurationError(f"--blender expects a Blender or a Python with bpy, but {chosen} is no file; {_HOW}.")
+        raise ConfigurationError(
+            f"--blender expects a Blender or a Python with bpy, but {chosen} is no file; {_HOW}."
+        )
     is_python, version = _ask(chosen)
     if version is None:
-        raise ConfigurationError(f"{chosen} is neither Blender nor a Python in which `import bpy` works; {_HOW}.")
+        raise ConfigurationError(
+            f"{chosen} is neither Blender nor a Python in which `import bpy` works; {_HOW}."
+        )
     if tuple(map(int, version.split(".")[:2])) != _WANTED:
-        raise ConfigurationError(f"{chosen} is Blender {version}, but skyproof works with Blender 4.5 LTS; {_HOW}.")
+        raise ConfigurationError(
+            f"{chosen} is Blender {version}, but skyproof works with Blender 4.5 LTS; {_HOW}."
+        )
     return Blender(chosen, is_python, version)
 
 
 def worker_environment(environment: dict[str, str]) -> dict[str, str]:
     """Without what would bring this Python's packages into Blender's."""
-    return {name: value for name, value in environment.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+    return {
+        name: value
+        for name, value in environment.items()
+        if name not in ("PYTHONPATH", "PYTHONHOME")
+    }
 
 
 def _search() -> Path:
@@ -71,7 +81,9 @@ def _search() -> Path:
             return folder / _ENVIRONMENT
     found = shutil.which("blender")
     if found is None:
-        raise ConfigurationError(f"Physics-based images need Blender 4.5 LTS, and none was found; {_HOW}.")
+        raise ConfigurationError(
+            f"Physics-based images need Blender 4.5 LTS, and none was found; {_HOW}."
+        )
     return Path(found)
 
 

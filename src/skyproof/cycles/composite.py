@@ -46,7 +46,10 @@ def composite_crops(
     total, weight = photograph.new_zeros(7, wide, wide), photograph.new_zeros(wide, wide)
     nearest = photograph.new_zeros(wide, wide)
     for (left, top, width, height), layers in crops:
-        rows, columns = slice(top + radius, top + radius + height), slice(left + radius, left + radius + width)
+        rows, columns = (
+            slice(top + radius, top + radius + height),
+            slice(left + radius, left + radius + width),
+        )
         inside = _inwards(height, margin_px, layers)[:, None] * _inwards(width, margin_px, layers)
         trust = inside + _LEAST_WEIGHT
         total[:, rows, columns] += layers * trust
@@ -57,7 +60,9 @@ def composite_crops(
     taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
     kernel = blur_matrix(wide, settings.blur_sigma_px, radius, photograph)
     middle = slice(radius, radius + size)
-    colour, alpha, taken = ((kernel @ layer @ kernel)[:, middle, middle] for layer in (colour, alpha, taken))
+    colour, alpha, taken = (
+        (kernel @ layer @ kernel)[:, middle, middle] for layer in (colour, alpha, taken)
+    )
     pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
     if settings.noise > 0:
         steps = torch.arange(size, device=photograph.device)[None]

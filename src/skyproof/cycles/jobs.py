@@ -74,7 +74,9 @@ def crop_windows(placed: Placed, margin_px: int, border_px: int) -> Int[Tensor, 
     of the vehicle is near the image.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
-    window = torch.cat((points.amin(1).floor() - margin_px, points.amax(1).ceil() + margin_px), dim=1)
+    window = torch.cat(
+        (points.amin(1).floor() - margin_px, points.amax(1).ceil() + margin_px), dim=1
+    )
     return window.clamp(-border_px, placed.size_px + border_px).long().cpu()
 
 
@@ -101,7 +103,11 @@ def crop_jobs(
         sensor: for the sky's share of the light.
     """
     low, high = windows[:, :2], windows[:, 2:]
-    rows, materials, scene_of = _Rows(vehicles, placed), material_table(settings.finish).numpy(), placed.scene.cpu()
+    rows, materials, scene_of = (
+        _Rows(vehicles, placed),
+        material_table(settings.finish).numpy(),
+        placed.scene.cpu(),
+    )
     jobs = []
     for index, scene in enumerate(scenes):
         light = daylight(scene.sun, sensor.sky_share, scene.weather.overcast)
@@ -149,12 +155,18 @@ class _Rows:
     def __init__(self, vehicles: VehicleBatch, placed: Placed) -> None:
         self._vehicles, self._placed = vehicles, placed
         template = vehicles.template
-        self.template = {name: getattr(template, name).cpu().numpy() for name in ("faces", "face_uvs", "uvs")}
+        self.template = {
+            name: getattr(template, name).cpu().numpy() for name in ("faces", "face_uvs", "uvs")
+        }
 
     @cached_property
     def _textures(self) -> np.ndarray:
         worn = self._vehicles.worn_texture().detach()
-        return (worn if worn.dtype == torch.uint8 else (worn.clamp(0, 1) * 255).round().byte()).cpu().numpy()
+        return (
+            (worn if worn.dtype == torch.uint8 else (worn.clamp(0, 1) * 255).round().byte())
+            .cpu()
+            .numpy()
+        )
 
     @cached_property
     def _labels(self) -> np.ndarray:
@@ -177,7 +189,8 @@ def _patch(
     size = photograph.shape[-1]
     left, top = (min(max(value - border, 0), size - 1) for value in window[:2])
     right, bottom = (
-        max(min(value + border, size), low + 1) for value, low in zip(window[2:], (left, top), strict=True)
+        max(min(value + border, size), low + 1)
+        for value, low in zip(window[2:], (left, top), strict=True)
     )
     patch = photograph[:, top:bottom, left:right].permute(1, 2, 0).float().cpu().numpy()
     return [left, top], np.ascontiguousarray(patch)

@@ -54,27 +54,41 @@ class CyclesRenderer:
     def record(self) -> dict[str, Any]:
         """Its settings, and Blender's version."""
         # Of the sensor's settings those that the differentiable renderer alone has make no difference here.
-        sensor = {name: getattr(self.sensor, name) for name in ("blur_sigma_px", "noise", "sky_share")}
+        sensor = {
+            name: getattr(self.sensor, name) for name in ("blur_sigma_px", "noise", "sky_share")
+        }
         return {**asdict(self.settings), **sensor, "blender": self.workers.blender.version}
 
     @torch.no_grad()
-    def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
+    def __call__(
+        self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
+    ) -> Frames:
         """Draws one image per scene; arguments as for `TorchRenderer`.
 
         Raises:
             RunFolderError: Blender failed twice at a crop, or the disk is full.
         """
-        ground = wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
+        ground = wet_grounds(
+            photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes
+        )
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
         placed, sensor = place(scenes, vehicles), self.sensor
         margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
         windows = crop_windows(placed, margin_px, sensor.blur_radius_px)
-        jobs = crop_jobs(scenes, vehicles, placed, srgb_to_linear(ground), windows, self.settings, sensor)
-        drawn = [torch.from_numpy(each).permute(2, 0, 1).to(ground) for each in self.workers.run(jobs)]
+        jobs = crop_jobs(
+            scenes, vehicles, placed, srgb_to_linear(ground), windows, self.settings, sensor
+        )
+        drawn = [
+            torch.from_numpy(each).permute(2, 0, 1).to(ground) for each in self.workers.run(jobs)
+        ]
         images: list[Float[Tensor, "3 H W"]] = []
         for index, scene in enumerate(scenes):
-            crops = [(job.window_px, layers) for job, layers in zip(jobs, drawn, strict=True) if job.scene == index]
+            crops = [
+                (job.window_px, layers)
+                for job, layers in zip(jobs, drawn, strict=True)
+                if job.scene == index
+            ]
             images.append(composite_crops(ground[index], crops, scene.seed, margin_px, sensor))
         finished, factor = finish_images(torch.stack(images), scenes), sensor.supersampling
         visibility, window = visible_samples(placed, vehicles.template.faces, factor)

@@ -27,6 +27,8 @@ class CyclesSettings:
 
     def __post_init__(self) -> None:
         if self.samples < 1:
-            raise ConfigurationError(f"--samples expects at least 1 light path per pixel, got {self.samples}.")
+            raise ConfigurationError(
+                f"--samples expects at least 1 light path per pixel, got {self.samples}."
+            )
         if self.finish not in ("gloss", "matt"):
             raise ConfigurationError(f"--finish expects gloss or matt, got {self.finish}.")

@@ -54,7 +54,9 @@ def daylight(sun: Sun, clear_sky_share: float, overcast: float) -> Daylight:
     return Daylight((red, green, blue), sky.astype(np.float32))
 
 
-def _dome(coefficients: tuple[float, float, float, float, float], sun: Sun) -> Float[np.ndarray, "32 64"]:
+def _dome(
+    coefficients: tuple[float, float, float, float, float], sun: Sun
+) -> Float[np.ndarray, "32 64"]:
     """Relative luminance of the sky, scaled so that a white matt surface lying under it alone sends 1."""
     a, b, c, d, e = coefficients
     elevation = np.pi / 2 - (np.arange(_ROWS) + 0.5) * np.pi / _ROWS
@@ -62,7 +64,9 @@ def _dome(coefficients: tuple[float, float, float, float, float], sun: Sun) -> F
     up = np.sin(elevation)[:, None].clip(1e-3)
     outward = np.cos(elevation)[:, None]
     x, y, z = sun.direction
-    towards_sun = outward * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(elevation)[:, None] * z
+    towards_sun = (
+        outward * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(elevation)[:, None] * z
+    )
     distance = np.arccos(towards_sun.clip(-1, 1))
     around_sun = 1 + c * (np.exp(d * distance) - np.exp(d * np.pi / 2)) + e * np.cos(distance) ** 2
     dome = (1 + a * np.exp(b / up)) * around_sun * (elevation > 0)[:, None]

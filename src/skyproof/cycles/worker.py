@@ -30,7 +30,9 @@ MARK = "skyproof-worker"
 # Metres; beyond it lies no ground. Far larger than a crop, so that only light near the horizon notices.
 GROUND_HALF_WIDTH_M = 300.0
 CAMERA_DISTANCE_M = 60.0
-CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [f"Shadow Catcher.{channel}" for channel in "RGB"]
+CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [
+    f"Shadow Catcher.{channel}" for channel in "RGB"
+]
 
 
 class Stage:
@@ -105,7 +107,11 @@ class Stage:
         """A matt plane that shows only in light: what vehicles take from it, and what it sends up to them."""
         half = GROUND_HALF_WIDTH_M
         mesh = bpy.data.meshes.new("ground")
-        mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+        mesh.from_pydata(
+            [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)],
+            [],
+            [(0, 1, 2, 3)],
+        )
         plane = bpy.data.objects.new("ground", mesh)
         plane.is_shadow_catcher = True
         self.scene.collection.objects.link(plane)
@@ -134,7 +140,9 @@ class Stage:
         # A smooth sky needs no importance map, and without one every thread count gives the same bytes.
         world.cycles.sampling_method = "NONE"
         image = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
-        world.node_tree.links.new(image.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
+        world.node_tree.links.new(
+            image.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"]
+        )
         return image
 
     def _point_camera(self, job: dict[str, Any]) -> None:
@@ -164,7 +172,11 @@ class Stage:
         left, top = job["ground_origin_px"]
         gsd_m, half = job["gsd_m"], job["size_px"] / 2
         # Metres to the image's own coordinates, which run from its lower left corner to its upper right one.
-        self.ground_place.inputs["Scale"].default_value = (1 / (width * gsd_m), 1 / (height * gsd_m), 1.0)
+        self.ground_place.inputs["Scale"].default_value = (
+            1 / (width * gsd_m),
+            1 / (height * gsd_m),
+            1.0,
+        )
         low = ((left - half) * gsd_m, (half - top - height) * gsd_m)
         self.ground_place.inputs["Location"].default_value = (
             -low[0] / (width * gsd_m),
@@ -187,13 +199,17 @@ class Stage:
         # Row 0 of our maps is at v = 0; Blender's images begin at the bottom, and so do the arrays handed over.
         mesh.uv_layers.new(name="uv").data.foreach_set("uv", face_uvs.astype(np.float32).ravel())
         mesh.update(calc_edges=True)
-        material, images = self._surface(arrays["textures"][index], arrays["labels"][index], arrays["materials"])
+        material, images = self._surface(
+            arrays["textures"][index], arrays["labels"][index], arrays["materials"]
+        )
         mesh.materials.append(material)
         vehicle = bpy.data.objects.new("vehicle", mesh)
         self.scene.collection.objects.link(vehicle)
         return [vehicle, mesh, material, *images]
 
-    def _surface(self, texture: np.ndarray, labels: np.ndarray, table: np.ndarray) -> tuple[Any, list[Any]]:
+    def _surface(
+        self, texture: np.ndarray, labels: np.ndarray, table: np.ndarray
+    ) -> tuple[Any, list[Any]]:
         """One material whose colour and finish (roughness, coat, specular level, coat's roughness) come from maps."""
         material = bpy.data.materials.new("vehicle")
         material.use_nodes = True

@@ -59,7 +59,10 @@ class Workers:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -73,7 +76,9 @@ class Workers:
             process.stop()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def run(self, jobs: Sequence[Job], *, on_done: Callable[[], None] | None = None) -> list[np.ndarray]:
+    def run(
+        self, jobs: Sequence[Job], *, on_done: Callable[[], None] | None = None
+    ) -> list[np.ndarray]:
         """The results of all jobs, in their order; those that are there already are read.
 
         Raises:
@@ -215,5 +220,12 @@ class _Process:
             code = process.wait()
             if code < 0:
                 return f"signal {-code}"
-        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n") if self._log.exists() else []
-        return "; ".join([line.strip() for line in lines if line.strip()][-_LAST_LINES:]) or "it said nothing"
+        lines = (
+            self._log.read_text(encoding="utf-8", errors="replace").split("\n")
+            if self._log.exists()
+            else []
+        )
+        return (
+            "; ".join([line.strip() for line in lines if line.strip()][-_LAST_LINES:])
+            or "it said nothing"
+        )

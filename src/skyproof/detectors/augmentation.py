@@ -19,11 +19,15 @@ def turn(
     if mirror:
         image = image.flip(2)
         width = image.shape[2]
-        boxes = torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], dim=1)
+        boxes = torch.stack(
+            [width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], dim=1
+        )
     for _ in range(quarter_turns % 4):
         width = image.shape[2]
         image = image.rot90(1, (1, 2))
-        boxes = torch.stack([boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]], dim=1)
+        boxes = torch.stack(
+            [boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]], dim=1
+        )
     return image, boxes
 
 
@@ -72,4 +76,6 @@ def _blur(images: Tensor, sigma_px: float) -> Tensor:
     kernel = torch.exp(-(offsets**2) / (2 * sigma_px**2))
     kernel = (kernel / kernel.sum()).expand(3, 1, 1, -1)
     padded = functional.pad(images, (radius,) * 4, mode="replicate")
-    return functional.conv2d(functional.conv2d(padded, kernel, groups=3), kernel.transpose(2, 3), groups=3)
+    return functional.conv2d(
+        functional.conv2d(padded, kernel, groups=3), kernel.transpose(2, 3), groups=3
+    )

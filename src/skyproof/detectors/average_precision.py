@@ -54,12 +54,19 @@ def average_precision(
         ConfigurationError: as many detections as images are expected.
     """
     if len(detections) != len(labelled):
-        raise ConfigurationError(f"Got detections for {len(detections)} images but labels for {len(labelled)}.")
+        raise ConfigurationError(
+            f"Got detections for {len(detections)} images but labels for {len(labelled)}."
+        )
     scores, hits = [], []
     for found, truth, ignore in zip(detections, labelled.boxes, labelled.ignore, strict=True):
         boxes, own_scores = found.boxes.cpu(), found.scores.cpu()
         matches = match_detections(
-            boxes, own_scores, truth.cpu(), criterion=criterion, gsd_m=labelled.gsd_m, ignore=ignore.cpu()
+            boxes,
+            own_scores,
+            truth.cpu(),
+            criterion=criterion,
+            gsd_m=labelled.gsd_m,
+            ignore=ignore.cpu(),
         )
         counted = ~matches.ignored
         scores.append(own_scores[counted].double())
@@ -92,7 +99,9 @@ def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
     scores = curve.scores
     if not len(scores) or curve.vehicle_count == 0 or float(curve.recall[-1]) == 0:
         return 1.0, 0.0
-    next_lower = torch.cat([scores[1:], scores.new_tensor([min(LOWEST_SCORE, float(scores[-1]) / 2)])])
+    next_lower = torch.cat(
+        [scores[1:], scores.new_tensor([min(LOWEST_SCORE, float(scores[-1]) / 2)])]
+    )
     f1 = 2 * curve.precision * curve.recall / (curve.precision + curve.recall).clamp(min=1e-12)
     f1 = f1.masked_fill(next_lower == scores, -1.0)
     best = int(f1.argmax())

@@ -29,7 +29,9 @@ def training_batch(
     count = len(training)
     positions = range(step * batch_size, (step + 1) * batch_size)
     orders = {
-        epoch: torch.randperm(count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63))
+        epoch: torch.randperm(
+            count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63)
+        )
         for epoch in {position // count for position in positions}
     }
     generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
@@ -37,7 +39,10 @@ def training_batch(
     for position in positions:
         index = int(orders[position // count][position % count])
         shown, boxes, ignore = window(
-            training.images[index], training.boxes[index].float(), training.ignore[index].float(), generator=generator
+            training.images[index],
+            training.boxes[index].float(),
+            training.ignore[index].float(),
+            generator=generator,
         )
         image = _hide_ignored(shown.float() / 255, boxes, ignore)
         turns, mirror = (

@@ -85,18 +85,24 @@ def bring_detector(
     refuse_existing(folder)
     name = checkpoint.path.stem if name is None else name
     if not _NAME.fullmatch(name) or name in _TAKEN:
-        raise ConfigurationError(f"{name!r} is no name for a detector: letters, digits, . _ - are; give --name.")
+        raise ConfigurationError(
+            f"{name!r} is no name for a detector: letters, digits, . _ - are; give --name."
+        )
     check_validation(validation)
     gsd_m = validation.gsd_m if checkpoint.gsd_m is None else checkpoint.gsd_m
     if not 0 < gsd_m < float("inf"):
         raise ConfigurationError(f"--gsd expects metres per pixel above 0, got {gsd_m}.")
     read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
     if read is None:
-        raise ConfigurationError(f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}.")
+        raise ConfigurationError(
+            f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
+        )
     network = network_of(read_checkpoint(checkpoint.path))
     state = state_of(network)
     if not state:
-        raise StoredFileError(f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict.")
+        raise StoredFileError(
+            f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict."
+        )
     blueprint = read(checkpoint, network, state, validation.gsd_m / gsd_m)
     detector = BroughtDetector(name, blueprint)
     _load(detector, state, checkpoint)
@@ -127,9 +133,13 @@ def bring_detector(
     return card
 
 
-def _torchvision(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float) -> Blueprint:
+def _torchvision(
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float
+) -> Blueprint:
     if checkpoint.architecture is None:
-        raise ConfigurationError("a torchvision checkpoint does not say what it is; give --architecture.")
+        raise ConfigurationError(
+            "a torchvision checkpoint does not say what it is; give --architecture."
+        )
     count = count_classes(checkpoint.architecture, state)
     # Faster R-CNN's class 0 is the background.
     first = 1 if checkpoint.architecture.startswith("fasterrcnn") else 0
@@ -149,13 +159,26 @@ def _torchvision(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor],
     same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
     names = [str(number) for number in range(count)]
     eps = 0.0 if same else None
-    return Blueprint("torchvision", checkpoint.architecture, names, numbers, scale, eps, checkpoint.path.name, digest)
+    return Blueprint(
+        "torchvision",
+        checkpoint.architecture,
+        names,
+        numbers,
+        scale,
+        eps,
+        checkpoint.path.name,
+        digest,
+    )
 
 
-def _ultralytics(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float) -> Blueprint:
+def _ultralytics(
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float
+) -> Blueprint:
     path = checkpoint.path
     if checkpoint.architecture is not None:
-        raise ConfigurationError("an Ultralytics checkpoint holds its architecture; leave --architecture out.")
+        raise ConfigurationError(
+            "an Ultralytics checkpoint holds its architecture; leave --architecture out."
+        )
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in _NETWORKS:
         raise StoredFileError(
@@ -169,7 +192,9 @@ def _ultralytics(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor],
         names = values["names"]
         classes = [str(names[index]) for index in range(len(names))]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(f"{path} lacks its architecture or class names ({error!r}); save it again.") from error
+        raise StoredFileError(
+            f"{path} lacks its architecture or class names ({error!r}); save it again."
+        ) from error
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]
     if missing or not checkpoint.vehicle_classes:
         raise ConfigurationError(
@@ -177,14 +202,19 @@ def _ultralytics(checkpoint: Checkpoint, network: Any, state: dict[str, Tensor],
         )
     numbers = [classes.index(name) for name in checkpoint.vehicle_classes]
     try:
-        return Blueprint("ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path))
+        return Blueprint(
+            "ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path)
+        )
     except ConfigurationError as error:
         raise ConfigurationError(f"{path} cannot be brought in: {error}") from error
 
 
 def _load(detector: BroughtDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
     # Ours wrap the network's model.
-    wanted = {name.removeprefix("network.model."): tensor for name, tensor in detector.state_dict().items()}
+    wanted = {
+        name.removeprefix("network.model."): tensor
+        for name, tensor in detector.state_dict().items()
+    }
     try:
         detector.network.model.load_state_dict(state)
     except RuntimeError as error:
@@ -198,7 +228,11 @@ def _load(detector: BroughtDetector, state: dict[str, Tensor], checkpoint: Check
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, such as "
             f"{different[0] if different else 'none by name'}; "
-            + ("give the --architecture they were trained as." if checkpoint.architecture else "save it unfused.")
+            + (
+                "give the --architecture they were trained as."
+                if checkpoint.architecture
+                else "save it unfused."
+            )
         ) from error
 
 

@@ -12,7 +12,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.brought_torchvision import ARCHITECTURES, build_torchvision
-from skyproof.detectors.common import PADDING_GREY, SMALLEST_IMAGE_PX, check_images, check_targets, suppress
+from skyproof.detectors.common import (
+    PADDING_GREY,
+    SMALLEST_IMAGE_PX,
+    check_images,
+    check_targets,
+    suppress,
+)
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.detectors.torchvision_detectors import TorchvisionDetector
 from skyproof.detectors.ultralytics_detectors import YoloNetwork, check_layers
@@ -52,11 +58,19 @@ class Blueprint:
         if self.kind == "ultralytics":
             check_layers(self.architecture)
         elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
-            raise ConfigurationError(f"no detector of kind {self.kind!r} is called {self.architecture!r}.")
-        if not self.vehicle_classes or not all(0 <= index < len(self.classes) for index in self.vehicle_classes):
-            raise ConfigurationError(f"vehicle classes {self.vehicle_classes} are not among {len(self.classes)}.")
+            raise ConfigurationError(
+                f"no detector of kind {self.kind!r} is called {self.architecture!r}."
+            )
+        if not self.vehicle_classes or not all(
+            0 <= index < len(self.classes) for index in self.vehicle_classes
+        ):
+            raise ConfigurationError(
+                f"vehicle classes {self.vehicle_classes} are not among {len(self.classes)}."
+            )
         if not 0.05 <= self.image_scale <= 20:
-            raise ConfigurationError(f"a scale of {self.image_scale:g} between two resolutions is out of reason.")
+            raise ConfigurationError(
+                f"a scale of {self.image_scale:g} between two resolutions is out of reason."
+            )
 
 
 class BroughtDetector(TrainableDetector):
@@ -83,7 +97,9 @@ class BroughtDetector(TrainableDetector):
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """The network's own loss per image against an empty truth, normalised (PAPER 21, 22).
 
         Raises:
@@ -91,14 +107,18 @@ class BroughtDetector(TrainableDetector):
         """
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):
-            raise ConfigurationError(f"{self.name} was brought in and is not trained here: its loss knows no vehicles.")
+            raise ConfigurationError(
+                f"{self.name} was brought in and is not trained here: its loss knows no vehicles."
+            )
         return self.network.loss(self._scaled(images), targets)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
         """See `TrainableDetector.candidates`; boxes in pixels of `images`."""
         found = self.network.candidates(self._scaled(images))
         height, width = self._size_px(images)
-        ratio = found.boxes.new_tensor([images.shape[-1] / width, images.shape[-2] / height]).repeat(2)
+        ratio = found.boxes.new_tensor(
+            [images.shape[-1] / width, images.shape[-2] / height]
+        ).repeat(2)
         return Candidates(found.boxes * ratio, found.scores, found.valid)
 
     @torch.no_grad()
@@ -107,7 +127,9 @@ class BroughtDetector(TrainableDetector):
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     def _size_px(self, images: Tensor) -> tuple[int, int]:
-        return max(1, round(images.shape[-2] * self.image_scale)), max(1, round(images.shape[-1] * self.image_scale))
+        return max(1, round(images.shape[-2] * self.image_scale)), max(
+            1, round(images.shape[-1] * self.image_scale)
+        )
 
     def _scaled(self, images: Tensor) -> Tensor:
         check_images(images)
@@ -125,5 +147,8 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork:
     if blueprint.kind == "ultralytics":
         return YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
     return build_torchvision(
-        blueprint.architecture, len(blueprint.classes), blueprint.vehicle_classes, blueprint.norm_eps
+        blueprint.architecture,
+        len(blueprint.classes),
+        blueprint.vehicle_classes,
+        blueprint.norm_eps,
     )

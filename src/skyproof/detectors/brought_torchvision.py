@@ -48,13 +48,19 @@ def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
         ConfigurationError: an unknown architecture, or weights that are not of its kind.
     """
     if architecture not in ARCHITECTURES:
-        raise ConfigurationError(f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}.")
+        raise ConfigurationError(
+            f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}."
+        )
     name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
     rows = len(state[name]) if name in state and state[name].ndim == 1 else 0
     if not rows or rows % anchors:
         raise ConfigurationError(
             f"The weights do not fit {architecture}: they hold "
-            + (f"{rows} class scores in {name}, not a multiple of {anchors}" if rows else f"no {name}")
+            + (
+                f"{rows} class scores in {name}, not a multiple of {anchors}"
+                if rows
+                else f"no {name}"
+            )
             + "; give the --architecture they were trained as."
         )
     return rows // anchors
@@ -71,7 +77,9 @@ def build_torchvision(
         vehicle_classes: columns of the class scores; their best is the vehicle's score.
         norm_eps: of the backbone's batch norm where torchvision's published weights ask for another one.
     """
-    model = getattr(detection, architecture)(weights=None, weights_backbone=None, num_classes=class_count)
+    model = getattr(detection, architecture)(
+        weights=None, weights_backbone=None, num_classes=class_count
+    )
     for layer in model.backbone.modules():
         if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = norm_eps
@@ -87,7 +95,9 @@ class _Brought(TorchvisionDetector):
         self.vehicle_classes = vehicle_classes
 
     def _normalise(self, images: Tensor) -> Tensor:
-        return (images - images.new_tensor(MEAN).view(3, 1, 1)) / images.new_tensor(DEVIATION).view(3, 1, 1)
+        return (images - images.new_tensor(MEAN).view(3, 1, 1)) / images.new_tensor(DEVIATION).view(
+            3, 1, 1
+        )
 
 
 class BroughtFasterRcnn(_Brought, FasterRcnnDetector):
@@ -99,7 +109,10 @@ class BroughtRetinaNet(_Brought, RetinaNetDetector):
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         outputs, anchors = super()._outputs(images)
-        return {**outputs, "cls_logits": outputs["cls_logits"][..., list(self.vehicle_classes)]}, anchors
+        return {
+            **outputs,
+            "cls_logits": outputs["cls_logits"][..., list(self.vehicle_classes)],
+        }, anchors
 
 
 class BroughtFcos(_Brought):
@@ -107,14 +120,19 @@ class BroughtFcos(_Brought):
 
     name = "fcos"
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """torchvision's focal loss of the vehicle classes against an empty truth, by the points one vehicle gets.
 
         Centredness has no loss where there is no vehicle (PAPER 21, 22).
         """
         check_targets(images, targets)
         logits = self._outputs(images)[0]["cls_logits"]
-        return sigmoid_focal_loss(logits, torch.zeros_like(logits)).sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
+        return (
+            sigmoid_focal_loss(logits, torch.zeros_like(logits)).sum(dim=(1, 2))
+            / POSITIVES_PER_VEHICLE
+        )
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
         """Every point's box and score."""
@@ -122,7 +140,9 @@ class BroughtFcos(_Brought):
         deltas = outputs["bbox_regression"]
         boxes = self.model.box_coder.decode(deltas, anchors.expand(len(images), -1, -1))
         # The root's slope has no limit at 0.
-        product = outputs["cls_logits"].amax(dim=-1).sigmoid() * outputs["bbox_ctrness"][..., 0].sigmoid()
+        product = (
+            outputs["cls_logits"].amax(dim=-1).sigmoid() * outputs["bbox_ctrness"][..., 0].sigmoid()
+        )
         scores = product.clamp(min=1e-12).sqrt()
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
@@ -130,4 +150,6 @@ class BroughtFcos(_Brought):
         features, image_list = self._features(images)
         outputs = self.model.head(features)
         vehicles = outputs["cls_logits"][..., list(self.vehicle_classes)]
-        return {**outputs, "cls_logits": vehicles}, self.model.anchor_generator(image_list, features)[0]
+        return {**outputs, "cls_logits": vehicles}, self.model.anchor_generator(
+            image_list, features
+        )[0]

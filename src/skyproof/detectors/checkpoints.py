@@ -60,7 +60,9 @@ def read_checkpoint(path: Path) -> Any:
         if path.suffix == ".safetensors":
             return load_file(path)
         names = _foreign_names(path)
-        stand_ins = [(type(name.rpartition(".")[2], (StandIn,), {"origin": name}), name) for name in names]
+        stand_ins = [
+            (type(name.rpartition(".")[2], (StandIn,), {"origin": name}), name) for name in names
+        ]
         with torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
             return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
@@ -95,12 +97,19 @@ def state_of(network: Any) -> dict[str, Tensor]:
         if found and all(name.startswith(prefix) for name in found):
             found = {name.removeprefix(prefix): value for name, value in found.items()}
     # Ultralytics stores halves.
-    return {name: value.detach().float() if value.is_floating_point() else value for name, value in found.items()}
+    return {
+        name: value.detach().float() if value.is_floating_point() else value
+        for name, value in found.items()
+    }
 
 
 def _foreign_names(path: Path) -> list[str]:
     """Dotted names that the unpickler would refuse; none in the form of before 2020, where it refuses them."""
-    return torch.serialization.get_unsafe_globals_in_checkpoint(str(path)) if zipfile.is_zipfile(path) else []
+    return (
+        torch.serialization.get_unsafe_globals_in_checkpoint(str(path))
+        if zipfile.is_zipfile(path)
+        else []
+    )
 
 
 def _walk(module: StandIn, prefix: str = "") -> Iterator[tuple[str, Tensor]]:

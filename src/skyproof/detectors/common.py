@@ -59,7 +59,9 @@ def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
         )
 
 
-def pad_to_stride(images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32) -> Float[Tensor, "B 3 H2 W2"]:
+def pad_to_stride(
+    images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32
+) -> Float[Tensor, "B 3 H2 W2"]:
     """Pads right and below, so that pixel coordinates stay, until both sides are multiples of `stride_px`."""
     height, width = images.shape[-2:]
     return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
@@ -73,12 +75,17 @@ def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Dete
         height_px, width_px: size of the images before padding.
     """
     found = []
-    for boxes, scores, valid in zip(candidates.boxes, candidates.scores, candidates.valid, strict=True):
+    for boxes, scores, valid in zip(
+        candidates.boxes, candidates.scores, candidates.valid, strict=True
+    ):
         clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
         sides = clipped[:, 2:] - clipped[:, :2]
         keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
         kept_scores, order = scores[keep].sort(descending=True, stable=True)
-        kept_scores, kept_boxes = kept_scores[:MOST_CANDIDATES], clipped[keep][order[:MOST_CANDIDATES]]
+        kept_scores, kept_boxes = (
+            kept_scores[:MOST_CANDIDATES],
+            clipped[keep][order[:MOST_CANDIDATES]],
+        )
         best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:MOST_DETECTIONS]
         found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
     return found
@@ -86,4 +93,7 @@ def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Dete
 
 def as_targets(boxes: Tensor) -> dict[str, Tensor]:
     """Boxes as torchvision wants a target: class 1 is the vehicle where 0 is background."""
-    return {"boxes": boxes, "labels": torch.ones(len(boxes), dtype=torch.int64, device=boxes.device)}
+    return {
+        "boxes": boxes,
+        "labels": torch.ones(len(boxes), dtype=torch.int64, device=boxes.device),
+    }

@@ -63,7 +63,9 @@ class TrainableDetector(nn.Module):
     name: str
     size: str
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """The detector's own training loss per image, normalised (PAPER 21, 22).
 
         Each image's value depends on that image alone; all negatives count; with an empty truth it is finite,

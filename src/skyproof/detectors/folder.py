@@ -99,13 +99,18 @@ def weights_digest(detector: nn.Module) -> str:
     digest = hashlib.sha256()
     for name, tensor in sorted(detector.state_dict().items()):
         digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
-        digest.update(tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+        digest.update(
+            tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+        )
     return digest.hexdigest()
 
 
 def plain_state(detector: nn.Module) -> dict[str, Tensor]:
     """Parameters and buffers, detached copies on the CPU in plain layout, as safetensors wants them."""
-    return {name: tensor.detach().cpu().contiguous().clone() for name, tensor in detector.state_dict().items()}
+    return {
+        name: tensor.detach().cpu().contiguous().clone()
+        for name, tensor in detector.state_dict().items()
+    }
 
 
 def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
@@ -141,13 +146,17 @@ def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
     card, stored_digest = _card(folder / "detector.json")
     path = folder / "weights.safetensors"
     if not path.is_file():
-        raise StoredFileError(f"{path} is missing; train the detector again or copy the whole folder.")
+        raise StoredFileError(
+            f"{path} is missing; train the detector again or copy the whole folder."
+        )
     try:
         detector = _of_card(card)
     except ConfigurationError as error:
         if card.brought is None and card.name in DETECTOR_NAMES and card.size in ("slim", "full"):
             raise
-        raise StoredFileError(f"{folder / 'detector.json'} names an unknown detector: {error}") from error
+        raise StoredFileError(
+            f"{folder / 'detector.json'} names an unknown detector: {error}"
+        ) from error
     try:
         tensors = load_file(path)
         # BatchNorm fills in a missing counter silently, even when loaded strictly.
@@ -203,4 +212,6 @@ def _card(path: Path) -> tuple[DetectorCard, str]:
         fields["threshold"], fields["gsd_m"] = float(fields["threshold"]), float(fields["gsd_m"])
         return DetectorCard(**fields), str(record["weights_sha256"])
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise StoredFileError(f"{path} lacks or garbles the field {error}; train the detector again.") from error
+        raise StoredFileError(
+            f"{path} lacks or garbles the field {error}; train the detector again."
+        ) from error

@@ -86,7 +86,9 @@ def match_detections(
                 cost[:, best] = torch.inf
     ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     if ignore is not None and len(ignore):
-        inside = (centres[:, None] >= ignore[None, :, :2]) & (centres[:, None] < ignore[None, :, 2:])
+        inside = (centres[:, None] >= ignore[None, :, :2]) & (
+            centres[:, None] < ignore[None, :, 2:]
+        )
         ignored = inside.all(dim=2).any(dim=1) & (truth_of_detection.to(boxes.device) < 0)
     truth_of_detection = truth_of_detection.to(boxes.device)
     detection_of_truth = detection_of_truth.to(boxes.device)

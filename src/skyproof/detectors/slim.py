@@ -45,7 +45,9 @@ class SlimBackbone(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.out_channels = FEATURE_CHANNELS
-        self.to_stride_4 = nn.Sequential(_convolution(3, 24, stride=2), _convolution(24, 48, stride=2), _Residual(48))
+        self.to_stride_4 = nn.Sequential(
+            _convolution(3, 24, stride=2), _convolution(24, 48, stride=2), _Residual(48)
+        )
         self.to_stride_8 = nn.Sequential(_convolution(48, 96, stride=2), _Residual(96))
         self.to_stride_16 = nn.Sequential(_convolution(96, 128, stride=2), _Residual(128))
         self.pyramid = FeaturePyramidNetwork([96, 128], FEATURE_CHANNELS)

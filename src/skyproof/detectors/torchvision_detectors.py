@@ -25,12 +25,23 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.retinanet import RetinaNetHead
 from torchvision.models.detection.rpn import RPNHead, concat_box_prediction_layers
 
-from skyproof.detectors.common import as_targets, check_images, check_targets, pad_to_stride, suppress
+from skyproof.detectors.common import (
+    as_targets,
+    check_images,
+    check_targets,
+    pad_to_stride,
+    suppress,
+)
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.detectors.slim import FEATURE_CHANNELS, SlimBackbone
 from skyproof.errors import ConfigurationError
 
-__all__ = ["POSITIVES_PER_VEHICLE", "FasterRcnnDetector", "RetinaNetDetector", "TorchvisionDetector"]
+__all__ = [
+    "POSITIVES_PER_VEHICLE",
+    "FasterRcnnDetector",
+    "RetinaNetDetector",
+    "TorchvisionDetector",
+]
 
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the diagonal.
 SLIM_SIDES_PX = ((20.0, 30.0), (28.0, 42.0))
@@ -86,7 +97,9 @@ class RetinaNetDetector(TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_retinanet(size))
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """torchvision's focal and box losses per image, each divided by that image's positive anchors.
 
         With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
@@ -113,7 +126,9 @@ class RetinaNetDetector(TorchvisionDetector):
         """Every anchor's decoded box and sigmoid score, the best of its classes."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
-        boxes = self.model.box_coder.decode_single(deltas.flatten(0, 1), anchors.repeat(len(images), 1))
+        boxes = self.model.box_coder.decode_single(
+            deltas.flatten(0, 1), anchors.repeat(len(images), 1)
+        )
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
 
@@ -141,7 +156,9 @@ class FasterRcnnDetector(TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_faster_rcnn(size))
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """Proposal loss plus region loss per image, deterministic (PAPER 21, 22)."""
         check_targets(images, targets)
         features, image_list = self._features(images)
@@ -156,7 +173,9 @@ class FasterRcnnDetector(TorchvisionDetector):
         ):
             truth = targets[index]
             proposal_loss = self._proposal_loss(objectness[index], deltas[index], anchors, truth)
-            losses.append(proposal_loss + self._region_loss(own_logits, own_deltas, regions[index], truth))
+            losses.append(
+                proposal_loss + self._region_loss(own_logits, own_deltas, regions[index], truth)
+            )
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
@@ -168,12 +187,17 @@ class FasterRcnnDetector(TorchvisionDetector):
         scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
         columns = torch.tensor(self.vehicle_classes, device=best.device)[best]
         # Of no region at all torchvision leaves the classes' boxes in one row.
-        decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(len(best), logits.shape[1], 4)
+        decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(
+            len(best), logits.shape[1], 4
+        )
         boxes = decoded[torch.arange(len(columns), device=best.device), columns]
         return Candidates(
             pad_sequence(boxes.split(counts), batch_first=True),
             pad_sequence(scores.split(counts), batch_first=True),
-            pad_sequence([torch.ones_like(own[:, 0], dtype=torch.bool) for own in proposals], batch_first=True),
+            pad_sequence(
+                [torch.ones_like(own[:, 0], dtype=torch.bool) for own in proposals],
+                batch_first=True,
+            ),
         )
 
     def _proposal_outputs(
@@ -188,8 +212,12 @@ class FasterRcnnDetector(TorchvisionDetector):
         batch = len(image_list.image_sizes)
         objectness, deltas = objectness.view(batch, -1), deltas.view(batch, -1, 4)
         # As in torchvision no gradient flows through where the proposals lie.
-        boxes = network.box_coder.decode_single(deltas.detach().flatten(0, 1), anchors.repeat(batch, 1))
-        proposals, _ = network.filter_proposals(boxes.view_as(deltas), objectness, image_list.image_sizes, level_sizes)
+        boxes = network.box_coder.decode_single(
+            deltas.detach().flatten(0, 1), anchors.repeat(batch, 1)
+        )
+        proposals, _ = network.filter_proposals(
+            boxes.view_as(deltas), objectness, image_list.image_sizes, level_sizes
+        )
         return objectness, deltas, anchors, proposals
 
     def _region_outputs(
@@ -197,20 +225,31 @@ class FasterRcnnDetector(TorchvisionDetector):
     ) -> tuple[Tensor, Tensor]:
         heads = self.model.roi_heads
         named = {str(level): feature for level, feature in enumerate(features)}
-        return heads.box_predictor(heads.box_head(heads.box_roi_pool(named, regions, image_list.image_sizes)))
+        return heads.box_predictor(
+            heads.box_head(heads.box_roi_pool(named, regions, image_list.image_sizes))
+        )
 
-    def _proposal_loss(self, objectness: Tensor, deltas: Tensor, anchors: Tensor, truth: Tensor) -> Tensor:
+    def _proposal_loss(
+        self, objectness: Tensor, deltas: Tensor, anchors: Tensor, truth: Tensor
+    ) -> Tensor:
         network = self.model.rpn
         labels, matched = network.assign_targets_to_anchors([anchors], [as_targets(truth)])
         counted, positive = labels[0] >= 0, labels[0] > 0
-        entropy = functional.binary_cross_entropy_with_logits(objectness[counted], labels[0][counted], reduction="sum")
+        entropy = functional.binary_cross_entropy_with_logits(
+            objectness[counted], labels[0][counted], reduction="sum"
+        )
         if not len(truth):
             return entropy / EMPTY_PROPOSAL_DIVISOR
         divisor = positive.sum().clamp(min=POSITIVES_PER_VEHICLE)
         wanted = network.box_coder.encode_single(matched[0][positive], anchors[positive])
-        return (entropy + functional.smooth_l1_loss(deltas[positive], wanted, beta=1 / 9, reduction="sum")) / divisor
+        return (
+            entropy
+            + functional.smooth_l1_loss(deltas[positive], wanted, beta=1 / 9, reduction="sum")
+        ) / divisor
 
-    def _region_loss(self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor) -> Tensor:
+    def _region_loss(
+        self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor
+    ) -> Tensor:
         if not len(regions):
             # Nothing was proposed: a mean over no region would not be finite.
             return logits.sum()
@@ -235,7 +274,10 @@ def _build_retinanet(size: str) -> RetinaNet:
     _check_slim(size)
     anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
     head = RetinaNetHead(
-        FEATURE_CHANNELS, anchors.num_anchors_per_location()[0], 1, norm_layer=partial(nn.GroupNorm, 8)
+        FEATURE_CHANNELS,
+        anchors.num_anchors_per_location()[0],
+        1,
+        norm_layer=partial(nn.GroupNorm, 8),
     )
     for branch in (head.classification_head, head.regression_head):
         # Two of torchvision's four convolutions are enough for one class and halve the time.
@@ -250,7 +292,9 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
         for stage, count in (("pre", 3 * PROPOSALS.get(size, 0)), ("post", PROPOSALS.get(size, 0)))
     }
     if size == "full":
-        model = fasterrcnn_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=2, **limits)
+        model = fasterrcnn_resnet50_fpn_v2(
+            weights=None, weights_backbone=None, num_classes=2, **limits
+        )
         model.rpn.anchor_generator = AnchorGenerator(
             tuple((side,) for side in FULL_SIDES_PX), (FULL_RATIOS,) * len(FULL_SIDES_PX)
         )
@@ -272,7 +316,9 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
     # All negatives count from the first step on, so they must start as improbable as in RetinaNet.
-    nn.init.constant_(model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY))
+    nn.init.constant_(
+        model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY)
+    )
     return model
 
 

@@ -19,12 +19,25 @@ from torch import Tensor, nn
 from skyproof.detectors.average_precision import average_precision, best_f1_threshold
 from skyproof.detectors.batches import WINDOW_PX, training_batch
 from skyproof.detectors.detector import Detections, Detector, TrainableDetector
-from skyproof.detectors.folder import DetectorCard, installed_version, load_detector, plain_state, save_detector
+from skyproof.detectors.folder import (
+    DetectorCard,
+    installed_version,
+    load_detector,
+    plain_state,
+    save_detector,
+)
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_jsonl, refuse_foreign, write_bytes, write_jsonl
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["TRAINING_PRESETS", "TrainingSettings", "check_validation", "detect_all", "train", "validate"]
+__all__ = [
+    "TRAINING_PRESETS",
+    "TrainingSettings",
+    "check_validation",
+    "detect_all",
+    "train",
+    "validate",
+]
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -126,7 +139,12 @@ def train(
     """
     folder = Path(folder)
     seed = int(torch.randint(2**62, (1,), generator=generator))
-    identity = {"name": detector.name, "size": detector.size, "seed": seed, "settings": asdict(settings)}
+    identity = {
+        "name": detector.name,
+        "size": detector.size,
+        "seed": seed,
+        "settings": asdict(settings),
+    }
     _check(training, validation)
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
@@ -167,7 +185,9 @@ def validate(detector: Detector, validation: LabelledImages) -> dict[str, float]
     return {"ap_centre_1m": centre.ap, "ap_iou_50": overlap.ap, "f1": f1, "threshold": threshold}
 
 
-def detect_all(detector: Detector, images: Sequence[Tensor], *, batch_size: int = 16) -> list[Detections]:
+def detect_all(
+    detector: Detector, images: Sequence[Tensor], *, batch_size: int = 16
+) -> list[Detections]:
     """Runs `detect` over images of bytes, in batches of equal size, on the detector's own device."""
     parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
     device = parameter.device if parameter is not None else torch.device("cpu")
@@ -175,9 +195,15 @@ def detect_all(detector: Detector, images: Sequence[Tensor], *, batch_size: int 
     start = 0
     while start < len(images):
         stop = start + 1
-        while stop < len(images) and stop - start < batch_size and images[stop].shape == images[start].shape:
+        while (
+            stop < len(images)
+            and stop - start < batch_size
+            and images[stop].shape == images[start].shape
+        ):
             stop += 1
-        batch = torch.stack([images[index] for index in range(start, stop)]).to(device).float() / 255
+        batch = (
+            torch.stack([images[index] for index in range(start, stop)]).to(device).float() / 255
+        )
         found.extend(detector.detect(batch.contiguous(memory_format=torch.channels_last)))
         start = stop
     return found
@@ -186,7 +212,9 @@ def detect_all(detector: Detector, images: Sequence[Tensor], *, batch_size: int 
 class _Run:
     """Everything that changes during a training, so that a checkpoint can hold all of it."""
 
-    def __init__(self, detector: TrainableDetector, settings: TrainingSettings, identity: dict[str, Any]) -> None:
+    def __init__(
+        self, detector: TrainableDetector, settings: TrainingSettings, identity: dict[str, Any]
+    ) -> None:
         self.detector = detector.train().to(memory_format=torch.channels_last)
         self.averaged = copy.deepcopy(detector).eval().requires_grad_(False)
         self.settings = settings
@@ -197,7 +225,10 @@ class _Run:
         self.best_state: dict[str, Tensor] = {}
         decayed = [parameter for parameter in detector.parameters() if parameter.ndim > 1]
         others = [parameter for parameter in detector.parameters() if parameter.ndim <= 1]
-        groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
+        groups = [
+            {"params": decayed, "weight_decay": settings.weight_decay},
+            {"params": others, "weight_decay": 0.0},
+        ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
 
     def advance(self, training: LabelledImages, seed: int) -> float:
@@ -205,7 +236,11 @@ class _Run:
         settings = self.settings
         device = next(self.detector.parameters()).device
         images, targets = training_batch(
-            training, self.step, batch_size=settings.batch_size, jitter_strength=settings.jitter, seed=seed
+            training,
+            self.step,
+            batch_size=settings.batch_size,
+            jitter_strength=settings.jitter,
+            seed=seed,
         )
         images = images.to(device).contiguous(memory_format=torch.channels_last)
         for group in self.optimiser.param_groups:
@@ -246,10 +281,14 @@ class _Run:
 
     def store(self, folder: Path) -> None:
         tensors = {f"weights.{name}": tensor for name, tensor in plain_state(self.detector).items()}
-        tensors |= {f"averaged.{name}": tensor for name, tensor in plain_state(self.averaged).items()}
+        tensors |= {
+            f"averaged.{name}": tensor for name, tensor in plain_state(self.averaged).items()
+        }
         tensors |= {f"best.{name}": tensor for name, tensor in self.best_state.items()}
         for index, entry in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser.{index}.{key}": value.cpu().contiguous() for key, value in entry.items()}
+            tensors |= {
+                f"optimiser.{index}.{key}": value.cpu().contiguous() for key, value in entry.items()
+            }
         record = {"identity": self.identity, "step": self.step, "best": self.best}
         write_jsonl(folder / "steps.jsonl", self.rows)
         # Step and tensors in one file: a kill between two files could not be told from a whole checkpoint.
@@ -276,12 +315,18 @@ class _Run:
             self.best_state = _part(tensors, "best.")
             self.step, self.best = int(record["step"]), record["best"]
         except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
-            raise StoredFileError(f"{path} is damaged ({error}); remove it and train again.") from error
+            raise StoredFileError(
+                f"{path} is damaged ({error}); remove it and train again."
+            ) from error
         self.rows = [row for row in read_jsonl(folder / "steps.jsonl") if row["step"] <= self.step]
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
 
 
 def _learning_rate(step: int, settings: TrainingSettings) -> float:
@@ -294,7 +339,9 @@ def _learning_rate(step: int, settings: TrainingSettings) -> float:
 
 def _check(training: LabelledImages, validation: LabelledImages) -> None:
     if not len(training) or not any(len(boxes) for boxes in training.boxes):
-        raise ConfigurationError("Training expects images with at least one vehicle; none was given.")
+        raise ConfigurationError(
+            "Training expects images with at least one vehicle; none was given."
+        )
     check_validation(validation)
     if not math.isclose(training.gsd_m, validation.gsd_m):
         raise ConfigurationError(
@@ -309,7 +356,9 @@ def check_validation(validation: LabelledImages) -> None:
         ConfigurationError: no vehicle in them.
     """
     if not any(len(boxes) for boxes in validation.boxes):
-        raise ConfigurationError("Validation expects at least one vehicle: without one no threshold can be chosen.")
+        raise ConfigurationError(
+            "Validation expects at least one vehicle: without one no threshold can be chosen."
+        )
 
 
 def _same_training(stored: Any, wanted: Any, folder: Path) -> None:

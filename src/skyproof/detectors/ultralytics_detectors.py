@@ -77,7 +77,9 @@ class YoloV5Detector(TrainableDetector):
         self.model.args = DEFAULT_CFG
         self._criterion: Any = None
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """Ultralytics' own v8DetectionLoss (box, class, distribution) image by image on one forward pass.
 
         Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
@@ -109,7 +111,9 @@ class YoloV5Detector(TrainableDetector):
 
         outputs = self._outputs(images)
         points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
-        boxes = self._criterion_on(images.device).bbox_decode(points, outputs["boxes"].permute(0, 2, 1).contiguous())
+        boxes = self._criterion_on(images.device).bbox_decode(
+            points, outputs["boxes"].permute(0, 2, 1).contiguous()
+        )
         scores = outputs["scores"][:, 0].sigmoid()
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
@@ -149,16 +153,26 @@ def check_layers(architecture: Mapping[str, Any]) -> None:
         activation = architecture.get("activation")
         channels = architecture.get("channels", 3)
     except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise ConfigurationError("expected an Ultralytics architecture with rows of backbone and head.") from error
+        raise ConfigurationError(
+            "expected an Ultralytics architecture with rows of backbone and head."
+        ) from error
     unknown = next((name for name in names if name not in LAYERS), None)
     if unknown is not None:
-        raise ConfigurationError(f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers.")
+        raise ConfigurationError(
+            f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers."
+        )
     if head not in HEADS:
-        raise ConfigurationError(f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes.")
+        raise ConfigurationError(
+            f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes."
+        )
     if activation is not None and not _ACTIVATION.fullmatch(str(activation)):
-        raise ConfigurationError(f"the network's activation {activation!r} is not that of a plain layer.")
+        raise ConfigurationError(
+            f"the network's activation {activation!r} is not that of a plain layer."
+        )
     if channels != 3:
-        raise ConfigurationError(f"the network takes images of {channels} channels; red, green and blue are expected.")
+        raise ConfigurationError(
+            f"the network takes images of {channels} channels; red, green and blue are expected."
+        )
 
 
 class YoloNetwork(TrainableDetector):
@@ -196,7 +210,9 @@ class YoloNetwork(TrainableDetector):
                     "that trained it."
                 ) from error
 
-    def loss(self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]) -> Float[Tensor, " B"]:
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
         """Ultralytics' class loss of the vehicle classes against an empty truth, by the points a vehicle gets.
 
         Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent (PAPER 21, 22).
@@ -239,7 +255,11 @@ def _upright(half: Tensor, angles: Tensor) -> Tensor:
     """Half sides `[..., 2]` of turned boxes to half sides of the upright boxes around them."""
     cosine, sine = angles.cos().abs(), angles.sin().abs()
     return torch.cat(
-        [half[..., :1] * cosine + half[..., 1:] * sine, half[..., :1] * sine + half[..., 1:] * cosine], dim=-1
+        [
+            half[..., :1] * cosine + half[..., 1:] * sine,
+            half[..., :1] * sine + half[..., 1:] * cosine,
+        ],
+        dim=-1,
     )
 
 
@@ -254,7 +274,9 @@ def _quiet_import() -> Iterator[None]:
     logger = logging.getLogger("ultralytics")
     level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
     with tempfile.TemporaryDirectory(prefix="skyproof-yolo-") as folder:
-        os.environ.update({"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"})
+        os.environ.update(
+            {"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"}
+        )
         first = "ultralytics" not in sys.modules
         logger.setLevel(logging.ERROR)
         try:

@@ -66,7 +66,11 @@ def rank_agreement(
     """
     rows = rows or {}
     series = _pooled(tiles, renderer, match)
-    shared = [name for name in sorted(paper, key=lambda name: -paper[name]) if rows.get(name, name) in series]
+    shared = [
+        name
+        for name in sorted(paper, key=lambda name: -paper[name])
+        if rows.get(name, name) in series
+    ]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
             f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has too, got {len(shared)}."
@@ -99,7 +103,10 @@ def renderer_agreement(
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
-    both = [all(key._replace(renderer=renderer) in tiles.series for renderer in renderers) for key in tiles.series]
+    both = [
+        all(key._replace(renderer=renderer) in tiles.series for renderer in renderers)
+        for key in tiles.series
+    ]
     paired = TileCounts(tiles.tiles, dict(itertools.compress(tiles.series.items(), both)))
     one, other = (_pooled(paired, renderer, match) for renderer in renderers)
     shared = [name for name in names if name in one and name in other]
@@ -122,7 +129,9 @@ def renderer_agreement(
     )
 
 
-def _pooled(tiles: TileCounts, renderer: str, match: str) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
+def _pooled(
+    tiles: TileCounts, renderer: str, match: str
+) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
     """Pair counts of every repeat and detector by attack."""
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
@@ -141,10 +150,16 @@ def _easr(
     """
     stacks = [np.stack(counts) for counts in series.values()]
     easr = np.array([overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks])
-    undefined = next((name for name, rate in zip(series, easr, strict=True) if math.isnan(rate)), None)
+    undefined = next(
+        (name for name, rate in zip(series, easr, strict=True) if math.isnan(rate)), None
+    )
     if undefined is not None:
-        raise ConfigurationError(f"The EASR of {undefined} is undefined; a detector found no vehicle before it.")
-    drawn = [overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in stacks]
+        raise ConfigurationError(
+            f"The EASR of {undefined} is undefined; a detector found no vehicle before it."
+        )
+    drawn = [
+        overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in stacks
+    ]
     return easr, np.stack(drawn, axis=1)
 
 
@@ -158,7 +173,9 @@ def _agreement(
     defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
     drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
     spearman, kendall = (
-        _interval(correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn]))
+        _interval(
+            correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn])
+        )
         for correlation in (_spearman, _kendall)
     )
     return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)

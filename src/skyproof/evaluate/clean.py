@@ -57,7 +57,12 @@ def check_clean(
     for boxes, ignore, each in zip(images.boxes, images.ignore, found, strict=True):
         kept = each.scores >= judge.threshold
         matches = match_detections(
-            each.boxes[kept], each.scores[kept], boxes, criterion="centre_1m", gsd_m=images.gsd_m, ignore=ignore
+            each.boxes[kept],
+            each.scores[kept],
+            boxes,
+            criterion="centre_1m",
+            gsd_m=images.gsd_m,
+            ignore=ignore,
         )
         matched = matches.truth_of_detection >= 0
         hits += int(matched.sum())

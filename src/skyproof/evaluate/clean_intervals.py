@@ -77,7 +77,9 @@ def ap_interval(
             f"Got {len(detections)} detections and {len(clusters)} places for {len(labelled)} images; give one each."
         )
     names = list(dict.fromkeys(clusters))
-    ranked = _rank(detections, labelled, [names.index(name) for name in clusters], len(names), criterion)
+    ranked = _rank(
+        detections, labelled, [names.index(name) for name in clusters], len(names), criterion
+    )
     every = np.ones(len(names), dtype=np.int64)
     estimate = ranked.average_precision(every) if names else float("nan")
     if len(names) < 2:
@@ -86,7 +88,9 @@ def ap_interval(
     interval = bootstrap_interval(
         estimate,
         np.array([ranked.average_precision(row) for row in weights]),
-        np.array([ranked.average_precision(every - row) for row in np.eye(len(names), dtype=np.int64)]),
+        np.array(
+            [ranked.average_precision(every - row) for row in np.eye(len(names), dtype=np.int64)]
+        ),
         (0.0, 1.0),
     )
     return interval.estimate, interval.low, interval.high
@@ -102,10 +106,17 @@ def _rank(
     scores: list[Float[np.ndarray, " k"]] = [np.zeros(0)]
     hits, cluster = [np.zeros(0, dtype=bool)], [np.zeros(0, dtype=np.int64)]
     vehicles = np.zeros(clusters, dtype=np.int64)
-    for found, truth, ignore, own in zip(detections, labelled.boxes, labelled.ignore, cluster_of_image, strict=True):
+    for found, truth, ignore, own in zip(
+        detections, labelled.boxes, labelled.ignore, cluster_of_image, strict=True
+    ):
         boxes, own_scores = found.boxes.cpu(), found.scores.cpu()
         matches = match_detections(
-            boxes, own_scores, truth.cpu(), criterion=criterion, gsd_m=labelled.gsd_m, ignore=ignore.cpu()
+            boxes,
+            own_scores,
+            truth.cpu(),
+            criterion=criterion,
+            gsd_m=labelled.gsd_m,
+            ignore=ignore.cpu(),
         )
         counted = ~matches.ignored
         scores.append(own_scores[counted].double().numpy())

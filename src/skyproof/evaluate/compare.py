@@ -67,11 +67,17 @@ def compare(
     after_boxes = truth_boxes if adversarial_truth_boxes is None else adversarial_truth_boxes
     lengths = {len(scenes), len(truth_boxes), len(after_boxes), len(original), len(adversarial)}
     if len(lengths) != 1:
-        raise ValueError(f"expected one entry per scene in every sequence, got lengths {sorted(lengths)}")
+        raise ValueError(
+            f"expected one entry per scene in every sequence, got lengths {sorted(lengths)}"
+        )
     outcomes: list[Outcome] = []
     for index, scene in enumerate(scenes):
-        if len(truth_boxes[index]) != len(scene.placements) or len(after_boxes[index]) != len(scene.placements):
-            raise ValueError(f"scene {scene.id} has {len(scene.placements)} placements, but another number of boxes")
+        if len(truth_boxes[index]) != len(scene.placements) or len(after_boxes[index]) != len(
+            scene.placements
+        ):
+            raise ValueError(
+                f"scene {scene.id} has {len(scene.placements)} placements, but another number of boxes"
+            )
         in_sight = _has_area(truth_boxes[index])
         before = _judge(original[index], truth_boxes[index][in_sight], comparison)
         after = _judge(adversarial[index], after_boxes[index][in_sight], comparison)
@@ -96,7 +102,11 @@ def count_false_alarms(
     for index, found in enumerate(detections):
         truth = truth_boxes[index][_has_area(truth_boxes[index])]
         matches = _match(found, truth, comparison, None if ignore is None else ignore[index])
-        alarms = (matches.truth_of_detection < 0) & ~matches.ignored & (found.scores >= comparison.threshold)
+        alarms = (
+            (matches.truth_of_detection < 0)
+            & ~matches.ignored
+            & (found.scores >= comparison.threshold)
+        )
         count += int(alarms.sum())
     return count
 
@@ -106,17 +116,29 @@ def _has_area(boxes: Float[Tensor, "n 4"]) -> Bool[Tensor, " n"]:
 
 
 def _match(
-    found: Detections, truth: Float[Tensor, "n 4"], comparison: Comparison, ignore: Float[Tensor, "m 4"] | None = None
+    found: Detections,
+    truth: Float[Tensor, "n 4"],
+    comparison: Comparison,
+    ignore: Float[Tensor, "m 4"] | None = None,
 ) -> Matches:
     return match_detections(
-        found.boxes, found.scores, truth, criterion=comparison.match, gsd_m=comparison.gsd_m, ignore=ignore
+        found.boxes,
+        found.scores,
+        truth,
+        criterion=comparison.match,
+        gsd_m=comparison.gsd_m,
+        ignore=ignore,
     )
 
 
-def _judge(found: Detections, truth: Float[Tensor, "n 4"], comparison: Comparison) -> list[tuple[bool, float, float]]:
+def _judge(
+    found: Detections, truth: Float[Tensor, "n 4"], comparison: Comparison
+) -> list[tuple[bool, float, float]]:
     """Per vehicle: detected at the threshold, score of its match, centre distance in metres."""
     judged = []
-    for box, detection in zip(truth, _match(found, truth, comparison).detection_of_truth.tolist(), strict=True):
+    for box, detection in zip(
+        truth, _match(found, truth, comparison).detection_of_truth.tolist(), strict=True
+    ):
         if detection < 0:
             judged.append((False, 0.0, math.nan))
             continue

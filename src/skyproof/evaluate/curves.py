@@ -63,7 +63,10 @@ def p1_score(
     easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
     """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0 (PAPER 42). nan stays nan."""
-    easr, practicality = np.asarray(easr, dtype=np.float64), np.asarray(practicality, dtype=np.float64)
+    easr, practicality = (
+        np.asarray(easr, dtype=np.float64),
+        np.asarray(practicality, dtype=np.float64),
+    )
     positive = np.where(easr > 0, easr, 0.0)
     total = positive + practicality
     score = np.divide(2 * positive * practicality, total, out=np.zeros_like(total), where=total > 0)
@@ -73,7 +76,9 @@ def p1_score(
 def curve_families(tiles: TileCounts) -> list[str]:
     """The families that have a curve: names with a magnitude ("S-O@0.4"), controls and variants ("_") left out."""
     names = [_AT.fullmatch(pooled_name(key.camouflage)) for key in tiles.series]
-    return list(dict.fromkeys(found.group(1) for found in names if found and not is_control(found.group(1))))
+    return list(
+        dict.fromkeys(found.group(1) for found in names if found and not is_control(found.group(1)))
+    )
 
 
 def practicality_curve(
@@ -111,13 +116,17 @@ def practicality_curve(
             f"The magnitudes of {family} were judged by different detectors; score all of them with the same."
         )
     shown = np.any([counts[:, 0] > 0 for group in groups.values() for _, counts in group], axis=0)
-    stacks = {pm: np.stack([counts[shown, 1:] for _, counts in groups[pm]]) for pm in sorted(groups)}
+    stacks = {
+        pm: np.stack([counts[shown, 1:] for _, counts in groups[pm]]) for pm in sorted(groups)
+    }
     weights = resample(int(shown.sum()), generator=generator)
     easr = {
-        pm: mean_interval(stack, overall_attack_success_rate, weights, (-math.inf, 1.0)) for pm, stack in stacks.items()
+        pm: mean_interval(stack, overall_attack_success_rate, weights, (-math.inf, 1.0))
+        for pm, stack in stacks.items()
     }
     replicates = {
-        pm: overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for pm, stack in stacks.items()
+        pm: overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1)
+        for pm, stack in stacks.items()
     }
     if family == "S-O":
         # Without any change every vehicle is found exactly when it was found before.
@@ -125,8 +134,17 @@ def practicality_curve(
     magnitudes = sorted(easr)
     p1 = [float(p1_score(np.array(easr[pm].estimate), 1 - pm)) for pm in magnitudes]
     shares = _shares_best(np.stack([p1_score(replicates[pm], 1 - pm) for pm in magnitudes]))
-    points = [Point(pm, easr[pm], score, share) for pm, score, share in zip(magnitudes, p1, shares, strict=True)]
-    best = max(points, key=lambda point: (-1.0 if math.isnan(point.p1) else point.p1, -point.perturbation_magnitude))
+    points = [
+        Point(pm, easr[pm], score, share)
+        for pm, score, share in zip(magnitudes, p1, shares, strict=True)
+    ]
+    best = max(
+        points,
+        key=lambda point: (
+            -1.0 if math.isnan(point.p1) else point.p1,
+            -point.perturbation_magnitude,
+        ),
+    )
     return Curve(family, points, best.perturbation_magnitude)
 
 
@@ -154,4 +172,7 @@ def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
     scores = scores[:, ~np.isnan(scores).any(axis=0)]
     if scores.shape[1] == 0:
         return [math.nan] * len(scores)
-    return [float(share) for share in np.bincount(scores.argmax(axis=0), minlength=len(scores)) / scores.shape[1]]
+    return [
+        float(share)
+        for share in np.bincount(scores.argmax(axis=0), minlength=len(scores)) / scores.shape[1]
+    ]

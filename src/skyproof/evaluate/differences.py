@@ -32,14 +32,20 @@ def difference_interval(
     other_below, other_above = _hidden_margins(other, weights)
     lower = math.hypot(whole.estimate - whole.low, own_below, other_above)
     upper = math.hypot(whole.high - whole.estimate, own_above, other_below)
-    return Interval(whole.estimate, whole.estimate - lower, whole.estimate + upper, own_below + other_below > 0)
+    return Interval(
+        whole.estimate, whole.estimate - lower, whole.estimate + upper, own_below + other_below > 0
+    )
 
 
-def _hidden_margins(counts: Int[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]) -> tuple[float, float]:
+def _hidden_margins(
+    counts: Int[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]
+) -> tuple[float, float]:
     """How far below and above its estimate the mean of the series may lie because of those whose tiles all agree."""
     drawn: Float[np.ndarray, "R S"] = overall_attack_success_rate(resampled(counts, weights))
     agree = np.nanmax(drawn, axis=0) - np.nanmin(drawn, axis=0) < 1e-12
     margin = unanimous_margin(counts.shape[1])
     # No success rate exceeds 1.
     room = 1 - overall_attack_success_rate(counts.sum(axis=1))
-    return margin * float(agree.mean()), float(np.where(agree, np.minimum(margin, room), 0.0).mean())
+    return margin * float(agree.mean()), float(
+        np.where(agree, np.minimum(margin, room), 0.0).mean()
+    )

@@ -67,9 +67,13 @@ def evaluate_pairs(
     for place in camouflaged.values():
         # Ids alone do not tell: two runs number their scenes alike.
         if read_scenes(Path(place) / "scenes.jsonl") != scenes:
-            raise ConfigurationError(f"{place} does not show the scenes of {original}; render it from the same scenes.")
+            raise ConfigurationError(
+                f"{place} does not show the scenes of {original}; render it from the same scenes."
+            )
         if (theirs := read_rendering(place)) != (renderer, settings):
-            changed = sorted(key for key in {*settings, *theirs[1]} if settings.get(key) != theirs[1].get(key))
+            changed = sorted(
+                key for key in {*settings, *theirs[1]} if settings.get(key) != theirs[1].get(key)
+            )
             raise ConfigurationError(
                 f"{original} was rendered by {renderer} and {place} by {theirs[0]}"
                 f"{' with other settings (' + ', '.join(changed) + ')' if theirs[0] == renderer else ''}, so that they "
@@ -80,9 +84,13 @@ def evaluate_pairs(
     for name, images in {ORIGINAL: before, **after}.items():
         if list(images.ids) != [scene.id for scene in scenes]:
             place = camouflaged.get(name, original)
-            raise StoredFileError(f"{place} has other images than its scenes.jsonl says; write the dataset again.")
+            raise StoredFileError(
+                f"{place} has other images than its scenes.jsonl says; write the dataset again."
+            )
     # Each check draws alike, so that adding a set does not change the interval of another.
-    rendered = CleanSet("rendered test", before, places=[scene.background.tile for scene in scenes], real=False)
+    rendered = CleanSet(
+        "rendered test", before, places=[scene.background.tile for scene in scenes], real=False
+    )
     total, done = len(judges) * (1 + len(after) + len(clean)), 0
 
     def step() -> None:
@@ -100,7 +108,9 @@ def evaluate_pairs(
         for judge in judges:
             name = judge.detector.name
             found = detect_all(judge.detector, before.images)
-            _write_detections(partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found)
+            _write_detections(
+                partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found
+            )
             check = check_clean(judge, rendered, found, generator=np.random.default_rng(seed))
             if not check["recall"]:
                 raise _undefined(judge, original, check["vehicles"])
@@ -112,11 +122,15 @@ def evaluate_pairs(
             name = judge.detector.name
             for camouflage, images in after.items():
                 hidden = detect_all(judge.detector, images.images)
-                place = partial / "detections" / Path(camouflaged[camouflage]).name / f"{name}.jsonl"
+                place = (
+                    partial / "detections" / Path(camouflaged[camouflage]).name / f"{name}.jsonl"
+                )
                 _write_detections(place, images.ids, hidden)
                 scores.extend(_scores(camouflage, renderer, judge, scenes, images, hidden))
                 for match in MATCHES:
-                    comparison = Comparison(camouflage, renderer, name, match, judge.threshold, before.gsd_m)
+                    comparison = Comparison(
+                        camouflage, renderer, name, match, judge.threshold, before.gsd_m
+                    )
                     pair = compare(
                         scenes,
                         before.boxes,
@@ -130,7 +144,9 @@ def evaluate_pairs(
                 step()
             for each in clean:
                 found = detect_all(judge.detector, each.images.images)
-                checks.append(check_clean(judge, each, found, generator=np.random.default_rng(seed)))
+                checks.append(
+                    check_clean(judge, each, found, generator=np.random.default_rng(seed))
+                )
                 step()
         tiles = count_tiles(outcomes)
         rows = summarise(tiles, scores, generator=np.random.default_rng(seed))
@@ -138,7 +154,9 @@ def evaluate_pairs(
         write_tiles(partial / "tiles.parquet", tiles)
         write_sets(partial / "sets.json", scores)
         order = [judge.detector.name for judge in judges]
-        write_json(partial / "clean.json", sorted(checks, key=lambda check: order.index(check["detector"])))
+        write_json(
+            partial / "clean.json", sorted(checks, key=lambda check: order.index(check["detector"]))
+        )
         write_json(partial / "results.json", {"rows": rows})
     return rows
 
@@ -147,7 +165,9 @@ def _undefined(judge: Judge, original: Path, vehicles: int) -> ConfigurationErro
     """Without a vehicle found before, there is no share of them that a camouflage hides (PAPER 38)."""
     name = judge.detector.name
     if not vehicles:
-        return ConfigurationError(f"{original} shows no vehicles to hide; render scenes with vehicles.")
+        return ConfigurationError(
+            f"{original} shows no vehicles to hide; render scenes with vehicles."
+        )
     return ConfigurationError(
         f"{name} finds none of the {vehicles} vehicles of {original} at its threshold of {judge.threshold:.4g}, so no "
         "success rate (EASR) is defined for it; train it longer or on more images, or leave it out."
@@ -162,7 +182,9 @@ def _check_names(judges: Sequence[Judge], datasets: Sequence[Path]) -> None:
     ):
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise ConfigurationError(f"Two {kind} are called {twice!r}; give each once, or evaluate them separately.")
+            raise ConfigurationError(
+                f"Two {kind} are called {twice!r}; give each once, or evaluate them separately."
+            )
 
 
 def _scores(
@@ -176,11 +198,15 @@ def _scores(
     area_m2 = (scenes[0].camera.size_px * scenes[0].camera.gsd_m) ** 2
     scores = []
     for match in MATCHES:
-        comparison = Comparison(camouflage, renderer, judge.detector.name, match, judge.threshold, images.gsd_m)
+        comparison = Comparison(
+            camouflage, renderer, judge.detector.name, match, judge.threshold, images.gsd_m
+        )
         alarms = count_false_alarms(images.boxes, found, comparison, ignore=images.ignore)
         precision = average_precision(found, images, criterion=match).ap
         density = false_alarms_per_km2(alarms, len(images), area_m2)
-        scores.append(SetScore(camouflage, renderer, judge.detector.name, match, precision, density))
+        scores.append(
+            SetScore(camouflage, renderer, judge.detector.name, match, precision, density)
+        )
     return scores
 
 

@@ -52,7 +52,9 @@ class Interval:
     unanimous: bool = False
 
 
-def resample(clusters: int, *, generator: np.random.Generator, replicates: int = REPLICATES) -> Int[np.ndarray, "R C"]:
+def resample(
+    clusters: int, *, generator: np.random.Generator, replicates: int = REPLICATES
+) -> Int[np.ndarray, "R C"]:
     """Draws how often each cluster occurs in each bootstrap replicate, with replacement. Draw once, use for all rows.
 
     Returns:
@@ -85,7 +87,10 @@ def cluster_interval(
         limits: the values that the statistic can take; rates and their differences, so seldom beyond [-1, 1].
     """
     total = counts.sum(axis=1)
-    replicates, left_one_out = statistic(resampled(counts, weights)), statistic(total - counts.transpose(1, 0, 2))
+    replicates, left_one_out = (
+        statistic(resampled(counts, weights)),
+        statistic(total - counts.transpose(1, 0, 2)),
+    )
     return bootstrap_interval(float(statistic(total)), replicates, left_one_out, limits)
 
 
@@ -104,22 +109,30 @@ def mean_interval(
     total = counts.sum(axis=1)
     points, left_one_out = rate(total), rate(total - counts.transpose(1, 0, 2))
     replicates = rate(resampled(counts, weights))
-    whole = bootstrap_interval(float(points.mean()), replicates.mean(axis=-1), left_one_out.mean(axis=-1), limits)
+    whole = bootstrap_interval(
+        float(points.mean()), replicates.mean(axis=-1), left_one_out.mean(axis=-1), limits
+    )
     if whole.unanimous or not any(_agree(column) for column in replicates.T):
         return whole
     columns = zip(points, replicates.T, left_one_out.T, strict=True)
-    parts = [bootstrap_interval(float(point), drawn, left, limits) for point, drawn, left in columns]
+    parts = [
+        bootstrap_interval(float(point), drawn, left, limits) for point, drawn, left in columns
+    ]
     below = float(np.mean([part.estimate - part.low for part in parts]))
     above = float(np.mean([part.high - part.estimate for part in parts]))
     low, high = min(whole.low, whole.estimate - below), max(whole.high, whole.estimate + above)
     return Interval(whole.estimate, max(low, limits[0]), min(high, limits[1]), unanimous=True)
 
 
-def resampled(counts: Num[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]) -> Float[np.ndarray, "R S 3"]:
+def resampled(
+    counts: Num[np.ndarray, "S C 3"], weights: Int[np.ndarray, "R C"]
+) -> Float[np.ndarray, "R S 3"]:
     """Summed counts of every replicate."""
     flat = counts.transpose(1, 0, 2).reshape(counts.shape[1], -1)
     # Floats, because only they are multiplied by fast library code; counts are far below 2^53, so it is exact.
-    return (weights.astype(np.float64) @ flat.astype(np.float64)).reshape(len(weights), len(counts), 3)
+    return (weights.astype(np.float64) @ flat.astype(np.float64)).reshape(
+        len(weights), len(counts), 3
+    )
 
 
 def _agree(replicates: Float[np.ndarray, " R"]) -> bool:
@@ -165,7 +178,9 @@ def _effective_limits(
     if variance == 0:
         return estimate, estimate
     kurtosis = float(np.mean(influence**4) / np.mean(influence**2) ** 2)
-    degrees = min(clusters - 1.0, 2 * clusters / max(kurtosis - (clusters - 3) / (clusters - 1), 1e-9))
+    degrees = min(
+        clusters - 1.0, 2 * clusters / max(kurtosis - (clusters - 3) / (clusters - 1), 1e-9)
+    )
     return effective_limits(estimate, variance, degrees, span)
 
 
@@ -185,7 +200,10 @@ def effective_limits(
     quantiles = float(special.ndtri(1 - _TAIL) / special.stdtrit(degrees, 1 - _TAIL))
     size = share * (1 - share) / (variance / width**2) * quantiles**2
     hits, misses = share * size, (1 - share) * size
-    low, high = special.betaincinv(hits, misses + 1, _TAIL), special.betaincinv(hits + 1, misses, 1 - _TAIL)
+    low, high = (
+        special.betaincinv(hits, misses + 1, _TAIL),
+        special.betaincinv(hits + 1, misses, 1 - _TAIL),
+    )
     return span[0] + width * float(low), span[0] + width * float(high)
 
 
@@ -217,7 +235,11 @@ def mcnemar_p(lost: int, gained: int) -> float:
     Vehicles count as independent here; trust the cluster interval more where a tile holds many of them.
     """
     discordant = lost + gained
-    return min(1.0, 2 * float(stats.binom.cdf(min(lost, gained), discordant, 0.5))) if discordant else 1.0
+    return (
+        min(1.0, 2 * float(stats.binom.cdf(min(lost, gained), discordant, 0.5)))
+        if discordant
+        else 1.0
+    )
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -39,7 +39,9 @@ def merge_evaluations(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScor
             spread = np.zeros((len(names), 4), dtype=np.int64)
             spread[rows] = counts
             if key in series and not np.array_equal(series[key], spread):
-                raise _contradiction(source[key], folder, f"{key.camouflage} as seen by {key.detector}")
+                raise _contradiction(
+                    source[key], folder, f"{key.camouflage} as seen by {key.detector}"
+                )
             first, vehicles = shown.setdefault(key.renderer, (folder, spread[:, 0]))
             if not np.array_equal(vehicles, spread[:, 0]):
                 raise ConfigurationError(
@@ -60,13 +62,19 @@ def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:
             if not _same(score.average_precision, other.average_precision) or not _same(
                 score.false_alarms_per_km2, other.false_alarms_per_km2
             ):
-                what = "the images without camouflage" if key.camouflage == ORIGINAL else key.camouflage
+                what = (
+                    "the images without camouflage"
+                    if key.camouflage == ORIGINAL
+                    else key.camouflage
+                )
                 raise _contradiction(first, folder, f"{what} as seen by {key.detector}")
     return [score for _, score in kept.values()]
 
 
 def _same(one: float, other: float) -> bool:
-    return (math.isnan(one) and math.isnan(other)) or math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
+    return (math.isnan(one) and math.isnan(other)) or math.isclose(
+        one, other, rel_tol=1e-9, abs_tol=1e-12
+    )
 
 
 def _contradiction(first: Path, second: Path, what: str) -> ConfigurationError:

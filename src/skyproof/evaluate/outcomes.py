@@ -65,7 +65,9 @@ class Outcome:
 
 
 _ARROW_TYPES = {"str": pa.string(), "int": pa.int32(), "bool": pa.bool_(), "float": pa.float64()}
-_SCHEMA = pa.schema([(field.name, _ARROW_TYPES[str(field.type)]) for field in dataclasses.fields(Outcome)])
+_SCHEMA = pa.schema(
+    [(field.name, _ARROW_TYPES[str(field.type)]) for field in dataclasses.fields(Outcome)]
+)
 
 
 def write_outcomes(path: Path, outcomes: Iterable[Outcome]) -> None:

@@ -21,9 +21,13 @@ def read_table(path: Path, schema: pa.Schema) -> pa.Table:
     try:
         table = pq.read_table(path)
     except FileNotFoundError as error:
-        raise StoredFileError(f"{path} is missing; run the evaluation, or give another run folder.") from error
+        raise StoredFileError(
+            f"{path} is missing; run the evaluation, or give another run folder."
+        ) from error
     except (pa.ArrowException, OSError) as error:
-        raise StoredFileError(f"{path} is not a readable Parquet file ({error}); run the evaluation again.") from error
+        raise StoredFileError(
+            f"{path} is not a readable Parquet file ({error}); run the evaluation again."
+        ) from error
     if not table.schema.equals(schema):
         difference = sorted(set(schema.names) ^ set(table.schema.names)) or "types"
         raise StoredFileError(

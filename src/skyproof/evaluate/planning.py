@@ -44,13 +44,19 @@ class Assumptions:
                 "EASR expects a fraction of at most 1 whose sum with ER (the attack success rate) lies between 0 and "
                 f"1, got EASR {self.easr:g} and ER {self.enhancement_rate:g}."
             )
-        if not (math.isfinite(self.vehicles_per_tile) and self.vehicles_per_tile > 0 and 0 < self.found_before <= 1):
+        if not (
+            math.isfinite(self.vehicles_per_tile)
+            and self.vehicles_per_tile > 0
+            and 0 < self.found_before <= 1
+        ):
             raise ConfigurationError(
                 "Planning expects vehicles on a tile, and some found before (a fraction of at most 1), got "
                 f"{self.vehicles_per_tile:g} and {self.found_before:g}."
             )
         if not (math.isfinite(self.design_effect) and self.design_effect >= 1):
-            raise ConfigurationError(f"The design effect expects a number of at least 1, got {self.design_effect:g}.")
+            raise ConfigurationError(
+                f"The design effect expects a number of at least 1, got {self.design_effect:g}."
+            )
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,9 @@ def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
         ConfigurationError: the half-width is not in [0.001, 1).
     """
     if not SMALLEST <= half_width < 1:
-        raise ConfigurationError(f"The half-width expects a fraction from {SMALLEST} to below 1, got {half_width:g}.")
+        raise ConfigurationError(
+            f"The half-width expects a fraction from {SMALLEST} to below 1, got {half_width:g}."
+        )
     enough = 2
     while expected_half_width(enough, assumptions) > half_width:
         enough *= 2

@@ -23,7 +23,9 @@ __all__ = [
 ]
 
 
-def pair_counts(original: Bool[np.ndarray, " V"], adversarial: Bool[np.ndarray, " V"]) -> Num[np.ndarray, " 3"]:
+def pair_counts(
+    original: Bool[np.ndarray, " V"], adversarial: Bool[np.ndarray, " V"]
+) -> Num[np.ndarray, " 3"]:
     """Counts vehicles by (both, lost, gained); those missed in both images count nowhere.
 
     Args:
@@ -49,7 +51,9 @@ def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np
     return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
 
 
-def success_difference(own: int) -> Callable[[Num[np.ndarray, "*shape S 3"]], Float[np.ndarray, "*shape"]]:
+def success_difference(
+    own: int,
+) -> Callable[[Num[np.ndarray, "*shape S 3"]], Float[np.ndarray, "*shape"]]:
     """Of stacked series: the mean EASR of the first `own` minus that of the rest (net EASR, PAPER 37)."""
 
     def difference(counts: Num[np.ndarray, "*shape S 3"]) -> Float[np.ndarray, "*shape"]:

@@ -39,7 +39,15 @@ class SetScore:
 def write_sets(path: Path, sets: Sequence[SetScore]) -> None:
     """Writes the scores as JSON; undefined ones become null."""
     rows = [dataclasses.asdict(score) for score in sets]
-    write_json(path, {"rows": [{key: None if value != value else value for key, value in row.items()} for row in rows]})
+    write_json(
+        path,
+        {
+            "rows": [
+                {key: None if value != value else value for key, value in row.items()}
+                for row in rows
+            ]
+        },
+    )
 
 
 def read_sets(path: Path) -> list[SetScore]:
@@ -51,10 +59,14 @@ def read_sets(path: Path) -> list[SetScore]:
     content = read_json(path)
 
     def score(row: dict[str, Any]) -> SetScore:
-        values: dict[str, Any] = {key: math.nan if value is None else value for key, value in row.items()}
+        values: dict[str, Any] = {
+            key: math.nan if value is None else value for key, value in row.items()
+        }
         return SetScore(**values)
 
     try:
         return [score(row) for row in content["rows"]]
     except (TypeError, KeyError, AttributeError) as error:
-        raise StoredFileError(f"{path} is not of the form this version writes; run the evaluation again.") from error
+        raise StoredFileError(
+            f"{path} is not of the form this version writes; run the evaluation again."
+        ) from error

@@ -11,7 +11,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.names import is_control, matched_control, pooled_name
-from skyproof.evaluate.intervals import Interval, cluster_interval, holm, mcnemar_p, mean_interval, resample
+from skyproof.evaluate.intervals import (
+    Interval,
+    cluster_interval,
+    holm,
+    mcnemar_p,
+    mean_interval,
+    resample,
+)
 from skyproof.evaluate.outcomes import MATCHES
 from skyproof.evaluate.rates import (
     attack_success_rate,
@@ -27,7 +34,9 @@ __all__ = ["MEAN", "summarise"]
 MEAN = "mean"
 
 
-def summarise(tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator) -> list[dict[str, Any]]:
+def summarise(
+    tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator
+) -> list[dict[str, Any]]:
     """The rows of `results.json`: fractions, with None where undefined (PAPER 34, 37-41).
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one row: the mean over
@@ -49,7 +58,11 @@ def summarise(tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.rand
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
     for match in MATCHES:
         for renderer in _unique(key.renderer for key in tiles.series if key.match == match):
-            here = {key: counts for key, counts in tiles.series.items() if key[1] == renderer and key[3] == match}
+            here = {
+                key: counts
+                for key, counts in tiles.series.items()
+                if key[1] == renderer and key[3] == match
+            }
             rows.extend(_Table(here, scores, generator).rows(renderer, match))
     for match in MATCHES:
         tested = [row for row in rows if row["match"] == match and row["mcnemar_p"] is not None]
@@ -68,9 +81,17 @@ class _Table:
         generator: np.random.Generator,
     ) -> None:
         shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
-        self.counts = {(key.camouflage, key.detector): counts[shown, 1:] for key, counts in series.items()}
-        self.vehicles = {(key.camouflage, key.detector): int(counts[:, 0].sum()) for key, counts in series.items()}
-        self.tiles = {(key.camouflage, key.detector): int((counts[:, 0] > 0).sum()) for key, counts in series.items()}
+        self.counts = {
+            (key.camouflage, key.detector): counts[shown, 1:] for key, counts in series.items()
+        }
+        self.vehicles = {
+            (key.camouflage, key.detector): int(counts[:, 0].sum())
+            for key, counts in series.items()
+        }
+        self.tiles = {
+            (key.camouflage, key.detector): int((counts[:, 0] > 0).sum())
+            for key, counts in series.items()
+        }
         self.detectors = _unique(key.detector for key in series)
         self.repeats: dict[str, list[str]] = defaultdict(list)
         for camouflage in _unique(key.camouflage for key in series):
@@ -81,14 +102,20 @@ class _Table:
     def rows(self, renderer: str, match: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []
         for name, members in self.repeats.items():
-            present = [d for d in self.detectors if all((member, d) in self.counts for member in members)]
+            present = [
+                d for d in self.detectors if all((member, d) in self.counts for member in members)
+            ]
             selections = [(detector, [detector]) for detector in present]
             if len(present) > 1:
                 selections.append((MEAN, present))
-            rows.extend(self._row(name, label, chosen, renderer, match) for label, chosen in selections)
+            rows.extend(
+                self._row(name, label, chosen, renderer, match) for label, chosen in selections
+            )
         return rows
 
-    def _row(self, name: str, label: str, detectors: list[str], renderer: str, match: str) -> dict[str, Any]:
+    def _row(
+        self, name: str, label: str, detectors: list[str], renderer: str, match: str
+    ) -> dict[str, Any]:
         members = self.repeats[name]
         control = [] if is_control(name) else self.repeats.get(matched_control(name), [])
         control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
@@ -112,31 +139,53 @@ class _Table:
         }
         if control:
             random = self._stack(control, detectors)
-            chance = mean_interval(random, overall_attack_success_rate, self.weights, (-math.inf, 1.0))
-            net = cluster_interval(np.concatenate([own, random]), success_difference(len(own)), self.weights)
+            chance = mean_interval(
+                random, overall_attack_success_rate, self.weights, (-math.inf, 1.0)
+            )
+            net = cluster_interval(
+                np.concatenate([own, random]), success_difference(len(own)), self.weights
+            )
             net = _no_surer_than_its_parts(net, easr, chance)
             row |= {"net_easr": net.estimate, "net_easr_low": net.low, "net_easr_high": net.high}
         row |= self._set_scores(members, detectors, renderer, match)
         row |= {"clusters": self.tiles[members[0], detectors[0]], "repeats": len(members)}
-        row |= _spread(overall_attack_success_rate(own.sum(axis=1)).reshape(len(members), -1).mean(axis=1))
+        row |= _spread(
+            overall_attack_success_rate(own.sum(axis=1)).reshape(len(members), -1).mean(axis=1)
+        )
         row |= {"asr_low": asr.low, "asr_high": asr.high, "er_low": er.low, "er_high": er.high}
         row["random_easr"] = chance.estimate if control else None
         row |= {"random_draws": len(control), "mcnemar_p": None, "mcnemar_p_holm": None}
         if label != MEAN and not is_control(name):
             row["mcnemar_p"] = _largest_p(own.sum(axis=1))
-        return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
+        return {
+            key: None if isinstance(value, float) and math.isnan(value) else value
+            for key, value in row.items()
+        }
 
     def _stack(self, camouflages: list[str], detectors: list[str]) -> Int[np.ndarray, "S C 3"]:
-        return np.stack([self.counts[camouflage, d] for camouflage in camouflages for d in detectors])
+        return np.stack(
+            [self.counts[camouflage, d] for camouflage in camouflages for d in detectors]
+        )
 
-    def _set_scores(self, members: list[str], detectors: list[str], renderer: str, match: str) -> dict[str, Any]:
+    def _set_scores(
+        self, members: list[str], detectors: list[str], renderer: str, match: str
+    ) -> dict[str, Any]:
         """AP before and after, APD (PAPER 41) and false alarms; nan where any of the sets was not scored."""
 
         def mean_of(camouflages: list[str], field: str) -> float:
-            found = [self.scores.get(Series(c, renderer, d, match)) for c in camouflages for d in detectors]
-            return float(np.mean([math.nan if score is None else getattr(score, field) for score in found]))
+            found = [
+                self.scores.get(Series(c, renderer, d, match))
+                for c in camouflages
+                for d in detectors
+            ]
+            return float(
+                np.mean([math.nan if score is None else getattr(score, field) for score in found])
+            )
 
-        before, after = mean_of([ORIGINAL], "average_precision"), mean_of(members, "average_precision")
+        before, after = (
+            mean_of([ORIGINAL], "average_precision"),
+            mean_of(members, "average_precision"),
+        )
         return {
             "ap_original": before,
             "ap_adversarial": after,
@@ -176,7 +225,9 @@ def _no_surer_than_its_parts(net: Interval, easr: Interval, chance: Interval) ->
     unanimous = easr.unanimous or chance.unanimous
     if not unanimous or math.isnan(lower + upper):
         return net
-    return Interval(net.estimate, min(net.low, net.estimate - lower), max(net.high, net.estimate + upper))
+    return Interval(
+        net.estimate, min(net.low, net.estimate - lower), max(net.high, net.estimate + upper)
+    )
 
 
 def _unique(values: Any) -> list[str]:

@@ -32,7 +32,9 @@ class Series(NamedTuple):
 
 
 _NAMES = (*Series._fields, "background")
-_SCHEMA = pa.schema([(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS])
+_SCHEMA = pa.schema(
+    [(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS]
+)
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,17 @@ def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
     tiles = sorted({tile for found in counted.values() for tile in found})
     blank = [0, 0, 0, 0]
     return TileCounts(
-        tuple(tiles), {key: np.array([found.get(tile, blank) for tile in tiles]) for key, found in counted.items()}
+        tuple(tiles),
+        {
+            key: np.array([found.get(tile, blank) for tile in tiles])
+            for key, found in counted.items()
+        },
     )
 
 
-def cluster_counts(outcomes: Sequence[Outcome], clusters: Mapping[str, int]) -> Int[np.ndarray, "C 3"]:
+def cluster_counts(
+    outcomes: Sequence[Outcome], clusters: Mapping[str, int]
+) -> Int[np.ndarray, "C 3"]:
     """Pair counts (both, lost, gained) per background tile; `clusters` maps each tile to its row."""
     counts = np.zeros((len(clusters), 3), dtype=np.int64)
     for outcome in outcomes:
@@ -78,9 +86,16 @@ def cluster_counts(outcomes: Sequence[Outcome], clusters: Mapping[str, int]) -> 
 
 def write_tiles(path: Path, tiles: TileCounts) -> None:
     """Writes one row per series and tile that shows vehicles, as Parquet, whole or not at all."""
-    stacked = np.stack(list(tiles.series.values())) if tiles.series else np.zeros((0, len(tiles.tiles), 4), np.int64)
+    stacked = (
+        np.stack(list(tiles.series.values()))
+        if tiles.series
+        else np.zeros((0, len(tiles.tiles), 4), np.int64)
+    )
     which, tile = np.nonzero(stacked[..., 0])
-    names = [pa.array([key[field] for key in tiles.series], pa.string()).take(pa.array(which)) for field in range(4)]
+    names = [
+        pa.array([key[field] for key in tiles.series], pa.string()).take(pa.array(which))
+        for field in range(4)
+    ]
     names.append(pa.array(tiles.tiles, pa.string()).take(pa.array(tile)))
     counts = [pa.array(column, pa.int64()) for column in stacked[which, tile].T]
     with write_beside(path) as temporary:
@@ -96,12 +111,16 @@ def read_tiles(path: Path) -> TileCounts:
     table = read_table(path, _SCHEMA)
     names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
     counts = np.stack([table[name].to_numpy() for name in _COUNTS], axis=1)
-    keys, first, which = np.unique(np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True)
+    keys, first, which = np.unique(
+        np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True
+    )
     which, tiles = which.reshape(-1), sorted(names[4])
     place = np.array([tiles.index(name) for name in names[4]], dtype=np.int64)[codes[4]]
     repeated = len(np.unique(which * len(tiles) + place)) < len(which)
     if repeated or (counts < 0).any() or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
-        raise StoredFileError(f"{path} holds counts that contradict each other; run the evaluation again.")
+        raise StoredFileError(
+            f"{path} holds counts that contradict each other; run the evaluation again."
+        )
     dense = np.zeros((len(keys), len(tiles), 4), dtype=np.int64)
     dense[which, place] = counts
     order = np.argsort(first)

@@ -73,16 +73,22 @@ def transfer_matrix(
         and row["detector"] != MEAN
     ]
     if not chosen:
-        raise ConfigurationError(f"The table of results has no row of {base} by {match} under {renderer}; score it.")
+        raise ConfigurationError(
+            f"The table of results has no row of {base} by {match} under {renderer}; score it."
+        )
     judges = list(dict.fromkeys(row["detector"] for row in chosen))
     by_place = {(row["camouflage"], row["detector"]): row for row in chosen}
     names = list(dict.fromkeys(row["camouflage"] for row in chosen))
     for name in names:
         if not of_row.get(name):
-            raise ConfigurationError(f"It is not known which detectors {name} attacked; give its camouflage folder.")
+            raise ConfigurationError(
+                f"It is not known which detectors {name} attacked; give its camouflage folder."
+            )
         missing = next((judge for judge in judges if (name, judge) not in by_place), None)
         if missing:
-            raise ConfigurationError(f"{missing} has not judged {name}; score every camouflage by the same detectors.")
+            raise ConfigurationError(
+                f"{missing} has not judged {name}; score every camouflage by the same detectors."
+            )
     names.sort(key=lambda name: (len(of_row[name]), of_row[name]))
     return [[_cell(by_place[name, judge], of_row[name]) for judge in judges] for name in names]
 

@@ -11,7 +11,11 @@ from torch import Tensor
 __all__ = ["cielab_to_srgb", "linear_to_srgb", "srgb_to_cielab", "srgb_to_linear"]
 
 # Linear sRGB to CIE XYZ (IEC 61966-2-1), and its white point D65.
-_TO_XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750), (0.0193339, 0.1191920, 0.9503041))
+_TO_XYZ = (
+    (0.4124564, 0.3575761, 0.1804375),
+    (0.2126729, 0.7151522, 0.0721750),
+    (0.0193339, 0.1191920, 0.9503041),
+)
 _WHITE = (0.95047, 1.0, 1.08883)
 _KNEE = 6 / 29
 
@@ -42,13 +46,19 @@ def linear_to_srgb(linear: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
     """Linear light to sRGB; values outside [0, 1] are clipped, as a camera's converter does."""
     linear = linear.clamp(0.0, 1.0)
     # The inner clamp keeps the power's gradient finite at black.
-    return torch.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear.clamp(min=0.0031308) ** (1 / 2.4) - 0.055)
+    return torch.where(
+        linear <= 0.0031308,
+        linear * 12.92,
+        1.055 * linear.clamp(min=0.0031308) ** (1 / 2.4) - 0.055,
+    )
 
 
 def srgb_to_cielab(srgb: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     """sRGB in [0, 1] to CIE 1976 L* a* b* under D65 (CIE 15:2004); L* in [0, 100]."""
     xyz = srgb_to_linear(srgb) @ srgb.new_tensor(_TO_XYZ).T / srgb.new_tensor(_WHITE)
-    x, y, z = torch.where(xyz > _KNEE**3, xyz.clamp(min=0.0) ** (1 / 3), xyz / (3 * _KNEE**2) + 4 / 29).unbind(-1)
+    x, y, z = torch.where(
+        xyz > _KNEE**3, xyz.clamp(min=0.0) ** (1 / 3), xyz / (3 * _KNEE**2) + 4 / 29
+    ).unbind(-1)
     return torch.stack((116 * y - 16, 500 * (x - y), 200 * (y - z)), dim=-1)
 
 
@@ -57,5 +67,7 @@ def cielab_to_srgb(cielab: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     lightness, a, b = cielab.unbind(-1)
     y = (lightness + 16) / 116
     roots = torch.stack((y + a / 500, y, y - b / 200), dim=-1)
-    xyz = torch.where(roots > _KNEE, roots**3, 3 * _KNEE**2 * (roots - 4 / 29)) * cielab.new_tensor(_WHITE)
+    xyz = torch.where(roots > _KNEE, roots**3, 3 * _KNEE**2 * (roots - 4 / 29)) * cielab.new_tensor(
+        _WHITE
+    )
     return linear_to_srgb(xyz @ torch.linalg.inv(cielab.new_tensor(_TO_XYZ)).T)

@@ -29,7 +29,9 @@ def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
         return 0
     size = float((vertices.amax(0) - vertices.amin(0)).max())
     count = 0
-    for first, second in zip(*(side.split(_CHUNK) for side in _near_pairs(triangles, faces)), strict=True):
+    for first, second in zip(
+        *(side.split(_CHUNK) for side in _near_pairs(triangles, faces)), strict=True
+    ):
         count += int(_cross(triangles[first], triangles[second], _TOUCHING * size**3).sum())
     return count
 
@@ -46,12 +48,16 @@ def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) ->
     return torch.stack((first[apart], second[apart]))
 
 
-def _cross(a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float) -> Bool[Tensor, " P"]:
+def _cross(
+    a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
+) -> Bool[Tensor, " P"]:
     """Whether an edge of one goes through the other."""
     return _edge_through(a, b, touching) | _edge_through(b, a, touching)
 
 
-def _edge_through(a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float) -> Bool[Tensor, " P"]:
+def _edge_through(
+    a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
+) -> Bool[Tensor, " P"]:
     """Whether an edge of `a` goes through the inside of `b`, by the signs of tetrahedra's volumes."""
     found = torch.zeros(len(a), dtype=torch.bool, device=a.device)
     b0, b1, b2 = b.unbind(1)
@@ -62,13 +68,18 @@ def _edge_through(a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching
         apart = (torch.minimum(above[:, start], above[:, end]) < -touching) & (
             torch.maximum(above[:, start], above[:, end]) > touching
         )
-        around = torch.stack((_volume(p, q, b0, b1), _volume(p, q, b1, b2), _volume(p, q, b2, b0)), dim=1)
+        around = torch.stack(
+            (_volume(p, q, b0, b1), _volume(p, q, b1, b2), _volume(p, q, b2, b0)), dim=1
+        )
         found |= apart & ((around > touching).all(1) | (around < -touching).all(1))
     return found
 
 
 def _volume(
-    a: Float[Tensor, "P 3"], b: Float[Tensor, "P 3"], c: Float[Tensor, "P 3"], d: Float[Tensor, "P 3"]
+    a: Float[Tensor, "P 3"],
+    b: Float[Tensor, "P 3"],
+    c: Float[Tensor, "P 3"],
+    d: Float[Tensor, "P 3"],
 ) -> Float[Tensor, " P"]:
     """Six times the signed volume of a tetrahedron."""
     return (torch.linalg.cross(b - a, c - a) * (d - a)).sum(-1)

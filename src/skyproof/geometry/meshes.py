@@ -11,10 +11,14 @@ from torch import Tensor
 __all__ = ["enclosed_volume_m3", "mesh_edges", "vertex_normals"]
 
 
-def vertex_normals(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N V 3"]:
+def vertex_normals(
+    vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
+) -> Float[Tensor, "N V 3"]:
     """Unit normals at the vertices: the area-weighted mean of the faces around each."""
     corners = vertices[:, faces]
-    face_normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    face_normals = torch.linalg.cross(
+        corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
+    )
     normals = torch.zeros_like(vertices)
     for corner in range(3):
         normals = normals.index_add(1, faces[:, corner], face_normals)
@@ -22,7 +26,9 @@ def vertex_normals(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) 
     return normals / (normals.square().sum(-1, keepdim=True) + 1e-20).sqrt()
 
 
-def enclosed_volume_m3(vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, " N"]:
+def enclosed_volume_m3(
+    vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
+) -> Float[Tensor, " N"]:
     """Volume inside closed meshes, by the divergence theorem; space enclosed twice counts twice.
 
     Args:

@@ -9,7 +9,9 @@ from torch import Tensor
 __all__ = ["project", "rotate_about_vertical"]
 
 
-def rotate_about_vertical(points: Float[Tensor, "N V 3"], angle_rad: Float[Tensor, " N"]) -> Float[Tensor, "N V 3"]:
+def rotate_about_vertical(
+    points: Float[Tensor, "N V 3"], angle_rad: Float[Tensor, " N"]
+) -> Float[Tensor, "N V 3"]:
     """Turns each set of points counter-clockwise (from x towards y) about the z axis."""
     cosine, sine = angle_rad.cos()[:, None], angle_rad.sin()[:, None]
     x, y, z = points.unbind(-1)

@@ -50,7 +50,11 @@ def read_frames_folder(
     folder = Path(folder)
     files = sorted(file for file in folder.glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
-        files = sorted(file for file in (folder / "images").glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
+        files = sorted(
+            file
+            for file in (folder / "images").glob(pattern)
+            if file.suffix.lower() in IMAGE_SUFFIXES
+        )
     if not files:
         raise ImageryError(f"{folder} holds no image matching {pattern!r}; give another folder.")
     place = Path(labels) if labels is not None else folder
@@ -78,8 +82,13 @@ def read_frames_folder(
         for number, label in enumerate(own, 1):
             require_inside(label, picture.size, f"{place}, label {number} of {file.stem},")
         # Labels in pixels have corners, never a point alone.
-        truths, ignored = sort_labels(own, classes=classes, size_px=picture.size, border_px=border_px, point_box_px=0.0)
-        size = max(1, round(width * gsd_m / target_gsd_m)), max(1, round(height * gsd_m / target_gsd_m))
+        truths, ignored = sort_labels(
+            own, classes=classes, size_px=picture.size, border_px=border_px, point_box_px=0.0
+        )
+        size = (
+            max(1, round(width * gsd_m / target_gsd_m)),
+            max(1, round(height * gsd_m / target_gsd_m)),
+        )
         # Pillow widens its kernel when it shrinks, so this does not alias.
         array = np.array(picture.resize(size, Image.Resampling.BICUBIC))
         images.append(torch.from_numpy(array).permute(2, 0, 1).contiguous())
@@ -87,7 +96,11 @@ def read_frames_folder(
         boxes.append(truths * scale)
         ignore.append(ignored * scale)
     return LabelledImages(
-        images=images, boxes=boxes, ignore=ignore, ids=[file.stem for file in files], gsd_m=target_gsd_m
+        images=images,
+        boxes=boxes,
+        ignore=ignore,
+        ids=[file.stem for file in files],
+        gsd_m=target_gsd_m,
     )
 
 
@@ -100,4 +113,6 @@ def _picture(path: Path) -> Image.Image:
                 )
             return picture.convert("RGB")
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ImageryError(f"{path} cannot be read as an image ({error}); replace or remove it.") from error
+        raise ImageryError(
+            f"{path} cannot be read as an image ({error}); replace or remove it."
+        ) from error

@@ -59,7 +59,8 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
             "give its blur yourself with --blur-sigma-px."
         )
     return Sensor(
-        blur_sigma_px=round(float(np.quantile(found, SHARPEST_SHARE)), 2), noise=round(float(np.median(spreads)), 4)
+        blur_sigma_px=round(float(np.quantile(found, SHARPEST_SHARE)), 2),
+        noise=round(float(np.median(spreads)), 4),
     )
 
 
@@ -75,7 +76,9 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
     strength = np.hypot(across_x, across_y)
     inner = np.zeros(grey.shape, bool)
     inner[REACH_PX + 2 : -REACH_PX - 2, REACH_PX + 2 : -REACH_PX - 2] = True
-    rows, columns = np.nonzero(inner & (strength == ndimage.maximum_filter(strength, 5)) & (strength > 0))
+    rows, columns = np.nonzero(
+        inner & (strength == ndimage.maximum_filter(strength, 5)) & (strength > 0)
+    )
     order = np.argsort(-strength[rows, columns], kind="stable")[:EDGES_PER_IMAGE]
     rows, columns = rows[order], columns[order]
     x = across_x[rows, columns] / strength[rows, columns]

@@ -49,13 +49,23 @@ def composite(
     count, _, height, width = photographs.shape
     origin, size = _whole([bodies[0], shadows[0]], scene, count, settings.blur_radius_px)
     rank = _ranks(scene, nearness)
-    layers = _lay(bodies, origin, size, scene, rank, lambda below, above: below * (1 - above[:, 3:]) + above)
-    shadow = _lay(shadows, origin, size, scene, rank, lambda below, above: below + above - below * above)
+    layers = _lay(
+        bodies, origin, size, scene, rank, lambda below, above: below * (1 - above[:, 3:]) + above
+    )
+    shadow = _lay(
+        shadows, origin, size, scene, rank, lambda below, above: below + above - below * above
+    )
 
     steps = torch.arange(size, device=photographs.device)
     y, x = origin[:, 1, None] + steps, origin[:, 0, None] + steps
-    channel = torch.arange(count * 3, device=photographs.device).view(count, 3, 1, 1) * (height * width)
-    place = (y.clamp(0, height - 1) * width)[:, None, :, None] + x.clamp(0, width - 1)[:, None, None, :] + channel
+    channel = torch.arange(count * 3, device=photographs.device).view(count, 3, 1, 1) * (
+        height * width
+    )
+    place = (
+        (y.clamp(0, height - 1) * width)[:, None, :, None]
+        + x.clamp(0, width - 1)[:, None, None, :]
+        + channel
+    )
     ground_srgb = photographs.view(-1)[place]
     ground = srgb_to_linear(ground_srgb)
     kernel = blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
@@ -68,7 +78,9 @@ def composite(
         noise = sensor_noise(seeds, y, x, ground)
         pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
-    inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[:, None, None, :]
+    inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[
+        :, None, None, :
+    ]
     place, pixels = place.reshape(-1), pixels.reshape(-1)
     if not bool(inside.all()):
         held = torch.nonzero(inside.expand(-1, 3, -1, -1).reshape(-1))[:, 0]
@@ -79,7 +91,9 @@ def composite(
 
 
 @torch.no_grad()
-def _whole(windows: Sequence[Windows], scene: Tensor, count: int, margin_px: int) -> tuple[Int[Tensor, "B 2"], int]:
+def _whole(
+    windows: Sequence[Windows], scene: Tensor, count: int, margin_px: int
+) -> tuple[Int[Tensor, "B 2"], int]:
     """Per image the top-left pixel of one window around all of its small ones and the blur; one common size."""
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4
@@ -119,7 +133,9 @@ def _lay(
     shift = window.origin - origin[scene]
     steps = torch.arange(window.size, device=layers.device)
     rows, columns = shift[:, 1, None] + steps, shift[:, 0, None] + steps
-    plane = (scene[:, None] * channels + torch.arange(channels, device=layers.device))[:, :, None, None]
+    plane = (scene[:, None] * channels + torch.arange(channels, device=layers.device))[
+        :, :, None, None
+    ]
     place = (plane * size + rows[:, None, :, None]) * size + columns[:, None, None, :]
     canvas = layers.new_zeros(len(origin) * channels * size * size)
     for turn in range(int(rank.max()) + 1):

@@ -43,10 +43,14 @@ def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Ten
     xs, ys = torch.stack((front, front, rear, rear), 1), torch.stack((left, right, right, left), 1)
     local = torch.stack((xs, ys, torch.zeros_like(xs)), -1)
     heading = plan.new_tensor([placement.heading_rad for placement in placements])
-    place = plan.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements]).view(-1, 1, 3)
+    place = plan.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements]).view(
+        -1, 1, 3
+    )
     upright = plan.new_tensor([[0.0, 0.0, 1.0]]).expand(len(placements), 3)
     camera = scenes[0].camera
-    return project(rotate_about_vertical(local, heading) + place, upright, camera.gsd_m, camera.size_px)[0]
+    return project(
+        rotate_about_vertical(local, heading) + place, upright, camera.gsd_m, camera.size_px
+    )[0]
 
 
 @torch.no_grad()
@@ -74,8 +78,14 @@ def render_dataset(
     Raises:
         RunFolderError: the folder exists, or the disk cannot take it.
     """
-    gsd_m, source = scenes[0].camera.gsd_m, {"renderer": renderer.name, "rendering": renderer.record()}
-    with finished_folder(folder) as partial, CocoWriter(partial, gsd_m=gsd_m, source=source) as writer:
+    gsd_m, source = (
+        scenes[0].camera.gsd_m,
+        {"renderer": renderer.name, "rendering": renderer.record()},
+    )
+    with (
+        finished_folder(folder) as partial,
+        CocoWriter(partial, gsd_m=gsd_m, source=source) as writer,
+    ):
         write_scenes(partial / "scenes.jsonl", scenes)
         for start in range(0, len(scenes), batch_size):
             batch = scenes[start : start + batch_size]

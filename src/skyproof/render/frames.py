@@ -54,6 +54,8 @@ class Renderer(Protocol):
         """The settings that its images depend on, as plain JSON values."""
         ...
 
-    def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
+    def __call__(
+        self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
+    ) -> Frames:
         """Draws one image per scene."""
         ...

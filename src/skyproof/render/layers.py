@@ -84,7 +84,9 @@ def draw_bodies(
     normals = vertex_normals(vertices, template.faces)[:, template.faces]
     uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
     surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
-    directions = torch.cat((sun, viewer, torch.nn.functional.normalize(sun + viewer, dim=-1)), dim=1)
+    directions = torch.cat(
+        (sun, viewer, torch.nn.functional.normalize(sun + viewer, dim=-1)), dim=1
+    )
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         row = vehicle * len(template.faces) + face
@@ -97,7 +99,9 @@ def draw_bodies(
         return torch.addcmul(mirrored, albedo, diffuse)
 
     centre = torch.stack((visibility.x, visibility.y), dim=-1) + 0.5
-    corners = samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
+    corners = (
+        samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
+    )
     colour = radiance(visibility.vehicle, visibility.face, _barycentric(corners, centre))
     layers = _average(visibility, colour, factor)
     if samples.requires_grad:
@@ -109,7 +113,10 @@ def draw_bodies(
 
 
 def draw_shadows(
-    window: Windows, screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"], settings: RenderSettings
+    window: Windows,
+    screen: Float[Tensor, "N V 2"],
+    faces: Int[Tensor, "F 3"],
+    settings: RenderSettings,
 ) -> Float[Tensor, "N 1 S S"]:
     """Which part of each pixel's ground the sun does not reach: the vehicle as the sun sees it."""
     factor = settings.shadow_supersampling
@@ -140,7 +147,9 @@ def _texture_levels(samples: Float[Tensor, "N V 2"], vehicles: VehicleBatch) -> 
     return longest.clamp(1.0, 2.0**20).log2().round().nan_to_num(0.0).long()
 
 
-def _barycentric(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -> Float[Tensor, "K 3"]:
+def _barycentric(
+    corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]
+) -> Float[Tensor, "K 3"]:
     """Weights of the three corners at `point`, differentiable in the corners."""
     a, b, c = corners.unbind(1)
     to_b, to_c, to_point = b - a, c - a, point - a
@@ -156,14 +165,18 @@ def _barycentric(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -
     return weights.detach().lerp(weights, kept)
 
 
-def _interpolate(values: Float[Tensor, "K _"], weights: Float[Tensor, "K 3"]) -> Float[Tensor, "K _"]:
+def _interpolate(
+    values: Float[Tensor, "K _"], weights: Float[Tensor, "K 3"]
+) -> Float[Tensor, "K _"]:
     """Barycentric mean of three corners' values, which stand one after the other in a row."""
     first, second, third = values.chunk(3, dim=1)
     result = first * weights[:, :1]
     return torch.addcmul(torch.addcmul(result, second, weights[:, 1:2]), third, weights[:, 2:])
 
 
-def _average(visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int) -> Float[Tensor, "N 4 S S"]:
+def _average(
+    visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int
+) -> Float[Tensor, "N 4 S S"]:
     """Averages samples to pixels: colour times coverage, and coverage."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor

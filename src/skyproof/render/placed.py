@@ -55,9 +55,13 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     """
     placements = [placement for scene in scenes for placement in scene.placements]
     if len(placements) != len(vehicles):
-        raise ValueError(f"expected {len(placements)} vehicles, one per placement, got {len(vehicles)}")
+        raise ValueError(
+            f"expected {len(placements)} vehicles, one per placement, got {len(vehicles)}"
+        )
     camera, like = scenes[0].camera, vehicles.vertices
-    scene = torch.tensor([i for i, each in enumerate(scenes) for _ in each.placements], device=like.device)
+    scene = torch.tensor(
+        [i for i, each in enumerate(scenes) for _ in each.placements], device=like.device
+    )
     viewer = like.new_tensor([each.camera.direction for each in scenes])[scene]
     sun = like.new_tensor([each.sun.direction for each in scenes])[scene]
     ground = like.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements])
@@ -65,11 +69,24 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     vertices = rotate_about_vertical(like, heading) + ground[:, None]
     screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
     shadow_screen, _ = project(vertices, sun, camera.gsd_m, camera.size_px)
-    return Placed(scene, vertices, viewer, sun, ground, screen, depth, shadow_screen, camera.gsd_m, camera.size_px)
+    return Placed(
+        scene,
+        vertices,
+        viewer,
+        sun,
+        ground,
+        screen,
+        depth,
+        shadow_screen,
+        camera.gsd_m,
+        camera.size_px,
+    )
 
 
 @torch.no_grad()
-def visible_samples(placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int) -> tuple[Visibility, Windows]:
+def visible_samples(
+    placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int
+) -> tuple[Visibility, Windows]:
     """What every sample sees of each vehicle by itself, and the windows they lie in; for `label`, without light.
 
     Args:
@@ -103,11 +120,15 @@ def label(
         masks: also give every vehicle's pixel mask.
     """
     visible_px, fraction, drawn = _visible(visibility, window, supersampling, placed.size_px, masks)
-    boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(0, placed.size_px)
+    boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(
+        0, placed.size_px
+    )
     extent = torch.stack((placed.vertices.amin(1), placed.vertices.amax(1)))
     centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, placed.size_px)
     like = placed.vertices
-    return Frames(image, placed.scene, boxes, centres[:, 0], visible_px.to(like), fraction.to(like), drawn)
+    return Frames(
+        image, placed.scene, boxes, centres[:, 0], visible_px.to(like), fraction.to(like), drawn
+    )
 
 
 def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:

@@ -40,7 +40,9 @@ def close_up(
     size_px = round(side_m / gsd_m)
     camera = Camera(tilt_rad, math.radians(-100), gsd_m, size_px)
     window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
-    renderer = TorchRenderer(_Asphalt(), RenderSettings(blur_sigma_px=0.0, noise=0.0, supersampling=3))
+    renderer = TorchRenderer(
+        _Asphalt(), RenderSettings(blur_sigma_px=0.0, noise=0.0, supersampling=3)
+    )
     pictures = []
     for index, name in enumerate(vehicles.ids):
         scene = Scene(name, window, camera, _SUN, (Placement(name, 0.0, 0.0, heading_rad),), seed=0)
@@ -49,7 +51,10 @@ def close_up(
 
 
 def portrait(
-    fleet: Fleet, camouflage: Callable[[VehicleBatch], VehicleBatch], *, body_types: Sequence[str] | None = None
+    fleet: Fleet,
+    camouflage: Callable[[VehicleBatch], VehicleBatch],
+    *,
+    body_types: Sequence[str] | None = None,
 ) -> UInt8[Tensor, "3 H W"]:
     """A sheet: one column per body type; above as built, below camouflaged, from straight above and from the side.
 
@@ -66,6 +71,8 @@ def portrait(
     rows = []
     for tilt_rad in (0.0, math.radians(40)):
         for worn in (vehicles, camouflage(vehicles)):
-            pictures = close_up(worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=6.0)
+            pictures = close_up(
+                worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=6.0
+            )
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)

@@ -38,7 +38,9 @@ class Visibility:
     def depth(self, sample: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
         """Depth in metres at flat indices, to 0.01 mm; infinite where nothing is."""
         key = self.keys.view(-1)[sample]
-        return torch.where(key == _NOTHING, torch.inf, ((key >> _DEPTH_SHIFT) - _DEPTH_ZERO).double() / 1e5)
+        return torch.where(
+            key == _NOTHING, torch.inf, ((key >> _DEPTH_SHIFT) - _DEPTH_ZERO).double() / 1e5
+        )
 
 
 def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N F"]:
@@ -66,7 +68,9 @@ def rasterise(
         size: S, samples along a side.
     """
     if len(faces) >= 1 << _FACE_BITS or len(screen) >= 1 << _VEHICLE_BITS:
-        raise ValueError(f"expected fewer than 65536 faces and 32768 vehicles, got {len(faces)} and {len(screen)}")
+        raise ValueError(
+            f"expected fewer than 65536 faces and 32768 vehicles, got {len(faces)} and {len(screen)}"
+        )
     areas = face_areas(screen, faces)
     vehicle, face = torch.nonzero(areas > 1e-12, as_tuple=True)
     # Row look-ups by `index_select` are about twice as fast as indexing here.
@@ -101,7 +105,9 @@ def rasterise(
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
     key = (key << _DEPTH_SHIFT) | label.index_select(0, span)
     sample = place.index_select(0, span) + x_step
-    nearest = torch.full((len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device)
+    nearest = torch.full(
+        (len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device
+    )
     nearest.scatter_reduce_(0, sample, key, "amin")
     covered = torch.nonzero(nearest != _NOTHING)[:, 0]
     seen = nearest[covered]
@@ -120,7 +126,9 @@ def rasterise(
 def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
     """For counts (2, 0, 3): rows (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
     row = torch.repeat_interleave(counts)
-    step = torch.arange(len(row), device=counts.device) - (counts.cumsum(0) - counts).index_select(0, row)
+    step = torch.arange(len(row), device=counts.device) - (counts.cumsum(0) - counts).index_select(
+        0, row
+    )
     return row, step
 
 
@@ -141,7 +149,9 @@ def _planes(
     return torch.stack((first, second, third), dim=1), slope
 
 
-def _span(planes: Float[Tensor, "R 3 3"], row: Float[Tensor, " R"]) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+def _span(
+    planes: Float[Tensor, "R 3 3"], row: Float[Tensor, " R"]
+) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
     """Between which i all three weights are positive in a row of samples; empty spans have low > high."""
     per_i = planes[..., 0]
     # A hair's breadth of tolerance closes the cracks that rounding opens between neighbours.
@@ -150,7 +160,9 @@ def _span(planes: Float[Tensor, "R 3 3"], row: Float[Tensor, " R"]) -> tuple[Flo
     low = torch.where(per_i > 0, bound, -torch.inf)
     high = torch.where(per_i < 0, bound, torch.inf)
     never = ((per_i == 0) & (rest < 0)).any(1)
-    return torch.where(never, torch.inf, low.amax(1)).clamp(-1e6, 1e6), high.amin(1).clamp(-1e6, 1e6)
+    return torch.where(never, torch.inf, low.amax(1)).clamp(-1e6, 1e6), high.amin(1).clamp(
+        -1e6, 1e6
+    )
 
 
 def _cross(first: Tensor, second: Tensor) -> Tensor:

@@ -31,7 +31,9 @@ class Backgrounds(Protocol):
         ...
 
 
-def photographs(backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device) -> Float[Tensor, "B 3 H W"]:
+def photographs(
+    backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device
+) -> Float[Tensor, "B 3 H W"]:
     """The scenes' photographs without vehicles, sRGB."""
     windows = [backgrounds.window(scene.background, scene.camera.size_px) for scene in scenes]
     return torch.stack(windows).to(device)
@@ -63,7 +65,9 @@ class TorchRenderer:
         """Its settings."""
         return {**asdict(self.settings), "shadow_light": list(self.settings.shadow_light)}
 
-    def __call__(self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False) -> Frames:
+    def __call__(
+        self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
+    ) -> Frames:
         """Draws one image per scene.
 
         Args:
@@ -71,7 +75,9 @@ class TorchRenderer:
             vehicles: one row per placement, scene by scene.
             masks: also give every vehicle's pixel mask.
         """
-        ground = wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
+        ground = wet_grounds(
+            photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes
+        )
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
         placed, settings = place(scenes, vehicles), self.settings
@@ -92,6 +98,8 @@ class TorchRenderer:
         shadows = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)
         left = shadow_lights(scenes, settings.shadow_light, vehicles.vertices)
         nearness, seeds = (placed.ground * placed.viewer).sum(-1), [each.seed for each in scenes]
-        image = composite(ground, (window, bodies), (cast, shadows), placed.scene, nearness, seeds, settings, left)
+        image = composite(
+            ground, (window, bodies), (cast, shadows), placed.scene, nearness, seeds, settings, left
+        )
         image = finish_images(image, scenes)
         return label(image, placed, visibility, window, settings.supersampling, masks=masks)

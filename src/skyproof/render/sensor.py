@@ -20,13 +20,18 @@ def blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Flo
     distance = (steps[:, None] - steps).abs()
     if radius_px == 0:
         return torch.eye(size, dtype=like.dtype, device=like.device)
-    weights = torch.exp(-0.5 * (torch.arange(-radius_px, radius_px + 1, dtype=torch.float64) / sigma_px) ** 2).sum()
+    weights = torch.exp(
+        -0.5 * (torch.arange(-radius_px, radius_px + 1, dtype=torch.float64) / sigma_px) ** 2
+    ).sum()
     kernel = torch.exp(-0.5 * (distance.to(like.dtype) / sigma_px) ** 2) / float(weights)
     return kernel * (distance <= radius_px)
 
 
 def sensor_noise(
-    seeds: Sequence[int], y: Int[Tensor, "B S"], x: Int[Tensor, "B S"], like: Float[Tensor, "B 3 S S"]
+    seeds: Sequence[int],
+    y: Int[Tensor, "B S"],
+    x: Int[Tensor, "B S"],
+    like: Float[Tensor, "B 3 S S"],
 ) -> Float[Tensor, "B 3 S S"]:
     """Unit noise from every scene's own seed, tied to image pixels: the same whatever else is in the batch."""
     shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
@@ -34,4 +39,6 @@ def sensor_noise(
     tile = torch.stack(drawn).to(like)
     image = torch.arange(len(seeds), device=like.device)
     rows, columns = y % _NOISE_TILE_PX, x % _NOISE_TILE_PX
-    return tile.permute(0, 2, 3, 1)[image[:, None, None], rows[:, :, None], columns[:, None, :]].permute(0, 3, 1, 2)
+    return tile.permute(0, 2, 3, 1)[
+        image[:, None, None], rows[:, :, None], columns[:, None, :]
+    ].permute(0, 3, 1, 2)

@@ -38,7 +38,11 @@ class LinearTexture:
         overlay: Overlay | None = None,
     ) -> None:
         self.finest = min(finest, self.levels - 1)
-        level = _linear(texture, dtype, self.finest) if overlay is None else _covered(texture, overlay, self.finest)
+        level = (
+            _linear(texture, dtype, self.finest)
+            if overlay is None
+            else _covered(texture, overlay, self.finest)
+        )
         self.count, (self.height, self.width) = len(level), texture.shape[2:]
         texels, offsets = [], [0]
         for index in range(self.levels):
@@ -67,7 +71,9 @@ class LinearTexture:
         # Row look-ups, whose backward pass is a plain sum, are faster than indexing.
         upper, lower = (
             torch.lerp(
-                self._texels.index_select(0, row + columns[0]), self._texels.index_select(0, row + columns[1]), across
+                self._texels.index_select(0, row + columns[0]),
+                self._texels.index_select(0, row + columns[1]),
+                across,
             )
             for row in rows
         )
@@ -86,7 +92,11 @@ def _bytes_to_linear(texture: UInt8[Tensor, "3 H W"], dtype: torch.dtype) -> Flo
     table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
     # NumPy's table look-up is several times faster than indexing here.
     on_cpu = texture.device.type == "cpu"
-    return torch.from_numpy(np.take(table.numpy(), texture.numpy())) if on_cpu else table[texture.int()]
+    return (
+        torch.from_numpy(np.take(table.numpy(), texture.numpy()))
+        if on_cpu
+        else table[texture.int()]
+    )
 
 
 def _reduced(level: Tensor, finest: int) -> Tensor:
@@ -110,7 +120,11 @@ class _Covered(torch.autograd.Function):
         reduced = []
         for index, mask in enumerate(masks):
             below = own[index if len(own) > 1 else 0]
-            below = _bytes_to_linear(below, cover.dtype) if below.dtype == torch.uint8 else srgb_to_linear(below)
+            below = (
+                _bytes_to_linear(below, cover.dtype)
+                if below.dtype == torch.uint8
+                else srgb_to_linear(below)
+            )
             reduced.append(_reduced(torch.where(mask, cover, below), finest))
         return torch.stack(reduced)
 
@@ -121,7 +135,9 @@ class _Covered(torch.autograd.Function):
         _, channels, height, width = gradients[0].shape
         total = gradients[0].new_zeros(channels, height, side, width, side)
         for mask, gradient in zip(masks, gradients[0] / side**2, strict=True):
-            total.addcmul_(gradient[:, :, None, :, None], mask.view(height, side, width, side).to(total.dtype))
+            total.addcmul_(
+                gradient[:, :, None, :, None], mask.view(height, side, width, side).to(total.dtype)
+            )
         return total.view(channels, height * side, width * side), None, None, None
 
 
@@ -141,7 +157,11 @@ class _Halve(torch.autograd.Function):
     def backward(context: Any, *gradients: Tensor) -> Tensor:
         quarter = gradients[0] * 0.25
         *others, height, width = quarter.shape
-        return quarter[..., None, :, None].expand(*others, height, 2, width, 2).reshape(*others, 2 * height, 2 * width)
+        return (
+            quarter[..., None, :, None]
+            .expand(*others, height, 2, width, 2)
+            .reshape(*others, 2 * height, 2 * width)
+        )
 
 
 def light(
@@ -174,14 +194,20 @@ def light(
     sun_strength = (1 - sky) * sun[:, 2:].reciprocal()
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]
-    diffuse = sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)
+    diffuse = (
+        sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)
+    )
     cosine = (normal * viewer).sum(-1, keepdim=True)
-    fresnel = settings.reflectance + (1 - settings.reflectance) * _fifth_power(1 - cosine.clamp(0.0, 1.0))
+    fresnel = settings.reflectance + (1 - settings.reflectance) * _fifth_power(
+        1 - cosine.clamp(0.0, 1.0)
+    )
     # From above, a steep side mirrors the ground, not the sky.
     mirrored_up = 0.5 + 0.5 * (2 * cosine * normal[:, 2:] - viewer[:, 2:])
     surroundings = sky * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
     lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
-    glint = settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
+    glint = (
+        settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
+    )
     return diffuse * (1 - fresnel), fresnel * surroundings + glint
 
 

@@ -75,7 +75,9 @@ def silhouette_points(
         outward = torch.stack((-piece[:, 1], piece[:, 0]), dim=-1)
         unit = outward / (outward.norm(dim=-1, keepdim=True) + 1e-12)
         beyond = (point + unit).floor().long()
-        near = torch.lerp(depth[vehicle, start_index][:, None], depth[vehicle, end_index][:, None], along)[:, 0]
+        near = torch.lerp(
+            depth[vehicle, start_index][:, None], depth[vehicle, end_index][:, None], along
+        )[:, 0]
         held = ((beyond >= 0) & (beyond < size)).all(-1)
         beyond = beyond.clamp(0, size - 1)
         outside = (vehicle * size + beyond[:, 1]) * size + beyond[:, 0]
@@ -83,6 +85,10 @@ def silhouette_points(
         vehicle, along = vehicle[kept], along[kept]
         face = torch.where(forward[row], edge_faces[edge, 0], edge_faces[edge, 1])[kept]
         corners = faces[face]
-        weights = (corners == start_index[kept][:, None]) * (1 - along) + (corners == end_index[kept][:, None]) * along
+        weights = (corners == start_index[kept][:, None]) * (1 - along) + (
+            corners == end_index[kept][:, None]
+        ) * along
     swept = ((point - point.detach()) * outward).sum(-1)
-    return SilhouettePoints(point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept])
+    return SilhouettePoints(
+        point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept]
+    )

@@ -27,7 +27,11 @@ PART_COLOURS = {
     Part.TRIM: (150, 60, 160),
     Part.UNDERSIDE: (110, 80, 60),
 }
-_VIEWS = ((-90.0, 90.0), (-90.0, 0.0), (40.0, 30.0))  # azimuth and elevation of the viewer in degrees
+_VIEWS = (
+    (-90.0, 90.0),
+    (-90.0, 0.0),
+    (40.0, 30.0),
+)  # azimuth and elevation of the viewer in degrees
 _WIDTH_PX, _HEIGHT_PX, _CAPTION_PX = 320, 200, 16
 _GROUND = 0.45
 
@@ -49,12 +53,18 @@ def turntable_row(mesh: SourceMesh, vehicles: VehicleBatch, caption: str) -> UIn
     wrapped = vehicles.vertices[0][template.faces].double().numpy()
 
     def worn(face: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        column, row = (np.einsum("nk,nkc->nc", weights, uvs[face]) * TEXTURE_SIZE).astype(int).clip(0, 511).T
+        column, row = (
+            (np.einsum("nk,nkc->nc", weights, uvs[face]) * TEXTURE_SIZE).astype(int).clip(0, 511).T
+        )
         return texture[row, column]
 
     length = float(np.ptp(wrapped[..., 0]))
     rendered = close_up(
-        vehicles, gsd_m=length * 1.15 / _WIDTH_PX, side_m=length * 1.15, tilt_rad=math.radians(20), heading_rad=0.0
+        vehicles,
+        gsd_m=length * 1.15 / _WIDTH_PX,
+        side_m=length * 1.15,
+        tilt_rad=math.radians(20),
+        heading_rad=0.0,
     )[0]
     above = (_WIDTH_PX - _HEIGHT_PX) // 2
     cells = [
@@ -78,7 +88,9 @@ def turntable_sheet(rows: Sequence[UInt8[Tensor, "3 H W"]]) -> UInt8[Tensor, "3 
     return torch.cat(list(rows), dim=1)
 
 
-def _views(corners: Float[np.ndarray, "F 3 3"], colours: Colours, length: float) -> list[np.ndarray]:
+def _views(
+    corners: Float[np.ndarray, "F 3 3"], colours: Colours, length: float
+) -> list[np.ndarray]:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-12)
     light = 0.5 + 0.5 * np.abs(normal @ np.array([0.35, -0.5, 0.79]))

@@ -36,14 +36,18 @@ def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Ten
     return like.new_tensor([clear + (1 - clear) * scene.weather.overcast for scene in scenes])
 
 
-def shadow_lights(scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor) -> Float[Tensor, "B 3"]:
+def shadow_lights(
+    scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor
+) -> Float[Tensor, "B 3"]:
     """What is left of the light in every scene's cast shadows: `clear` under a clear sky, all under clouds."""
     left = like.new_tensor(clear).expand(len(scenes), 3)
     overcast = like.new_tensor([scene.weather.overcast for scene in scenes])[:, None]
     return left + (1 - left) * overcast
 
 
-def wet_grounds(photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]) -> Float[Tensor, "B 3 H W"]:
+def wet_grounds(
+    photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
+) -> Float[Tensor, "B 3 H W"]:
     """The photographs with wet ground where it rained; the others keep their bits. Written over."""
     for photograph, scene in zip(photographs, scenes, strict=True):
         if scene.weather.wetness > 0:
@@ -62,7 +66,9 @@ def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
     return torch.lerp(ground, darkened, wetness)
 
 
-def finish_images(images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]) -> Float[Tensor, "B 3 H W"]:
+def finish_images(
+    images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
+) -> Float[Tensor, "B 3 H W"]:
     """Haze, exposure, noise, JPEG, in this order, over everything in the picture; clear pictures keep their bits.
 
     Differentiable; where exposure or noise clips a pixel its gradient is zero, as the picture's own is.

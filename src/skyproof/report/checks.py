@@ -57,7 +57,9 @@ def _contents(row: Mapping[str, Any]) -> str:
     parts = [", ".join(counts), str(row.get("note") or "")]
     clusters = row.get("clusters")
     if row.get("clustered_by") == "places":
-        parts.append(f"intervals over {clusters} {'places' if is_real(row) else 'background tiles'}")
+        parts.append(
+            f"intervals over {clusters} {'places' if is_real(row) else 'background tiles'}"
+        )
     elif clusters:
         # Frames of one flight repeat parked vehicles and share their light: they are not independent.
         parts.append(f"one place: intervals over its {clusters} images, which is rather too narrow")
@@ -133,7 +135,9 @@ def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
     weak = [
         name
         for index, name in enumerate(detectors)
-        if any((row := one.rows[index]) and (row.get("ap_centre_1m") or 0) < _FEW_FOUND for one in sets)
+        if any(
+            (row := one.rows[index]) and (row.get("ap_centre_1m") or 0) < _FEW_FOUND for one in sets
+        )
     ]
     if not weak:
         return ""
@@ -142,4 +146,10 @@ def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
 
 
 def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else "nothing"
+    return (
+        words[0]
+        if len(words) == 1
+        else f"{', '.join(words[:-1])} and {words[-1]}"
+        if words
+        else "nothing"
+    )

@@ -43,13 +43,19 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
     if not outcomes:
         return []
     labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [
-        _numeric("Sun above the horizon", [o.sun_elevation_deg for o in outcomes], lambda o: o.sun_elevation_deg),
+        _numeric(
+            "Sun above the horizon",
+            [o.sun_elevation_deg for o in outcomes],
+            lambda o: o.sun_elevation_deg,
+        ),
         _numeric("Camera off the vertical", [o.tilt_deg for o in outcomes], lambda o: o.tilt_deg),
         ("Vehicle's heading and the sun", _heading_label, [label for _, label in _HEADINGS]),
         ("Body type", lambda o: body_name(o.body_type).replace(" ", "\n"), None),
     ]
     if len({o.condition for o in outcomes}) > 1:
-        labellers.append(("Weather and light", lambda o: o.condition.replace("_", " ").replace(" ", "\n"), None))
+        labellers.append(
+            ("Weather and light", lambda o: o.condition.replace("_", " ").replace(" ", "\n"), None)
+        )
     overall = _rate(outcomes, generator).estimate
     panels = []
     for title, labeller, order in labellers:
@@ -58,7 +64,11 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
             groups.setdefault(labeller(outcome), []).append(outcome)
         names = order or sorted(groups)
         bins = [
-            Bin(name, len({(o.scene, o.placement) for o in groups[name]}), _rate(groups[name], generator))
+            Bin(
+                name,
+                len({(o.scene, o.placement) for o in groups[name]}),
+                _rate(groups[name], generator),
+            )
             for name in names
             if groups[name]
         ]
@@ -73,7 +83,11 @@ def _numeric(
     cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])})
     edges = [float(np.floor(min(values))), *map(float, cuts), float(np.ceil(max(values)))]
     labels = [f"{low:.0f}–{high:.0f}°" for low, high in itertools.pairwise(edges)]
-    return title, lambda outcome: labels[int(np.searchsorted(cuts, read(outcome), side="right"))], labels
+    return (
+        title,
+        lambda outcome: labels[int(np.searchsorted(cuts, read(outcome), side="right"))],
+        labels,
+    )
 
 
 def _heading_label(outcome: Outcome) -> str:
@@ -83,6 +97,8 @@ def _heading_label(outcome: Outcome) -> str:
 def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interval:
     tiles = {tile: index for index, tile in enumerate(sorted({o.background for o in outcomes}))}
     detectors = sorted({o.detector for o in outcomes})
-    counts = np.stack([cluster_counts([o for o in outcomes if o.detector == name], tiles) for name in detectors])
+    counts = np.stack(
+        [cluster_counts([o for o in outcomes if o.detector == name], tiles) for name in detectors]
+    )
     weights = resample(len(tiles), generator=generator)
     return mean_interval(counts, overall_attack_success_rate, weights, (-np.inf, 1.0))

@@ -21,7 +21,14 @@ from skyproof.report.words import detector_name
 __all__ = ["condition_figure", "forest_figure", "loss_figure"]
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
-BLUE, ORANGE, GREEN, PURPLE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#767676", "#1b2733"
+BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#767676",
+    "#1b2733",
+)
 _CYCLE = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 STYLE: Any = {
     "font.family": "sans-serif",
@@ -41,7 +48,9 @@ STYLE: Any = {
 def forest_figure(headline: Headline) -> str:
     """Per detector: share hidden (EASR), net of the random control, and the control itself, with 95 % intervals."""
     rows = headline.by_detector
-    with plt.rc_context(STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}):
+    with plt.rc_context(
+        STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}
+    ):
         figure, axes = plt.subplots(figsize=(8.5, 1.3 + 0.72 * len(rows)), layout="constrained")
         series = [
             ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [(row, "easr") for row in rows]),
@@ -64,7 +73,17 @@ def forest_figure(headline: Headline) -> str:
         axes.set_yticks(range(len(rows)), [detector_name(row["detector"]) for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
-        left = min([0.0, *(v for row in rows for k in ("easr_low", "net_easr_low") if (v := row[k]) is not None)])
+        left = min(
+            [
+                0.0,
+                *(
+                    v
+                    for row in rows
+                    for k in ("easr_low", "net_easr_low")
+                    if (v := row[k]) is not None
+                ),
+            ]
+        )
         axes.set_xlim(100 * left - 4, 104)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
         axes.grid(axis="x", color="#e3e7eb")
@@ -74,11 +93,29 @@ def forest_figure(headline: Headline) -> str:
         return _svg(figure)
 
 
-def _point(axes: Any, row: Mapping[str, Any], key: str, y: float, marker: str, colour: str, label: str | None) -> None:
+def _point(
+    axes: Any,
+    row: Mapping[str, Any],
+    key: str,
+    y: float,
+    marker: str,
+    colour: str,
+    label: str | None,
+) -> None:
     low, high = row[f"{key}_low"], row[f"{key}_high"]
     if low is not None and high is not None:
-        axes.plot([100 * low, 100 * high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
-    axes.plot([100 * row[key]], [y], marker, color=colour, markersize=7, label=label, markeredgecolor="white")
+        axes.plot(
+            [100 * low, 100 * high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt"
+        )
+    axes.plot(
+        [100 * row[key]],
+        [y],
+        marker,
+        color=colour,
+        markersize=7,
+        label=label,
+        markeredgecolor="white",
+    )
 
 
 def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]]) -> str:
@@ -119,7 +156,12 @@ def condition_figure(panels: Sequence[Panel]) -> str:
     lines = math.ceil(len(panels) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):
         figure, grid = plt.subplots(
-            lines, columns, figsize=(9.2, 2.9 * lines), layout="constrained", squeeze=False, sharey=True
+            lines,
+            columns,
+            figsize=(9.2, 2.9 * lines),
+            layout="constrained",
+            squeeze=False,
+            sharey=True,
         )
         for axes, panel in zip(grid.flat, panels, strict=False):
             for place, bar in enumerate(panel.bins):
@@ -127,8 +169,17 @@ def condition_figure(panels: Sequence[Panel]) -> str:
                     continue
                 if bar.rate.low == bar.rate.low:
                     ends = [100 * bar.rate.low, 100 * bar.rate.high]
-                    axes.plot([place, place], ends, color=BLUE, linewidth=2.2, solid_capstyle="butt")
-                axes.plot([place], [100 * bar.rate.estimate], "o", color=BLUE, markersize=7, markeredgecolor="white")
+                    axes.plot(
+                        [place, place], ends, color=BLUE, linewidth=2.2, solid_capstyle="butt"
+                    )
+                axes.plot(
+                    [place],
+                    [100 * bar.rate.estimate],
+                    "o",
+                    color=BLUE,
+                    markersize=7,
+                    markeredgecolor="white",
+                )
             labels = [f"{bar.label}\nn = {bar.vehicles}" for bar in panel.bins]
             axes.set_xticks(range(len(panel.bins)), labels, fontsize=9)
             axes.set_xlim(-0.6, len(panel.bins) - 0.4)
@@ -136,7 +187,12 @@ def condition_figure(panels: Sequence[Panel]) -> str:
             axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
             axes.grid(axis="y", color="#e3e7eb")
             axes.set_axisbelow(True)
-        lows = [100 * bar.rate.low for panel in panels for bar in panel.bins if bar.rate.low == bar.rate.low]
+        lows = [
+            100 * bar.rate.low
+            for panel in panels
+            for bar in panel.bins
+            if bar.rate.low == bar.rate.low
+        ]
         bottom = min([0.0, *lows])
         for axes in grid[:, 0]:
             axes.set_ylim(bottom - 3, 103)
@@ -148,7 +204,9 @@ def condition_figure(panels: Sequence[Panel]) -> str:
 
 def _svg(figure: Figure) -> str:
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    figure.savefig(
+        buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+    )
     plt.close(figure)
     text = buffer.getvalue()
     return text[text.index("<svg") :]

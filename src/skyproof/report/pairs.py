@@ -37,7 +37,9 @@ class Pair:
     caption: str
 
 
-def make_pairs(run: Run, camouflage: str, renderer: str, detector: str, count: int = PAIR_COUNT) -> list[Pair]:
+def make_pairs(
+    run: Run, camouflage: str, renderer: str, detector: str, count: int = PAIR_COUNT
+) -> list[Pair]:
     """The first `count` scenes by SHA-256 of their id, then the one with most vehicles hidden and the one with fewest.
 
     Empty where images, labels, detections, the threshold or outcomes are missing.
@@ -45,7 +47,8 @@ def make_pairs(run: Run, camouflage: str, renderer: str, detector: str, count: i
     rows = [
         o
         for o in run.outcomes or ()
-        if (o.camouflage, o.renderer, o.detector, o.match) == (camouflage, renderer, detector, MAIN_MATCH)
+        if (o.camouflage, o.renderer, o.detector, o.match)
+        == (camouflage, renderer, detector, MAIN_MATCH)
     ]
     evaluation, plain = run.evaluation(renderer)
     before = _Set.read(run.folder / "datasets" / plain, evaluation, detector)
@@ -102,16 +105,24 @@ class _Set:
         coco = read_json(labels)
         try:
             scene_of = {image["id"]: Path(image["file_name"]).stem for image in coco["images"]}
-            boxes: dict[str, dict[int, Sequence[float]]] = {scene: {} for scene in scene_of.values()}
+            boxes: dict[str, dict[int, Sequence[float]]] = {
+                scene: {} for scene in scene_of.values()
+            }
             for annotation in coco["annotations"]:
                 own = boxes[scene_of[annotation["image_id"]]]
                 x, y, width, height = map(float, annotation["bbox"])
                 own[annotation.get("placement_index", len(own))] = (x, y, x + width, y + height)
         except (KeyError, TypeError, ValueError) as error:
-            raise StoredFileError(f"{labels} is not COCO as this version writes it ({error}); render again.") from error
-        return cls(labels.parent / "images", boxes, {row["image"]: row for row in read_jsonl(found)})
+            raise StoredFileError(
+                f"{labels} is not COCO as this version writes it ({error}); render again."
+            ) from error
+        return cls(
+            labels.parent / "images", boxes, {row["image"]: row for row in read_jsonl(found)}
+        )
 
-    def draw(self, scene: str, outcomes: Sequence[Outcome], threshold: float, after: bool) -> str | None:
+    def draw(
+        self, scene: str, outcomes: Sequence[Outcome], threshold: float, after: bool
+    ) -> str | None:
         path = self.images / f"{scene}.png"
         if not path.exists() or scene not in self.boxes or scene not in self.detections:
             return None
@@ -120,7 +131,9 @@ class _Set:
                 size = (opened.width * _ENLARGE, opened.height * _ENLARGE)
                 picture = opened.convert("RGB").resize(size, Image.Resampling.LANCZOS)
         except OSError as error:
-            raise StoredFileError(f"{path} is not a readable image ({error}); render again.") from error
+            raise StoredFileError(
+                f"{path} is not a readable image ({error}); render again."
+            ) from error
         canvas = ImageDraw.Draw(picture)
         row = self.detections[scene]
         alarms = {i for i, score in enumerate(row["scores"]) if score >= threshold}
@@ -134,7 +147,9 @@ class _Set:
             if detected:
                 alarms.discard(_nearest(row, alarms, box, score))
         for index in alarms:
-            _rectangle(canvas, [float(value) for value in row["boxes"][index]], FALSE_ALARM, dash_px=3)
+            _rectangle(
+                canvas, [float(value) for value in row["boxes"][index]], FALSE_ALARM, dash_px=3
+            )
         return image_uri(picture)
 
 
@@ -149,15 +164,21 @@ def _nearest(row: Mapping[str, Any], among: set[int], box: Sequence[float], scor
     return min(among, key=difference, default=-1)
 
 
-def _rectangle(canvas: ImageDraw.ImageDraw, box: Sequence[float], colour: str, dash_px: int) -> None:
+def _rectangle(
+    canvas: ImageDraw.ImageDraw, box: Sequence[float], colour: str, dash_px: int
+) -> None:
     """A frame 4 px outside a box of the original image; solid where `dash_px` is 0."""
-    x0, y0, x1, y1 = (_ENLARGE * value + outward for value, outward in zip(box, (-4, -4, 4, 4), strict=True))
+    x0, y0, x1, y1 = (
+        _ENLARGE * value + outward for value, outward in zip(box, (-4, -4, 4, 4), strict=True)
+    )
     corners = [np.array(corner) for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))]
     for start, end in itertools.pairwise(corners):
         length = max(float(np.hypot(*(end - start))), 1e-6)
         dash = dash_px or length
         for begin in np.arange(0.0, length, 2 * dash):
-            ends = [tuple(start + (end - start) * min(at / length, 1.0)) for at in (begin, begin + dash)]
+            ends = [
+                tuple(start + (end - start) * min(at / length, 1.0)) for at in (begin, begin + dash)
+            ]
             # A dark line beneath keeps every colour legible on bright ground.
             canvas.line(ends, fill="#101010", width=5)
             canvas.line(ends, fill=colour, width=3)

@@ -51,7 +51,9 @@ def survival(first: Headline, second: Headline) -> str:
     if change is None or gross is None:
         return "It cannot be compared with the other renderer, because a success rate is undefined."
     there = words.renderer_name(first.renderer)
-    rates = f"{words.percent(second.row[key])} here, {words.percent(first.row[key])} with the {there}"
+    rates = (
+        f"{words.percent(second.row[key])} here, {words.percent(first.row[key])} with the {there}"
+    )
     if math.isnan(change.low):
         return f"{what}: {rates}. The difference has no interval: too few background tiles."
     sure = f"95\u202f% interval of the difference {words.points(change.low)} to {words.points(change.high)} points"

@@ -89,8 +89,12 @@ def write_report(run_folder: Path) -> Path:
         by_camouflage.setdefault(headline.camouflage, []).append(headline)
     sections = [_section(run, *headlines) for headlines in by_camouflage.values()]
     if not sections:
-        raise StoredFileError(f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first.")
-    detectors = [row["detector"] for row in sections[0].headline.by_detector if row["detector"] != "mean"]
+        raise StoredFileError(
+            f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first."
+        )
+    detectors = [
+        row["detector"] for row in sections[0].headline.by_detector if row["detector"] != "mean"
+    ]
     page = environment.get_template("report.html.j2").render(
         run=run,
         title=run.config.get("title", "Camouflage robustness of overhead vehicle detectors"),
@@ -134,7 +138,9 @@ def _second(run: Run, first: Headline, headline: Headline) -> _Second:
         headline=headline,
         answer=[*words.answer(headline), survival(first, headline)],
         rows=compare_renderers(first, headline),
-        pairs=make_pairs(run, headline.camouflage, headline.renderer, _first_detector(first), _PAIRS_OF_SECOND),
+        pairs=make_pairs(
+            run, headline.camouflage, headline.renderer, _first_detector(first), _PAIRS_OF_SECOND
+        ),
         conditions=Markup(condition_figure(panels)) if panels else None,
     )
 
@@ -156,7 +162,9 @@ def _picture(path: Path) -> str | None:
         with Image.open(path) as opened:
             return image_uri(opened.convert("RGB"), lossless=True)
     except OSError as error:
-        raise StoredFileError(f"{path} is not a readable image ({error}); run its stage again.") from error
+        raise StoredFileError(
+            f"{path} is not a readable image ({error}); run its stage again."
+        ) from error
 
 
 def _attack_loss(run: Run, name: str) -> Markup | None:
@@ -171,7 +179,11 @@ def _attack_loss(run: Run, name: str) -> Markup | None:
 def _training(run: Run) -> Markup | None:
     curves = {
         # The log holds validations too, which have no loss.
-        name: [(float(row["step"]), float(row["loss"])) for row in run.steps("detectors", name) if "loss" in row]
+        name: [
+            (float(row["step"]), float(row["loss"]))
+            for row in run.steps("detectors", name)
+            if "loss" in row
+        ]
         for name in run.detectors
     }
     curves = {name: points for name, points in curves.items() if points}
@@ -184,12 +196,17 @@ def _imagery(run: Run) -> str:
     imagery = run.config["imagery"]
     if imagery == "procedural":
         return "procedurally generated ground"
-    return "real imagery (" + ", ".join(imagery if isinstance(imagery, list) else [str(imagery)]) + ")"
+    return (
+        "real imagery (" + ", ".join(imagery if isinstance(imagery, list) else [str(imagery)]) + ")"
+    )
 
 
 def _tables(run: Run) -> list[tuple[str, list[Mapping[str, Any]]]]:
     """The rows by match criterion and renderer, each with its heading; the main criterion first."""
-    criteria = {MAIN_MATCH: "found = centre within 1.0 m", "iou_50": "found = boxes overlap by IoU ≥ 0.5"}
+    criteria = {
+        MAIN_MATCH: "found = centre within 1.0 m",
+        "iou_50": "found = boxes overlap by IoU ≥ 0.5",
+    }
     tables = []
     renderers = list(dict.fromkeys(row["renderer"] for row in run.rows))
     for match, meaning in criteria.items():
@@ -211,7 +228,10 @@ def _readings(panels: Sequence[Panel]) -> list[str]:
             continue
         least = min(known, key=lambda bar: bar.rate.estimate)
         most = max(known, key=lambda bar: bar.rate.estimate)
-        ends = [f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ") for bar in (most, least)]
+        ends = [
+            f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
+            for bar in (most, least)
+        ]
         if most.rate.low > least.rate.high:
             sentences.append(
                 f"{panel.title}: most hidden at {ends[0]}, least at {ends[1]}; the intervals do not overlap."
@@ -224,7 +244,9 @@ def _readings(panels: Sequence[Panel]) -> list[str]:
 def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
     """What the numbers suggest for the detectors; never how to hide."""
     headline = sections[0].headline
-    single = [row for row in headline.by_detector if row["detector"] != "mean" and row["easr"] is not None]
+    single = [
+        row for row in headline.by_detector if row["detector"] != "mean" and row["easr"] is not None
+    ]
     advice = []
     if len(single) > 1:
         ranked = sorted(single, key=lambda row: row["easr"])
@@ -237,7 +259,9 @@ def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
                 f"{words.percent(worst['easr'])} hidden): harden the weaker one first."
             )
         else:
-            advice.append("The detectors' intervals overlap: this result gives no ground to prefer one of them.")
+            advice.append(
+                "The detectors' intervals overlap: this result gives no ground to prefer one of them."
+            )
     random = headline.row.get("random_easr")
     if random is not None and random > 0.1:
         advice.append(
@@ -251,8 +275,12 @@ def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
             "vehicles, with their true labels, into training, then measure again with a newly optimised pattern. A "
             "detector hardened against a known pattern is not thereby hardened against the next."
         )
-    advice.append("After hardening, check accuracy on clean images and false alarms as well; robustness can cost both.")
-    advice.append("Quote net success with its interval, not the gross rate, when comparing detectors or suppliers.")
+    advice.append(
+        "After hardening, check accuracy on clean images and false alarms as well; robustness can cost both."
+    )
+    advice.append(
+        "Quote net success with its interval, not the gross rate, when comparing detectors or suppliers."
+    )
     return advice
 
 
@@ -281,22 +309,32 @@ def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
         "of the attack, or other random patterns than those drawn."
     )
     steps = run.steps("camouflages", sections[0].headline.camouflage)
-    attacked = [words.detector_name(name) for name in (steps[0].get("losses") or {})] if steps else []
+    attacked = (
+        [words.detector_name(name) for name in (steps[0].get("losses") or {})] if steps else []
+    )
     if attacked:
         limits.append(
             f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst case for them. Detectors "
             "that the pattern was not optimised against may lose fewer vehicles; that is not measured here."
         )
-    slim = [words.detector_name(name) for name, one in run.detectors.items() if one.get("size") == "slim"]
+    slim = [
+        words.detector_name(name)
+        for name, one in run.detectors.items()
+        if one.get("size") == "slim"
+    ]
     if slim:
         limits.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
-    limits.append("McNemar's test treats vehicles as independent; where a tile holds many, trust the interval more.")
+    limits.append(
+        "McNemar's test treats vehicles as independent; where a tile holds many, trust the interval more."
+    )
     return limits
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
     if isinstance(value, Mapping):
         return [
-            pair for key, inner in value.items() for pair in _flat(inner, f"{prefix}.{key}" if prefix else str(key))
+            pair
+            for key, inner in value.items()
+            for pair in _flat(inner, f"{prefix}.{key}" if prefix else str(key))
         ]
     return [(prefix, ", ".join(map(str, value)) if isinstance(value, list) else str(value))]

@@ -10,7 +10,17 @@ from typing import Any
 
 from skyproof.evaluate.intervals import Interval
 
-__all__ = ["Table", "bracket", "in_percent", "interval_cells", "markdown", "number", "sign", "span", "word"]
+__all__ = [
+    "Table",
+    "bracket",
+    "in_percent",
+    "interval_cells",
+    "markdown",
+    "number",
+    "sign",
+    "span",
+    "word",
+]
 
 _RATES = (
     "easr",
@@ -73,14 +83,18 @@ def in_percent(row: Mapping[str, Any] | None) -> dict[str, Any]:
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Rows of cells under a header."""
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
 
 
 def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
     """A value with its interval, which stands in the columns `<key>_low` and `<key>_high`."""
     value, low, high = row.get(key), row.get(f"{key}_low"), row.get(f"{key}_high")
     known = low is not None and high is not None and not (low != low or high != high)
-    return number(value, digits) + (f" ({number(low, digits)} to {number(high, digits)})" if known else "")
+    return number(value, digits) + (
+        f" ({number(low, digits)} to {number(high, digits)})" if known else ""
+    )
 
 
 def span(low: float | None, high: float | None) -> str:

@@ -14,7 +14,14 @@ from skyproof.evaluate.agreement import Agreement, rank_agreement, renderer_agre
 from skyproof.evaluate.differences import difference_interval
 from skyproof.evaluate.paper_results import PAPER_RESULTS
 from skyproof.evaluate.rates import overall_attack_success_rate
-from skyproof.report.reproduction_cells import Table, bracket, in_percent, interval_cells, markdown, number
+from skyproof.report.reproduction_cells import (
+    Table,
+    bracket,
+    in_percent,
+    interval_cells,
+    markdown,
+    number,
+)
 from skyproof.report.reproduction_run import CYCLES, MATCH, RENDERER, Reproduction
 from skyproof.report.words import detector_name
 
@@ -38,7 +45,9 @@ def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
     found = in_percent(run.row(name, renderer=CYCLES))
     columns = {f"cycles_{key}": value for key, value in found.items() if key.startswith(_COLUMNS)}
     change = _change(run, [name])
-    return columns | {f"cycles_{key}": change.get(key) for key in ("change", "change_low", "change_high")}
+    return columns | {
+        f"cycles_{key}": change.get(key) for key in ("change", "change_low", "change_high")
+    }
 
 
 def cycles_tables(run: Reproduction) -> list[Table]:
@@ -86,9 +95,12 @@ def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
     shared = [(one, other) for one, other in shared if other in run.tiles.series]
     if not shared:
         return {}
-    before, after = (np.stack([run.tiles.series[pair[which]][:, 1:] for pair in shared]) for which in (0, 1))
+    before, after = (
+        np.stack([run.tiles.series[pair[which]][:, 1:] for pair in shared]) for which in (0, 1)
+    )
     easr, on_cycles = (
-        100 * float(overall_attack_success_rate(counts.sum(axis=1)).mean()) for counts in (before, after)
+        100 * float(overall_attack_success_rate(counts.sum(axis=1)).mean())
+        for counts in (before, after)
     )
     difference = difference_interval(after, before, run.weights)
     return {"easr": easr, "cycles_easr": on_cycles, **interval_cells("change", difference, 100.0)}
@@ -99,32 +111,56 @@ def _changes(run: Reproduction) -> list[dict[str, Any]]:
     for kind, belongs in _KINDS.items():
         names = [name for name in _names(run) if belongs(name)]
         paper = [result for name, result in PAPER_RESULTS.items() if belongs(name)]
-        known = [(result.easr, result.easr_blender) for result in paper if result.easr_blender is not None]
+        known = [
+            (result.easr, result.easr_blender)
+            for result in paper
+            if result.easr_blender is not None
+        ]
         renderer, blender = np.mean(known, axis=0).tolist() if known else (None, None)
         if names:
             ours = {"kind": kind, "camouflages": len(names), **_change(run, names)}
-            rows.append(ours | {"paper_number": len(known), "paper_easr": renderer, "paper_easr_blender": blender})
+            rows.append(
+                ours
+                | {
+                    "paper_number": len(known),
+                    "paper_easr": renderer,
+                    "paper_easr_blender": blender,
+                }
+            )
     return rows
 
 
 def _agreements(run: Reproduction) -> list[dict[str, Any]]:
     """Rank correlations of Cycles with the paper's Blender column, and with our renderer."""
-    blender = {name: result.easr_blender for name, result in PAPER_RESULTS.items() if result.easr_blender is not None}
+    blender = {
+        name: result.easr_blender
+        for name, result in PAPER_RESULTS.items()
+        if result.easr_blender is not None
+    }
     attacks = [name for name in _names(run) if not is_control(name)]
 
     def with_paper(names: Collection[str]) -> Agreement:
         paper = {name: blender[name] for name in names}
         rng = np.random.default_rng(0)
-        return rank_agreement(run.tiles, paper, rows=run.best, generator=rng, renderer=CYCLES, match=MATCH)
+        return rank_agreement(
+            run.tiles, paper, rows=run.best, generator=rng, renderer=CYCLES, match=MATCH
+        )
 
     def with_renderer(names: Collection[str]) -> Agreement:
         rng = np.random.default_rng(0)
-        return renderer_agreement(run.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MATCH)
+        return renderer_agreement(
+            run.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MATCH
+        )
 
     paper, renderer = "Cycles and the paper’s Blender", "Cycles and our renderer"
     sets = [
         (paper, with_paper, "textures", [name for name in blender if name.startswith("T-")]),
-        (paper, with_paper, "textures, shape and combinations", [name for name in blender if not is_control(name)]),
+        (
+            paper,
+            with_paper,
+            "textures, shape and combinations",
+            [name for name in blender if not is_control(name)],
+        ),
         (paper, with_paper, "all, with random controls", list(blender)),
         (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
         (renderer, with_renderer, "all attacks, at every magnitude", attacks),
@@ -136,7 +172,11 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
         with suppress(ConfigurationError):
             found = correlate(names)
             row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
-            rows.append(row | interval_cells("spearman", found.spearman) | interval_cells("kendall", found.kendall))
+            rows.append(
+                row
+                | interval_cells("spearman", found.spearman)
+                | interval_cells("kendall", found.kendall)
+            )
     return rows
 
 
@@ -144,9 +184,16 @@ def _missing(run: Reproduction) -> str:
     """What of the renderer's columns is not on Cycles."""
     wanted = [name for name in run.names if "_" not in name]
     left = [name for name in wanted if run.row(name, renderer=CYCLES) is None]
-    parts = [f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls."] if left else []
+    parts = (
+        [f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls."]
+        if left
+        else []
+    )
     repeats, on_cycles = (
-        max((row["repeats"] for name in _names(run) if (row := run.row(name, renderer=renderer))), default=0)
+        max(
+            (row["repeats"] for name in _names(run) if (row := run.row(name, renderer=renderer))),
+            default=0,
+        )
         for renderer in (RENDERER, CYCLES)
     )
     if on_cycles < repeats:
@@ -202,7 +249,9 @@ def _correlations(table: Table) -> str:
     if not rows:
         return ""
     text = "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers are held fixed."
-    return f"{text}\n\n" + markdown(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
+    return f"{text}\n\n" + markdown(
+        ["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows
+    )
 
 
 def _originals(run: Reproduction) -> str:
@@ -212,7 +261,9 @@ def _originals(run: Reproduction) -> str:
         precision, found = [], []
         for renderer in (RENDERER, CYCLES):
             # Any camouflage will do: all are compared with the same original images.
-            key = next((key for key in run.tiles.series if key[1:] == (renderer, detector, MATCH)), None)
+            key = next(
+                (key for key in run.tiles.series if key[1:] == (renderer, detector, MATCH)), None
+            )
             if key is not None:
                 row = run.row(pooled_name(key.camouflage), detector, renderer=renderer) or {}
                 precision.append(_percent(row.get("ap_original")))

@@ -34,7 +34,9 @@ _TEXTURES = {
 def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
     """SVG and PNG, by file ending: S-O and combinations with the six textures that are not masked (PAPER 52)."""
     with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained")
+        figure, (left, right) = plt.subplots(
+            1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained"
+        )
         for family, curve in run.curves.items():
             kind, _, texture = family.partition("-")
             texture, _, order = texture.partition("-")
@@ -64,7 +66,9 @@ def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
         written = {}
         for ending in ("svg", "png"):
             stream = io.BytesIO()
-            figure.savefig(stream, format=ending, dpi=130, metadata={"Date": None} if ending == "svg" else {})
+            figure.savefig(
+                stream, format=ending, dpi=130, metadata={"Date": None} if ending == "svg" else {}
+            )
             written[ending] = stream.getvalue()
         plt.close(figure)
     return written
@@ -79,7 +83,10 @@ def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:
         markersize=4.5, zorder=3,
     )  # fmt: skip
     if line == "-":
-        band = [[100 * point.easr.low for point in points], [100 * point.easr.high for point in points]]
+        band = [
+            [100 * point.easr.low for point in points],
+            [100 * point.easr.high for point in points],
+        ]
         axes.fill_between(places, *band, color=colour, alpha=0.1, linewidth=0, zorder=1)
     best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
     axes.plot(
@@ -113,5 +120,13 @@ def _legend(run: Reproduction) -> list[Line2D]:
         *handles,
         Line2D([], [], color=GREY, linestyle="--", label="in parallel (no band drawn)"),
         Line2D([], [], **plain, linestyle="", markersize=10, label="our PM* (largest P1)"),
-        Line2D([], [], **plain, linestyle="", markersize=10, markerfacecolor="white", label="the paper's, at its PM*"),
+        Line2D(
+            [],
+            [],
+            **plain,
+            linestyle="",
+            markersize=10,
+            markerfacecolor="white",
+            label="the paper's, at its PM*",
+        ),
     ]

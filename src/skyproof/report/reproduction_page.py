@@ -65,15 +65,31 @@ def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
 def texture_table(table: Table) -> str:
     """The paper's first table as Markdown."""
     header = ["attack", "practicality", *_header(table)]
-    return markdown(header, [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows])
+    return markdown(
+        header, [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows]
+    )
 
 
 def shape_table(table: Table) -> str:
     """The paper's second table as Markdown."""
-    header = ["attack", "PM*", "chosen", "Pr*", "P1", *_header(table), "paper PM*", "our EASR there"]
+    header = [
+        "attack",
+        "PM*",
+        "chosen",
+        "Pr*",
+        "P1",
+        *_header(table),
+        "paper PM*",
+        "our EASR there",
+    ]
     rows = []
     for row in table.rows:
-        first = [row["attack"], f"{row['pm_star']:g}", number(row["pm_star_share"], 0), f"{row['pr_star']:.1f}"]
+        first = [
+            row["attack"],
+            f"{row['pm_star']:g}",
+            number(row["pm_star_share"], 0),
+            f"{row['pr_star']:.1f}",
+        ]
         there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
         last = [there, number(row["easr_at_paper_pm_star"])]
         rows.append([*first, number(row["p1_star"], 2), *_cells(row), *last])
@@ -84,7 +100,14 @@ def _header(table: Table) -> list[str]:
     """Of what `_cells` makes of the table's rows."""
     ours = ["EASR", "repeats", "random", "net", "APD"]
     if "cycles_easr" in table.columns:
-        return [*ours, "EASR on Cycles", "net on Cycles", "paper EASR", "paper Blender", "paper APD"]
+        return [
+            *ours,
+            "EASR on Cycles",
+            "net on Cycles",
+            "paper EASR",
+            "paper Blender",
+            "paper APD",
+        ]
     return [*ours, "paper EASR", "paper APD"]
 
 
@@ -101,7 +124,10 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     papers = [number(row["paper_easr"], 2) + mark]
     if "cycles_easr" in row:
         cells += [bracket(row, "cycles_easr"), bracket(row, "cycles_net_easr")]
-        papers.append(number(row["paper_easr_blender"], 2) + (mark if row["paper_easr_blender"] is not None else ""))
+        papers.append(
+            number(row["paper_easr_blender"], 2)
+            + (mark if row["paper_easr_blender"] is not None else "")
+        )
     return [*cells, *papers, number(row["paper_apd"], 2)]
 
 
@@ -109,7 +135,9 @@ def _standing(run: Reproduction) -> str:
     """What the numbers rest on, before any of them: a reproduction has procedural ground and vehicles alone."""
     scores = []
     for detector in run.detectors:
-        row = next((row for row in run.rows if row["detector"] == detector and row["match"] == MATCH), None)
+        row = next(
+            (row for row in run.rows if row["detector"] == detector and row["match"] == MATCH), None
+        )
         if row is not None and row.get("ap_original") is not None:
             scores.append(f"{detector_name(detector)} {number(100 * row['ap_original'])} %")
     checked = f" (AP with centres within 1 m: {', '.join(scores)})" if scores else ""
@@ -129,8 +157,13 @@ def _about(run: Reproduction) -> str:
         return about.get(key) or "–"
 
     commands = "; ".join(f"`{command}`" for command in about.get("commands", []))
-    lines = [f"- {commands}", f"- skyproof {said('skyproof')}, commit {said('commit')}, torch {said('torch')}"]
-    lines.append(f"- {said('cores')} cores of {said('cpu')}, device {said('device')}; started {said('started')}")
+    lines = [
+        f"- {commands}",
+        f"- skyproof {said('skyproof')}, commit {said('commit')}, torch {said('torch')}",
+    ]
+    lines.append(
+        f"- {said('cores')} cores of {said('cpu')}, device {said('device')}; started {said('started')}"
+    )
     if run.hours:
         lines.append(f"- all jobs together {run.hours:.1f} h")
     return "\n".join(lines)
@@ -140,7 +173,11 @@ def _agreement(table: Table) -> str:
     if not table.rows:
         return "Fewer than three attacks can be compared."
     rows = [
-        [row["set"], str(row["attacks"]), *(bracket(row, name, digits=2) for name in ("spearman", "kendall"))]
+        [
+            row["set"],
+            str(row["attacks"]),
+            *(bracket(row, name, digits=2) for name in ("spearman", "kendall")),
+        ]
         for row in table.rows
     ]
     text = (
@@ -161,11 +198,17 @@ def _order(run: Reproduction) -> str:
         ranks[name] = (own, theirs)
     rows = [
         [name, str(own), str(theirs), number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
-        for name, (own, theirs) in sorted(ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1]))
+        for name, (own, theirs) in sorted(
+            ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1])
+        )
         if abs(own - theirs) > 1
     ]
     if not rows:
-        return f"None of {len(ranks)} attacks is more than one rank from its place in the paper." if ranks else ""
+        return (
+            f"None of {len(ranks)} attacks is more than one rank from its place in the paper."
+            if ranks
+            else ""
+        )
     header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
     return (
         f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is the strongest):\n\n"
@@ -219,7 +262,8 @@ def _ladder(table: Table) -> str:
     if not table.rows:
         return ""
     columns = sorted(
-        (c for c in table.columns if c.startswith("after_") and c != "after_all"), key=lambda c: int(c[6:])
+        (c for c in table.columns if c.startswith("after_") and c != "after_all"),
+        key=lambda c: int(c[6:]),
     )
     columns.append("after_all")
     holds = sum(row["never_surely_falls"] is True for row in table.rows)
@@ -234,14 +278,25 @@ def _ladder(table: Table) -> str:
         for row in table.rows
     ]  # fmt: skip
     return f"{text}\n\n" + markdown(
-        ["attack", *(column[6:].replace("all", "all steps") for column in columns), "never falls", "no certain fall"],
+        [
+            "attack",
+            *(column[6:].replace("all", "all steps") for column in columns),
+            "never falls",
+            "no certain fall",
+        ],
         rows,
     )
 
 
 def _gap(table: Table) -> str:
-    rows = [[row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in table.rows]
-    return markdown(["attack", "EASR before", "EASR after"], rows) if rows else "No attack on few colours was kept."
+    rows = [
+        [row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in table.rows
+    ]
+    return (
+        markdown(["attack", "EASR before", "EASR after"], rows)
+        if rows
+        else "No attack on few colours was kept."
+    )
 
 
 def _transfer(table: Table, run: Reproduction) -> str:
@@ -253,7 +308,11 @@ def _transfer(table: Table, run: Reproduction) -> str:
         ]
         for row in table.rows
     ]
-    header = ["attack", "learnt on", *(f"EASR on {detector_name(detector)}" for detector in run.detectors)]
+    header = [
+        "attack",
+        "learnt on",
+        *(f"EASR on {detector_name(detector)}" for detector in run.detectors),
+    ]
     return markdown(header, rows) if rows else "Not part of this preset."
 
 
@@ -278,4 +337,6 @@ def _practicality(table: Table) -> str:
     if not rows:
         return ""
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
-    return f"{text}\n\n" + markdown(["attack", "practicality", *(label for label, _ in chosen.values())], rows)
+    return f"{text}\n\n" + markdown(
+        ["attack", "practicality", *(label for label, _ in chosen.values())], rows
+    )

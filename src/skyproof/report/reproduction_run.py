@@ -67,14 +67,18 @@ class Reproduction:
         rows = [row for row in self.rows if row["match"] == MATCH]
         return {(row["camouflage"], row["detector"], row["renderer"]): row for row in rows}
 
-    def row(self, name: str, detector: str | None = None, *, renderer: str = RENDERER) -> dict[str, Any] | None:
+    def row(
+        self, name: str, detector: str | None = None, *, renderer: str = RENDERER
+    ) -> dict[str, Any] | None:
         """The row of a camouflage, of the mean over detectors or of one detector; None where it was not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
         return self._by_name.get((name, wanted, renderer))
 
     def corrected_p(self, name: str) -> float | None:
         """The largest Holm-corrected McNemar p over the detectors (PAPER 40); None where one was not tested."""
-        found = [(self.row(name, detector) or {}).get("mcnemar_p_holm") for detector in self.detectors]
+        found = [
+            (self.row(name, detector) or {}).get("mcnemar_p_holm") for detector in self.detectors
+        ]
         return None if any(p is None for p in found) else max(p for p in found if p is not None)
 
     @cached_property
@@ -86,7 +90,9 @@ class Reproduction:
     def curves(self) -> dict[str, Curve]:
         """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality (PAPER 52)."""
         return {
-            family: practicality_curve(self.tiles, family, generator=np.random.default_rng(0), match=MATCH)
+            family: practicality_curve(
+                self.tiles, family, generator=np.random.default_rng(0), match=MATCH
+            )
             # S-O first, as in the paper.
             for family in sorted(curve_families(self.tiles), key=lambda family: family != "S-O")
         }
@@ -109,7 +115,9 @@ class Reproduction:
         after, before = self._counts(later), self._counts(earlier)
         if after is None or before is None:
             return None
-        return cluster_interval(np.concatenate([after, before]), success_difference(len(after)), self.weights)
+        return cluster_interval(
+            np.concatenate([after, before]), success_difference(len(after)), self.weights
+        )
 
     def _counts(self, camouflage: str) -> np.ndarray | None:
         keys = [Series(camouflage, RENDERER, detector, MATCH) for detector in self.detectors]
@@ -142,13 +150,18 @@ def read_reproduction(folder: Path) -> Reproduction:
         for name in ("scores", "scores-cycles")
     )
     if not scores:
-        raise StoredFileError(f"{folder} holds no scores; run skyproof reproduce, or give its run folder.")
+        raise StoredFileError(
+            f"{folder} holds no scores; run skyproof reproduce, or give its run folder."
+        )
     tiles, sets = merge_evaluations([*scores, *on_cycles])
     config = _read(folder / "config.json")
     rows = []
     for renderer in dict.fromkeys(key.renderer for key in tiles.series):
         # One by one, Holm's correction too: the renderer's numbers stay as they are when Cycles is added.
-        own = TileCounts(tiles.tiles, {key: counts for key, counts in tiles.series.items() if key.renderer == renderer})
+        own = TileCounts(
+            tiles.tiles,
+            {key: counts for key, counts in tiles.series.items() if key.renderer == renderer},
+        )
         rows += summarise(own, sets, generator=np.random.default_rng(config.get("seed", 0)))
     records = {
         path.parent.name: read_json(path).get("record", {})
@@ -172,7 +185,9 @@ def _read(path: Path) -> dict[str, Any]:
         return {}
     value = read_json(path)
     if not isinstance(value, dict):
-        raise StoredFileError(f"{path} is not of the form that this version writes; run its stage again.")
+        raise StoredFileError(
+            f"{path} is not of the form that this version writes; run its stage again."
+        )
     return value
 
 

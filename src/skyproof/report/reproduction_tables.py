@@ -56,7 +56,9 @@ def comparison(run: Reproduction) -> dict[str, float]:
 def _textures(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     # Controls come last, as in the paper.
-    for name in sorted(filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")):
+    for name in sorted(
+        filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
+    ):
         paper = PAPER_RESULTS.get(name)
         measured = run.measures.get(name, {}).get("score", {})
         rows.append(
@@ -79,7 +81,10 @@ def _shapes(run: Reproduction) -> list[dict[str, Any]]:
         best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
         paper = PAPER_RESULTS.get(family)
         magnitude = paper.perturbation_magnitude if paper else None
-        same = next((point.easr for point in curve.points if point.perturbation_magnitude == magnitude), None)
+        same = next(
+            (point.easr for point in curve.points if point.perturbation_magnitude == magnitude),
+            None,
+        )
         rows.append(
             {
                 "attack": family,
@@ -134,10 +139,16 @@ def _practicality(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for name, measured in run.measures.items():
         score = measured["score"]
-        flat = {f"{side}_{sign}": value for side in ("texture", "shape") for sign, value in score[side].items()}
+        flat = {
+            f"{side}_{sign}": value
+            for side in ("texture", "shape")
+            for sign, value in score[side].items()
+        }
         quantities: dict[str, Any] = {}
         for side in ("texture", "shape"):
-            quantities |= {f"{side}_{what}": value for what, value in (measured[side] or {}).items()}
+            quantities |= {
+                f"{side}_{what}": value for what, value in (measured[side] or {}).items()
+            }
         rows.append({"attack": name, "practicality": score["total"], **flat, **quantities})
     return rows
 
@@ -146,13 +157,18 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
     """Attacked on (rows) against judged by (columns)."""
     variants = [name for name in run.names if "_on_" in name or "_without_" in name]
     attacked = {
-        name: tuple(record["attack"]["detectors"]) for name, record in run.records.items() if "attack" in record
+        name: tuple(record["attack"]["detectors"])
+        for name, record in run.records.items()
+        if "attack" in record
     }
     rows = []
     for base in dict.fromkeys(base_name(name) for name in variants):
         # Copies kept on the way are variants too, but not of what was attacked.
         matrix = transfer_matrix(
-            [row for row in run.rows if row["camouflage"] in (base, *variants)], attacked, base=base, match=MATCH
+            [row for row in run.rows if row["camouflage"] in (base, *variants)],
+            attacked,
+            base=base,
+            match=MATCH,
         )
         for cells in matrix:
             row: dict[str, Any] = {"attack": base, "attacked_on": " ".join(cells[0].attacked)}
@@ -167,7 +183,9 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
     """Rank correlation with the paper over ever more of what both have; shapes at our PM*."""
     sets = {
         "textures": [name for name in PAPER_RESULTS if name.startswith("T-")],
-        "textures, shape and combinations": [name for name in PAPER_RESULTS if not name.startswith("R-")],
+        "textures, shape and combinations": [
+            name for name in PAPER_RESULTS if not name.startswith("R-")
+        ],
         "all, with random controls": list(PAPER_RESULTS),
     }
     made = []
@@ -182,7 +200,11 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
                 match=MATCH,
             )
             row = {"set": label, "attacks": len(found.attacks)}
-            made.append(row | interval_cells("spearman", found.spearman) | interval_cells("kendall", found.kendall))
+            made.append(
+                row
+                | interval_cells("spearman", found.spearman)
+                | interval_cells("kendall", found.kendall)
+            )
     return made
 
 
@@ -191,12 +213,17 @@ def _ladder(run: Reproduction) -> list[dict[str, Any]]:
     rungs: dict[str, dict[int, str]] = {}
     for key in run.tiles.series:
         if found := _RUNG.fullmatch(key.camouflage):
-            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = key.camouflage
+            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
+                key.camouflage
+            )
     rows = []
     for name, steps in rungs.items():
         ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
         easr = {f"after_{label}": run.one(camouflage) for label, camouflage in ladder}
-        changes = [run.difference(later, earlier) for (_, earlier), (_, later) in itertools.pairwise(ladder)]
+        changes = [
+            run.difference(later, earlier)
+            for (_, earlier), (_, later) in itertools.pairwise(ladder)
+        ]
         known = [value for value in easr.values() if value is not None]
         rows.append(
             {
@@ -239,6 +266,8 @@ def _gap(run: Reproduction) -> list[dict[str, Any]]:
         }
         losses = run.records.get(name, {}).get("discretisation", {})
         for when in ("before", "after"):
-            row |= {f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()}
+            row |= {
+                f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()
+            }
         rows.append(row)
     return rows

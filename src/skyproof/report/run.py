@@ -99,7 +99,8 @@ class Run:
         path = self.folder / kind / name / "steps.jsonl"
         rows = _optional(path, _rows, [])
         if not all(
-            "step" in row and (row.get("kind") == "validation" or row.keys() & {"loss", "losses"}) for row in rows
+            "step" in row and (row.get("kind") == "validation" or row.keys() & {"loss", "losses"})
+            for row in rows
         ):
             raise _other_form(path)
         return rows
@@ -114,7 +115,9 @@ class Run:
                 continue
             control_name = matched_control(name)
             control = {
-                row["detector"]: row for row in rows if (row["camouflage"], row["renderer"]) == (control_name, renderer)
+                row["detector"]: row
+                for row in rows
+                if (row["camouflage"], row["renderer"]) == (control_name, renderer)
             }
             mean = [row for row in own if row["detector"] == "mean"]
             single = [row for row in own if row["detector"] != "mean"]
@@ -144,7 +147,9 @@ def read_run(folder: Path) -> Run:
     if cycles.exists():
         drawn = _results(cycles / "results.json")
         # Rows of one renderer in both would stand in the tables twice.
-        if {row["renderer"] for row in drawn} != {"cycles"} or any(row["renderer"] == "cycles" for row in rows):
+        if {row["renderer"] for row in drawn} != {"cycles"} or any(
+            row["renderer"] == "cycles" for row in rows
+        ):
             raise StoredFileError(
                 f"{cycles} should hold what the detectors find in images of Blender Cycles, and results.json what they "
                 "find in those of the differentiable renderer; remove it and run the evaluation again."
@@ -158,7 +163,9 @@ def read_run(folder: Path) -> Run:
             outcomes += read_outcomes(cycles / "outcomes.parquet")
     return Run(
         folder=folder,
-        config=_optional(folder / "config.json", _mapping, {}) if own else _mapping(folder / "config.json"),
+        config=_optional(folder / "config.json", _mapping, {})
+        if own
+        else _mapping(folder / "config.json"),
         environment=_optional(folder / "environment.json", _mapping, {}),
         rows=rows,
         timings=_optional(folder / "timings.json", _rows, []),
@@ -172,8 +179,14 @@ def read_run(folder: Path) -> Run:
 def _results(path: Path) -> list[dict[str, Any]]:
     results = read_json(path)
     rows = results.get("rows") if isinstance(results, dict) else None
-    if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) and r.keys() >= _ROW_KEYS for r in rows):
-        raise StoredFileError(f"{path} holds no rows of this version's form; run the evaluation again.")
+    if (
+        not isinstance(rows, list)
+        or not rows
+        or not all(isinstance(r, dict) and r.keys() >= _ROW_KEYS for r in rows)
+    ):
+        raise StoredFileError(
+            f"{path} holds no rows of this version's form; run the evaluation again."
+        )
     return rows
 
 
@@ -196,7 +209,9 @@ def _rows(path: Path) -> list[Mapping[str, Any]]:
 
 
 def _other_form(path: Path) -> StoredFileError:
-    return StoredFileError(f"{path} is not of the form that this version writes; run its stage again.")
+    return StoredFileError(
+        f"{path} is not of the form that this version writes; run its stage again."
+    )
 
 
 def _folders(parent: Path, file: str) -> dict[str, Mapping[str, Any]]:

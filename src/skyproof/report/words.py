@@ -86,9 +86,15 @@ def answer(headline: Headline) -> list[str]:
     row, several = headline.row, headline.row["detector"] == "mean"
     whose = "these detectors" if several else detector_name(row["detector"])
     if row["easr"] is None:
-        silent = [detector_name(r["detector"]) for r in headline.by_detector if r["easr"] is None and r is not row]
+        silent = [
+            detector_name(r["detector"])
+            for r in headline.by_detector
+            if r["easr"] is None and r is not row
+        ]
         who = ", ".join(silent) or whose
-        return [f"The success rate is undefined, because {who} found none of the vehicles even without camouflage."]
+        return [
+            f"The success rate is undefined, because {who} found none of the vehicles even without camouflage."
+        ]
     sentences = [
         f"Of the vehicles that {whose} found before, the camouflage {headline.camouflage} hides "
         f"{percent(row['easr'])} ({_sure(row, 'easr')})."
@@ -99,16 +105,24 @@ def answer(headline: Headline) -> list[str]:
             f"before, not fewer ({_sure(row, 'easr')} for the share hidden)."
         ]
     if several:
-        rates = [r["easr"] for r in headline.by_detector if r["detector"] != "mean" and r["easr"] is not None]
+        rates = [
+            r["easr"]
+            for r in headline.by_detector
+            if r["detector"] != "mean" and r["easr"] is not None
+        ]
         least, most = percent(min(rates)), percent(max(rates))
         alike = f"For every detector it is {most}."
-        sentences.append(alike if least == most else f"Detector by detector it is {least} to {most}.")
+        sentences.append(
+            alike if least == most else f"Detector by detector it is {least} to {most}."
+        )
     return sentences + _net_sentences(row)
 
 
 def _net_sentences(row: Mapping[str, Any]) -> list[str]:
     if row["net_easr"] is None:
-        return ["No random control was run beside it, so it is not known how much of this is due to optimisation."]
+        return [
+            "No random control was run beside it, so it is not known how much of this is due to optimisation."
+        ]
     random = row.get("random_easr")
     random = row["easr"] - row["net_easr"] if random is None else random
     net = f"{percent(row['net_easr'])} net ({_sure(row, 'net_easr')})"
@@ -125,4 +139,8 @@ def _net_sentences(row: Mapping[str, Any]) -> list[str]:
 
 def _sure(row: Mapping[str, Any], key: str) -> str:
     low, high = row[f"{key}_low"], row[f"{key}_high"]
-    return "no interval: too few background tiles" if low is None else f"95{_THIN}% interval {interval(low, high)}"
+    return (
+        "no interval: too few background tiles"
+        if low is None
+        else f"95{_THIN}% interval {interval(low, high)}"
+    )

@@ -78,7 +78,11 @@ class BackgroundSet:
     """
 
     def __init__(
-        self, folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None
+        self,
+        folder: Path,
+        gsd_m: float,
+        tiles: Sequence[BackgroundTile],
+        sensor: Sensor | None = None,
     ) -> None:
         self.folder = folder
         self.gsd_m = gsd_m
@@ -97,8 +101,13 @@ class BackgroundSet:
         index = read_json(path)
         try:
             if index["format_version"] != FORMAT_VERSION:
-                raise ValueError(f"format version {index['format_version']}, expected {FORMAT_VERSION}")
-            tiles = [BackgroundTile(**{**row, "offset_px": tuple(row["offset_px"])}) for row in index["tiles"]]
+                raise ValueError(
+                    f"format version {index['format_version']}, expected {FORMAT_VERSION}"
+                )
+            tiles = [
+                BackgroundTile(**{**row, "offset_px": tuple(row["offset_px"])})
+                for row in index["tiles"]
+            ]
             if not tiles or any(tile.split not in SPLITS for tile in tiles):
                 raise ValueError("no tiles, or a split of another name")
             # Sets of before there was a choice do not name it.
@@ -139,11 +148,17 @@ class BackgroundSet:
             with Image.open(path) as image:
                 array = np.array(image.convert("RGB"))
         except (OSError, SyntaxError, ValueError) as error:
-            raise StoredFileError(f"Tile {path} cannot be read ({error}); prepare the backgrounds again.") from error
+            raise StoredFileError(
+                f"Tile {path} cannot be read ({error}); prepare the backgrounds again."
+            ) from error
         if array.shape[:2] != (tile.height_px, tile.width_px):
-            raise StoredFileError(f"Tile {path} has another size than the index says; prepare the backgrounds again.")
+            raise StoredFileError(
+                f"Tile {path} has another size than the index says; prepare the backgrounds again."
+            )
         self._decoded[tile_id] = torch.from_numpy(array).permute(2, 0, 1).contiguous()
-        while len(self._decoded) > 1 and sum(t.numel() for t in self._decoded.values()) > CACHE_BYTES:
+        while (
+            len(self._decoded) > 1 and sum(t.numel() for t in self._decoded.values()) > CACHE_BYTES
+        ):
             self._decoded.popitem(last=False)
         return self._decoded[tile_id]
 
@@ -166,24 +181,43 @@ class BackgroundSet:
             )
         quarters = round(window.rotation_rad / (math.pi / 2))
         corner_x, corner_y = window.centre_x_px - half, window.centre_y_px - half
-        if window.rotation_rad == quarters * math.pi / 2 and corner_x.is_integer() and corner_y.is_integer():
+        if (
+            window.rotation_rad == quarters * math.pi / 2
+            and corner_x.is_integer()
+            and corner_y.is_integer()
+        ):
             x0, y0 = int(corner_x), int(corner_y)
             # The camera turns left, so the picture turns right.
-            return torch.rot90(pixels[:, y0 : y0 + size_px, x0 : x0 + size_px], -quarters, (1, 2)).float() / 255
+            return (
+                torch.rot90(
+                    pixels[:, y0 : y0 + size_px, x0 : x0 + size_px], -quarters, (1, 2)
+                ).float()
+                / 255
+            )
         x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
         crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
         # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and down to (sin, cos).
         steps = torch.arange(size_px, dtype=torch.float64) + 0.5 - half
         per_x, per_y = 2 / crop.shape[2], 2 / crop.shape[1]
-        across_x, down_x = cosine * steps * per_x, (window.centre_x_px - x0 + sine * steps) * per_x - 1
-        across_y, down_y = -sine * steps * per_y, (window.centre_y_px - y0 + cosine * steps) * per_y - 1
+        across_x, down_x = (
+            cosine * steps * per_x,
+            (window.centre_x_px - x0 + sine * steps) * per_x - 1,
+        )
+        across_y, down_y = (
+            -sine * steps * per_y,
+            (window.centre_y_px - y0 + cosine * steps) * per_y - 1,
+        )
         grid = torch.empty(1, size_px, size_px, 2)
         torch.add(across_x.float()[None, :], down_x.float()[:, None], out=grid[0, ..., 0])
         torch.add(across_y.float()[None, :], down_y.float()[:, None], out=grid[0, ..., 1])
-        sampled = F.grid_sample(crop[None], grid, mode="bilinear", padding_mode="border", align_corners=False)
+        sampled = F.grid_sample(
+            crop[None], grid, mode="bilinear", padding_mode="border", align_corners=False
+        )
         return sampled[0].div_(255)
 
-    def sample_pixels(self, split: str, per_tile: int, *, generator: torch.Generator) -> Float[Tensor, "P 3"]:
+    def sample_pixels(
+        self, split: str, per_tile: int, *, generator: torch.Generator
+    ) -> Float[Tensor, "P 3"]:
         """Random pixels of a split, as many from each of its tiles, sRGB in [0, 1]."""
         drawn = []
         for tile in self.tiles(split):
@@ -191,7 +225,9 @@ class BackgroundSet:
             drawn.append(flat[:, torch.randint(flat.shape[1], (per_tile,), generator=generator)].T)
         return torch.cat(drawn).float() / 255 if drawn else torch.zeros(0, 3)
 
-    def sample_window(self, split: str, size_px: int, *, generator: torch.Generator) -> BackgroundWindow:
+    def sample_window(
+        self, split: str, size_px: int, *, generator: torch.Generator
+    ) -> BackgroundWindow:
         """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
 
         Where no tile has room for a window turned by 45 degrees but the window fits unturned, as where both have the
@@ -201,7 +237,9 @@ class BackgroundSet:
             ConfigurationError: no tile of the split is as large as the window.
         """
         room = math.ceil(size_px * math.sqrt(2))
-        fitting = [tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px]
+        fitting = [
+            tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px
+        ]
         if not fitting:
             raise ConfigurationError(
                 f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that size needs; "
@@ -231,10 +269,14 @@ class BackgroundSet:
 def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
     """Writes a tile's picture whole or not at all."""
     with write_beside(Path(folder) / tile.file) as temporary:
-        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(temporary, compress_level=3)
+        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
+            temporary, compress_level=3
+        )
 
 
-def write_index(folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None) -> None:
+def write_index(
+    folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None
+) -> None:
     """Writes the index, last of all: a folder without one is not a background set."""
     index = {
         "format_version": FORMAT_VERSION,
@@ -278,11 +320,15 @@ def write_procedural_backgrounds(
     """
     unknown = set(counts) - set(SPLITS)
     if unknown:
-        raise ConfigurationError(f"Unknown split {sorted(unknown)[0]!r}; the splits are {', '.join(SPLITS)}.")
+        raise ConfigurationError(
+            f"Unknown split {sorted(unknown)[0]!r}; the splits are {', '.join(SPLITS)}."
+        )
     total, tiles = sum(counts.values()), []
     for split in SPLITS:
         for number in range(counts.get(split, 0)):
-            state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(1, np.uint64)
+            state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(
+                1, np.uint64
+            )
             generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
             ground = draw_ground_and_sun(size_px, gsd_m, generator=generator)
             tile_id = f"{split}-{number:05d}"

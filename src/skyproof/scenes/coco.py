@@ -19,7 +19,14 @@ from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.scenes.labelled import LabelledImages
 
-__all__ = ["Annotation", "CocoWriter", "encode_rle", "read_coco", "read_rendering", "read_visible_fractions"]
+__all__ = [
+    "Annotation",
+    "CocoWriter",
+    "encode_rle",
+    "read_coco",
+    "read_rendering",
+    "read_visible_fractions",
+]
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -61,9 +68,16 @@ class CocoWriter:
         source: what else `info` is to say, such as who rendered the images.
     """
 
-    def __init__(self, folder: Path, *, gsd_m: float, source: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, folder: Path, *, gsd_m: float, source: Mapping[str, Any] | None = None
+    ) -> None:
         self.folder = Path(folder)
-        self._info = {"description": "skyproof scenes", "version": "1", "gsd_m": gsd_m, **(source or {})}
+        self._info = {
+            "description": "skyproof scenes",
+            "version": "1",
+            "gsd_m": gsd_m,
+            **(source or {}),
+        }
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 
@@ -72,7 +86,10 @@ class CocoWriter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if error is None:
             document = {
@@ -83,18 +100,28 @@ class CocoWriter:
             }
             write_json(self.folder / "annotations.json", document)
 
-    def add(self, image: UInt8[Tensor, "3 H W"], scene_id: str, annotations: Sequence[Annotation]) -> None:
+    def add(
+        self, image: UInt8[Tensor, "3 H W"], scene_id: str, annotations: Sequence[Annotation]
+    ) -> None:
         """Writes one image and keeps its annotations for the end."""
         array = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
         # Speed before size: these images are written once and read a few times.
         Image.fromarray(array).save(self.folder / _file_name(scene_id), compress_level=1)
         self.add_written(scene_id, (image.shape[2], image.shape[1]), annotations)
 
-    def add_written(self, scene_id: str, size_px: tuple[int, int], annotations: Sequence[Annotation]) -> None:
+    def add_written(
+        self, scene_id: str, size_px: tuple[int, int], annotations: Sequence[Annotation]
+    ) -> None:
         """Keeps the annotations of an image of width and height `size_px` that lies at its place already."""
         image_id, (width, height) = len(self._images) + 1, size_px
         self._images.append(
-            {"id": image_id, "width": width, "height": height, "file_name": _file_name(scene_id), "scene_id": scene_id}
+            {
+                "id": image_id,
+                "width": width,
+                "height": height,
+                "file_name": _file_name(scene_id),
+                "scene_id": scene_id,
+            }
         )
         for annotation in annotations:
             left, top, right, bottom = annotation.box_xyxy
@@ -145,13 +172,19 @@ def read_coco(folder: Path) -> LabelledImages:
         rows: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in document["images"]}
         for annotation in document["annotations"]:
             rows[annotation["image_id"]].append(annotation)
-        names = [(Path(folder) / image["file_name"], image["scene_id"]) for image in document["images"]]
+        names = [
+            (Path(folder) / image["file_name"], image["scene_id"]) for image in document["images"]
+        ]
         truths = [_boxes(rows[image["id"]], crowd=0) for image in document["images"]]
         ignored = [_boxes(rows[image["id"]], crowd=1) for image in document["images"]]
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+        raise StoredFileError(
+            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
+        ) from error
     images = [_read_image(file) for file, _ in names]
-    return LabelledImages(images=images, boxes=truths, ignore=ignored, ids=[name for _, name in names], gsd_m=gsd_m)
+    return LabelledImages(
+        images=images, boxes=truths, ignore=ignored, ids=[name for _, name in names], gsd_m=gsd_m
+    )
 
 
 def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
@@ -166,9 +199,13 @@ def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
         fractions: dict[int, list[float]] = {image["id"]: [] for image in document["images"]}
         for annotation in document["annotations"]:
             if not annotation["iscrowd"]:
-                fractions[annotation["image_id"]].append(float(annotation.get("visible_fraction", math.nan)))
+                fractions[annotation["image_id"]].append(
+                    float(annotation.get("visible_fraction", math.nan))
+                )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+        raise StoredFileError(
+            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
+        ) from error
     return [torch.tensor(values) for values in fractions.values()]
 
 
@@ -182,13 +219,19 @@ def read_rendering(folder: Path) -> tuple[str, dict[str, Any]]:
     document = read_json(path)
     try:
         # Datasets of before there was a choice do not say it.
-        return str(document["info"].get("renderer", "torch")), dict(document["info"].get("rendering", {}))
+        return str(document["info"].get("renderer", "torch")), dict(
+            document["info"].get("rendering", {})
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+        raise StoredFileError(
+            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
+        ) from error
 
 
 def _boxes(rows: list[dict[str, Any]], *, crowd: int) -> Tensor:
-    boxes = torch.tensor([row["bbox"] for row in rows if row["iscrowd"] == crowd], dtype=torch.float32).reshape(-1, 4)
+    boxes = torch.tensor(
+        [row["bbox"] for row in rows if row["iscrowd"] == crowd], dtype=torch.float32
+    ).reshape(-1, 4)
     return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
 
 
@@ -197,4 +240,6 @@ def _read_image(path: Path) -> UInt8[Tensor, "3 H W"]:
         with Image.open(path) as image:
             return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
     except (OSError, SyntaxError, ValueError) as error:
-        raise StoredFileError(f"{path} cannot be read ({error}); write the dataset again.") from error
+        raise StoredFileError(
+            f"{path} cannot be read ({error}); write the dataset again."
+        ) from error

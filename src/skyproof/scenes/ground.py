@@ -13,7 +13,15 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from skyproof.scenes.ground_canvas import Array, Canvas, Colour, GroundSensor, Patch, reflectance
-from skyproof.scenes.ground_objects import add_building, add_bush, add_clutter, add_hedge, add_lamp_post, add_tree, pick
+from skyproof.scenes.ground_objects import (
+    add_building,
+    add_bush,
+    add_clutter,
+    add_hedge,
+    add_lamp_post,
+    add_tree,
+    pick,
+)
 from skyproof.scenes.ground_surfaces import (
     CONCRETE,
     PAVING,
@@ -41,7 +49,9 @@ class Ground:
     sun_elevation_rad: float
 
 
-def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> UInt8[Tensor, "3 H W"]:
+def draw_ground(
+    size_px: int, gsd_m: float, *, generator: torch.Generator
+) -> UInt8[Tensor, "3 H W"]:
     """Draws a tile of a random kind; see `draw_ground_and_sun`."""
     return draw_ground_and_sun(size_px, gsd_m, generator=generator).image
 
@@ -84,7 +94,9 @@ def _draw_street(canvas: Canvas) -> None:
             plot, depth = float(rng.uniform(12, 20)), float(rng.uniform(8, 12))
             house_v = centre + side * (front + verge + depth / 2)
             drive_u = u_m + 2.0
-            drive = canvas.rectangle((drive_u, centre + side * (front + (verge + depth) / 2)), (3.0, verge + depth))
+            drive = canvas.rectangle(
+                (drive_u, centre + side * (front + (verge + depth) / 2)), (3.0, verge + depth)
+            )
             if not drive.empty and rng.random() < 0.8:
                 lay_paving(canvas, drive, PAVING + CONCRETE + ((150, 90, 74),), 0.4)
             house = (plot - float(rng.uniform(5, 7)), depth)
@@ -116,7 +128,11 @@ def _draw_street(canvas: Canvas) -> None:
                     ("bins", "painted box", "skip", "tarpaulin"),
                 )
             if rng.random() < 0.5:
-                add_bush(canvas, (u_m + plot / 2, centre + side * (front + 1.5)), float(rng.uniform(0.5, 1.6)))
+                add_bush(
+                    canvas,
+                    (u_m + plot / 2, centre + side * (front + 1.5)),
+                    float(rng.uniform(0.5, 1.6)),
+                )
             u_m += plot
         if rng.random() < 0.7:
             add_street_furniture(canvas, centre + side * (front + 0.8))
@@ -142,20 +158,31 @@ def _draw_crossroads(canvas: Canvas) -> None:
                 add_building(canvas, place, size, 0.0, str(rng.choice(["flat", "tiled", "metal"])))
             elif draw < 0.9:
                 for _ in range(int(rng.integers(2, 8))):
-                    spot = (place[0] + float(rng.uniform(-7, 7)), place[1] + float(rng.uniform(-6, 6)))
+                    spot = (
+                        place[0] + float(rng.uniform(-7, 7)),
+                        place[1] + float(rng.uniform(-6, 6)),
+                    )
                     add_tree(canvas, spot, float(rng.uniform(1.5, 4.5)))
     add_pavement(canvas, across, 0.0, widths[1], pavement)
     add_pavement(canvas, ground, 0.0, widths[0], pavement)
     colour = pick_asphalt(canvas)
     add_road(canvas, across, 0.0, widths[1], colour=colour)
     add_road(canvas, ground, 0.0, widths[0], colour=colour)
-    first, second = canvas.band(ground, 0.0, widths[0] + 0.4), canvas.band(across, 0.0, widths[1] + 0.4)
-    lay_asphalt(canvas, dataclasses.replace(first, coverage=first.coverage * second.coverage), colour)
+    first, second = (
+        canvas.band(ground, 0.0, widths[0] + 0.4),
+        canvas.band(across, 0.0, widths[1] + 0.4),
+    )
+    lay_asphalt(
+        canvas, dataclasses.replace(first, coverage=first.coverage * second.coverage), colour
+    )
     for patch, width, other in ((ground, widths[0], widths[1]), (across, widths[1], widths[0])):
         crossing = canvas.band(patch, 0.0, width - 0.6)
         _lay_over_crossing(canvas, crossing, other)
     for _ in range(int(rng.integers(1, 4))):
-        spot = (float(rng.choice([-1, 1])) * (widths[1] / 2 + 6), float(rng.normal(0, widths[0] / 3)))
+        spot = (
+            float(rng.choice([-1, 1])) * (widths[1] / 2 + 6),
+            float(rng.normal(0, widths[0] / 3)),
+        )
         add_clutter(canvas, spot, 0.0, ("painted box", "painted box", "skip", "pallets"))
     for side in (-1, 1):
         add_street_furniture(canvas, side * (widths[0] / 2 + 1.0))
@@ -180,7 +207,11 @@ def _draw_car_park(canvas: Canvas) -> None:
     rng = canvas.rng
     ground = canvas.everywhere()
     lay_asphalt(canvas, ground)
-    bay_m, length_m, aisle_m = float(rng.uniform(2.3, 2.7)), float(rng.uniform(4.6, 5.4)), float(rng.uniform(5.5, 7.5))
+    bay_m, length_m, aisle_m = (
+        float(rng.uniform(2.3, 2.7)),
+        float(rng.uniform(4.6, 5.4)),
+        float(rng.uniform(5.5, 7.5)),
+    )
     period, offset = 2 * length_m + aisle_m, float(rng.uniform(0, 15))
     slant = float(rng.choice([0.0, 0.0, 0.35]))
     lines = str(rng.choice(["white", "white", "yellow", "faint"]))
@@ -208,11 +239,15 @@ def _draw_car_park(canvas: Canvas) -> None:
             draw = rng.random()
             if draw < 0.07:
                 add_clutter(
-                    canvas, bay, math.pi / 2, ("painted box", "skip", "tarpaulin", "pallets", "container", "bins")
+                    canvas,
+                    bay,
+                    math.pi / 2,
+                    ("painted box", "skip", "tarpaulin", "pallets", "container", "bins"),
                 )
             elif draw < 0.13:
                 canvas.shade(
-                    canvas.rectangle(bay, (bay_m - 0.3, length_m - 0.6), 0.0, 0.5), float(rng.uniform(0.8, 0.93))
+                    canvas.rectangle(bay, (bay_m - 0.3, length_m - 0.6), 0.0, 0.5),
+                    float(rng.uniform(0.8, 0.93)),
                 )
             elif draw < 0.18 and planted:
                 add_tree(canvas, (float(u_m), spine_v), float(rng.uniform(1.2, 3.2)))
@@ -222,7 +257,13 @@ def _draw_car_park(canvas: Canvas) -> None:
         size = (float(rng.uniform(20, 60)), float(rng.uniform(12, 25)))
         side = float(rng.choice([-1, 1])) * float(rng.uniform(20, 32))
         lay_paving(canvas, canvas.rectangle((0.0, side), (size[0] + 8, size[1] + 8)))
-        add_building(canvas, (float(rng.uniform(-10, 10)), side), size, 0.0, str(rng.choice(["flat", "metal"])))
+        add_building(
+            canvas,
+            (float(rng.uniform(-10, 10)), side),
+            size,
+            0.0,
+            str(rng.choice(["flat", "metal"])),
+        )
 
 
 def _draw_yard(canvas: Canvas) -> None:
@@ -237,16 +278,35 @@ def _draw_yard(canvas: Canvas) -> None:
     else:
         lay_soil(canvas, ground)
     for _ in range(int(rng.integers(1, 4))):
-        place = (float(rng.uniform(-28, 28)), float(rng.choice([-1, 1])) * float(rng.uniform(12, 30)))
+        place = (
+            float(rng.uniform(-28, 28)),
+            float(rng.choice([-1, 1])) * float(rng.uniform(12, 30)),
+        )
         size = (float(rng.uniform(14, 40)), float(rng.uniform(10, 24)))
-        add_building(canvas, place, size, 0.0, str(rng.choice(["metal", "flat", "metal", "village"])))
-    kinds = ("container", "container", "pallets", "skip", "painted box", "tarpaulin", "air conditioner", "shed", "bins")
+        add_building(
+            canvas, place, size, 0.0, str(rng.choice(["metal", "flat", "metal", "village"]))
+        )
+    kinds = (
+        "container",
+        "container",
+        "pallets",
+        "skip",
+        "painted box",
+        "tarpaulin",
+        "air conditioner",
+        "shed",
+        "bins",
+    )
     for _ in range(int(rng.integers(8, 26))):
         place = (float(rng.uniform(-1, 1)) * canvas.reach_m, float(rng.normal(0, 9)))
         if canvas.base_height(place) < 0.5:
             add_clutter(canvas, place, float(rng.choice([0, math.pi / 2])), kinds)
     for _ in range(int(rng.integers(0, 4))):
-        add_tree(canvas, (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30))), float(rng.uniform(1.5, 4)))
+        add_tree(
+            canvas,
+            (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30))),
+            float(rng.uniform(1.5, 4)),
+        )
 
 
 def _draw_fields(canvas: Canvas) -> None:
@@ -266,9 +326,9 @@ def _draw_fields(canvas: Canvas) -> None:
                 np.clip(0.5 + (side * (ground.v - track_v) - 3) / 0.5, 0, 1).astype(np.float32),
             )
             (lay_soil if rng.random() < 0.5 else lay_grass)(canvas, half)
-            rows = 1 + rng.uniform(0.05, 0.3) * np.sin(2 * math.pi * ground.v / rng.uniform(0.5, 1.6)) * np.clip(
-                1 + 0.5 * canvas.noise("patch", ground), 0, 1.5
-            )
+            rows = 1 + rng.uniform(0.05, 0.3) * np.sin(
+                2 * math.pi * ground.v / rng.uniform(0.5, 1.6)
+            ) * np.clip(1 + 0.5 * canvas.noise("patch", ground), 0, 1.5)
             canvas.shade(half, rows.astype(np.float32))
     width = float(rng.uniform(2.6, 5))
     draw = rng.random()
@@ -314,12 +374,22 @@ def _draw_village(canvas: Canvas) -> None:
             draw = rng.random()
             if draw < 0.72:
                 size = (float(rng.uniform(6, 13)), float(rng.uniform(4, 9)))
-                add_building(canvas, place, size, angle, str(rng.choice(["village", "village", "tiled", "metal"])))
+                add_building(
+                    canvas,
+                    place,
+                    size,
+                    angle,
+                    str(rng.choice(["village", "village", "tiled", "metal"])),
+                )
             elif draw < 0.85:
-                add_clutter(canvas, place, angle, ("shed", "tarpaulin", "bins", "pallets", "painted box"))
+                add_clutter(
+                    canvas, place, angle, ("shed", "tarpaulin", "bins", "pallets", "painted box")
+                )
             for _ in range(int(rng.integers(0, 3))):
                 spot = (place[0] + float(rng.uniform(-7, 7)), place[1] + float(rng.uniform(-7, 7)))
-                (add_tree if rng.random() < 0.6 else add_bush)(canvas, spot, float(rng.uniform(0.8, 3.0)))
+                (add_tree if rng.random() < 0.6 else add_bush)(
+                    canvas, spot, float(rng.uniform(0.8, 3.0))
+                )
 
 
 def _draw_park(canvas: Canvas) -> None:
@@ -333,14 +403,23 @@ def _draw_park(canvas: Canvas) -> None:
     if rng.random() < 0.5:
         place = (float(rng.uniform(-15, 15)), float(rng.uniform(-15, 15)))
         court = canvas.rectangle(place, (24.0, 13.0))
-        canvas.paint(court, pick(canvas, ((120, 60, 50), (50, 90, 80), (60, 80, 120), (120, 120, 120))))
+        canvas.paint(
+            court, pick(canvas, ((120, 60, 50), (50, 90, 80), (60, 80, 120), (120, 120, 120)))
+        )
         for inset in (1.0, 2.4):
             line = canvas.rectangle(place, (24 - 2 * inset, 13 - 2 * inset))
             if not line.empty:
-                canvas.paint(line, reflectance((226, 226, 220)), (np.abs(line.inside) < 0.08).astype(np.float32) * 0.9)
+                canvas.paint(
+                    line,
+                    reflectance((226, 226, 220)),
+                    (np.abs(line.inside) < 0.08).astype(np.float32) * 0.9,
+                )
     woods = float(rng.uniform(0.2, 1.6))
     for _ in range(int(rng.integers(10, 50))):
-        place = (float(rng.uniform(-1, 1)) * canvas.reach_m, float(rng.uniform(-1, 1)) * canvas.reach_m)
+        place = (
+            float(rng.uniform(-1, 1)) * canvas.reach_m,
+            float(rng.uniform(-1, 1)) * canvas.reach_m,
+        )
         if canvas.noise("patch").flat[0] < woods:
             add_tree(canvas, place, float(rng.uniform(1.2, 5)))
     for _ in range(int(rng.integers(2, 9))):

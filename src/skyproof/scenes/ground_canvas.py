@@ -78,7 +78,9 @@ class Canvas:
     Places are metres in that frame: origin at the centre, u along the street, v to its left. One sun lights all.
     """
 
-    def __init__(self, size_px: int, gsd_m: float, rng: np.random.Generator, *, frame_rad: float) -> None:
+    def __init__(
+        self, size_px: int, gsd_m: float, rng: np.random.Generator, *, frame_rad: float
+    ) -> None:
         self.gsd_m = gsd_m
         self.rng = rng
         self.size_px = size_px
@@ -95,7 +97,9 @@ class Canvas:
     def _draw_fields(self) -> dict[str, Array]:
         """Periodic noise of unit variance, by feature size; one transform, filtered three ways."""
         n = self.pixels
-        frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m  # cycles per metre
+        frequency = (
+            np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m
+        )  # cycles per metre
         spectrum = np.fft.rfft2(self.rng.standard_normal((n, n)))
         filters = {
             "grain": 1 / (1 + (frequency / 3.0) ** 2),
@@ -126,13 +130,23 @@ class Canvas:
         x, y = cosine * u_m - sine * v_m, sine * u_m + cosine * v_m
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
-    def _local(self, u_m: float, v_m: float, angle_rad: float, radius_m: float) -> tuple[slice, slice, Array, Array]:
+    def _local(
+        self, u_m: float, v_m: float, angle_rad: float, radius_m: float
+    ) -> tuple[slice, slice, Array, Array]:
         column, row = self.to_pixels(u_m, v_m)
         reach = radius_m / self.gsd_m + 2
-        rows = slice(*(int(np.clip(edge, 0, self.pixels)) for edge in (row - reach, row + reach + 1)))
-        columns = slice(*(int(np.clip(edge, 0, self.pixels)) for edge in (column - reach, column + reach + 1)))
-        x = ((np.arange(columns.start, columns.stop) + 0.5 - column) * self.gsd_m).astype(np.float32)[None]
-        y = (-(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m).astype(np.float32)[:, None]
+        rows = slice(
+            *(int(np.clip(edge, 0, self.pixels)) for edge in (row - reach, row + reach + 1))
+        )
+        columns = slice(
+            *(int(np.clip(edge, 0, self.pixels)) for edge in (column - reach, column + reach + 1))
+        )
+        x = ((np.arange(columns.start, columns.stop) + 0.5 - column) * self.gsd_m).astype(
+            np.float32
+        )[None]
+        y = (-(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m).astype(np.float32)[
+            :, None
+        ]
         turn = self.frame_rad + angle_rad
         cosine, sine = math.cos(turn), math.sin(turn)
         return rows, columns, cosine * x + sine * y, -sine * x + cosine * y
@@ -142,7 +156,11 @@ class Canvas:
         return Patch(rows, columns, u, v, inside.astype(np.float32), coverage)
 
     def rectangle(
-        self, place: tuple[float, float], size_m: tuple[float, float], angle_rad: float = 0.0, corner_m: float = 0.0
+        self,
+        place: tuple[float, float],
+        size_m: tuple[float, float],
+        angle_rad: float = 0.0,
+        corner_m: float = 0.0,
     ) -> Patch:
         """A rectangle (length along u, width along v) about `place`, its corners rounded by `corner_m`."""
         half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
@@ -154,10 +172,18 @@ class Canvas:
         outside = np.hypot(np.maximum(du, 0), np.maximum(dv, 0)) + np.minimum(np.maximum(du, dv), 0)
         return self._patch(rows, columns, u, v, corner_m - outside)
 
-    def disc(self, place: tuple[float, float], radius_m: float, raggedness: float = 0.0, stretch: float = 1.0) -> Patch:
+    def disc(
+        self,
+        place: tuple[float, float],
+        radius_m: float,
+        raggedness: float = 0.0,
+        stretch: float = 1.0,
+    ) -> Patch:
         """A disc; with `raggedness` its outline wanders by about that part of the radius, as a crown's."""
         angle = float(self.rng.uniform(0, math.pi))
-        rows, columns, u, v = self._local(*place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch))
+        rows, columns, u, v = self._local(
+            *place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch)
+        )
         inside = radius_m - np.hypot(u / stretch, v)
         patch = self._patch(rows, columns, u, v, inside)
         if raggedness and not patch.empty:
@@ -171,10 +197,14 @@ class Canvas:
         rows, columns, u, v = self._local(0.0, 0.0, angle_rad, 3 * self.reach_m)
         if wander_m:
             period = float(self.rng.uniform(40, 90))
-            v = v + np.float32(wander_m) * np.sin(2 * math.pi * u / period + self.rng.uniform(0, 6)).astype(np.float32)
+            v = v + np.float32(wander_m) * np.sin(
+                2 * math.pi * u / period + self.rng.uniform(0, 6)
+            ).astype(np.float32)
         return Patch(rows, columns, u, v, np.full_like(u, 1e3), np.ones_like(u))
 
-    def band(self, base: Patch, centre_v_m: float, width_m: float, roughness_m: float = 0.0) -> Patch:
+    def band(
+        self, base: Patch, centre_v_m: float, width_m: float, roughness_m: float = 0.0
+    ) -> Patch:
         """A strip of `base` along u about `centre_v_m`, for roads, pavements, kerbs and long markings."""
         inside = width_m / 2 - np.abs(base.v - centre_v_m)
         if roughness_m:
@@ -199,7 +229,9 @@ class Canvas:
         """Sets the height to `height_m` (above the ground) where that is higher than what stands there."""
         if not patch.empty:
             region = self.height[patch.rows, patch.columns]
-            np.maximum(region, np.where(patch.coverage > 0.5, height_m, 0), out=region, casting="same_kind")
+            np.maximum(
+                region, np.where(patch.coverage > 0.5, height_m, 0), out=region, casting="same_kind"
+            )
 
     def base_height(self, place: tuple[float, float]) -> float:
         """Height of whatever stands at a place, for things put on roofs."""
@@ -230,34 +262,47 @@ class Canvas:
         level = np.hypot(gradient_x, gradient_y) > 1.8
         gradient_x[level], gradient_y[level] = 0, 0
         towards_sun = gradient_x * step_x + gradient_y * step_y
-        cosine = (math.sin(self.sun_elevation_rad) - math.cos(self.sun_elevation_rad) * towards_sun) / np.sqrt(
-            1 + gradient_x**2 + gradient_y**2
-        )
+        cosine = (
+            math.sin(self.sun_elevation_rad) - math.cos(self.sun_elevation_rad) * towards_sun
+        ) / np.sqrt(1 + gradient_x**2 + gradient_y**2)
         return (lit * np.clip(cosine, 0, None)).astype(np.float32)
 
     def photograph(self, sensor: GroundSensor) -> NDArray[np.uint8]:
         """Lights the canvas and takes its picture, `[3, size, size]` sRGB bytes."""
         rng = self.rng
-        overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
+        overcast = float(
+            rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25])
+        )
         sun = np.float32(1.15 * (1 - overcast))
         sky_strength = 0.22 + 0.75 * overcast
-        sky = np.asarray([0.88, 1.0, 1.22], np.float32) * sky_strength if overcast < 0.2 else np.float32(sky_strength)
+        sky = (
+            np.asarray([0.88, 1.0, 1.22], np.float32) * sky_strength
+            if overcast < 0.2
+            else np.float32(sky_strength)
+        )
         around = ndimage.uniform_filter(self.height, max(3, round(3.0 / self.gsd_m)))
         openness = 1 - 0.45 * np.clip((around - self.height) / 3.0, 0, 1)
         light = (
-            sun * self._sunlight()[..., None] * np.asarray([1.03, 1.0, 0.95], np.float32) + sky * openness[..., None]
+            sun * self._sunlight()[..., None] * np.asarray([1.03, 1.0, 0.95], np.float32)
+            + sky * openness[..., None]
         )
         cut = slice(self.margin_px, self.margin_px + self.size_px)
         # Blur and saturation belong before the cut and the tone curve: optics act on light, and need no padding.
         picture = np.clip(self.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
         for channel in range(3):
-            ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
+            ndimage.gaussian_filter(
+                picture[..., channel], sensor.blur_px, output=picture[..., channel]
+            )
         picture = picture[cut, cut]
         grey = picture.mean(2, keepdims=True)
-        picture = (grey + sensor.saturation * (picture - grey)) * np.asarray(sensor.tint, np.float32) + sensor.haze
+        picture = (grey + sensor.saturation * (picture - grey)) * np.asarray(
+            sensor.tint, np.float32
+        ) + sensor.haze
         # A soft shoulder instead of hard clipping, as camera tone curves have.
         picture = np.clip(picture, 0, None)
         picture = np.where(picture < 0.6, picture, 0.6 + 0.4 * np.tanh((picture - 0.6) / 0.4))
         encoded = picture ** np.float32(1 / 2.2)
         encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
-        return np.ascontiguousarray((np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1))
+        return np.ascontiguousarray(
+            (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1)
+        )

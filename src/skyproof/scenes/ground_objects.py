@@ -30,9 +30,27 @@ TILE_COLOURS: tuple[Colour, ...] = (
     (86, 88, 94),
     (178, 110, 76),
 )
-METAL_COLOURS: tuple[Colour, ...] = ((176, 180, 184), (206, 208, 206), (126, 134, 142), (92, 116, 140), (122, 140, 122))
-RUSTY_COLOURS: tuple[Colour, ...] = ((150, 96, 72), (170, 140, 120), (190, 186, 180), (130, 44, 50), (120, 140, 118))
-FLAT_COLOURS: tuple[Colour, ...] = ((150, 148, 142), (190, 188, 180), (112, 112, 114), (216, 214, 206), (92, 94, 98))
+METAL_COLOURS: tuple[Colour, ...] = (
+    (176, 180, 184),
+    (206, 208, 206),
+    (126, 134, 142),
+    (92, 116, 140),
+    (122, 140, 122),
+)
+RUSTY_COLOURS: tuple[Colour, ...] = (
+    (150, 96, 72),
+    (170, 140, 120),
+    (190, 186, 180),
+    (130, 44, 50),
+    (120, 140, 118),
+)
+FLAT_COLOURS: tuple[Colour, ...] = (
+    (150, 148, 142),
+    (190, 188, 180),
+    (112, 112, 114),
+    (216, 214, 206),
+    (92, 94, 98),
+)
 CROWN_COLOURS: tuple[Colour, ...] = (
     (70, 92, 48),
     (58, 82, 50),
@@ -41,7 +59,13 @@ CROWN_COLOURS: tuple[Colour, ...] = (
     (50, 70, 46),
     (112, 118, 62),
 )
-CONTAINER_COLOURS: tuple[Colour, ...] = ((140, 50, 40), (40, 76, 120), (50, 96, 70), (190, 190, 186), (196, 130, 40))
+CONTAINER_COLOURS: tuple[Colour, ...] = (
+    (140, 50, 40),
+    (40, 76, 120),
+    (50, 96, 70),
+    (190, 190, 186),
+    (196, 130, 40),
+)
 PAINT_COLOURS: tuple[Colour, ...] = (
     (238, 238, 232),
     (28, 30, 34),
@@ -55,7 +79,9 @@ PAINT_COLOURS: tuple[Colour, ...] = (
 def pick(canvas: Canvas, colours: tuple[Colour, ...], spread: float = 0.12) -> Array:
     """One of the colours as reflectance, a little off, because no two roofs are alike."""
     colour = reflectance(colours[int(canvas.rng.integers(len(colours)))])
-    return (colour * np.exp(canvas.rng.normal(0, spread) + canvas.rng.normal(0, spread / 3, 3))).astype(np.float32)
+    return (
+        colour * np.exp(canvas.rng.normal(0, spread) + canvas.rng.normal(0, spread / 3, 3))
+    ).astype(np.float32)
 
 
 def textured(canvas: Canvas, patch: Patch, colour: Array, grain: float, mottle: float) -> Array:
@@ -64,7 +90,9 @@ def textured(canvas: Canvas, patch: Patch, colour: Array, grain: float, mottle: 
     return np.clip(factor, 0.2, 2.5)[..., None] * colour
 
 
-def add_building(canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str) -> None:
+def add_building(
+    canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str
+) -> None:
     """A building; `kind` is tiled, village (rusty sheets), metal or flat. Length is along its ridge."""
     patch = canvas.rectangle(place, size_m, angle_rad)
     if patch.empty:
@@ -79,20 +107,33 @@ def add_building(canvas: Canvas, place: Place, size_m: tuple[float, float], angl
     hipped = kind == "tiled" and rng.random() < 0.4
     if hipped:
         run = np.minimum(run, size_m[0] / 2 - np.abs(patch.u))
-    eaves_m = {"tiled": rng.uniform(2.6, 6.0), "village": rng.uniform(2.2, 3.2), "metal": rng.uniform(4, 8)}[kind]
+    eaves_m = {
+        "tiled": rng.uniform(2.6, 6.0),
+        "village": rng.uniform(2.2, 3.2),
+        "metal": rng.uniform(4, 8),
+    }[kind]
     canvas.raise_to(patch, eaves_m + pitch * run)
 
     if kind == "tiled":
         colour = textured(canvas, patch, pick(canvas, TILE_COLOURS), 0.07, 0.10)
-        courses = 1 + 0.09 * np.sign(np.sin(2 * math.pi * run / 0.36)) + 0.03 * np.sin(2 * math.pi * patch.u / 0.3)
+        courses = (
+            1
+            + 0.09 * np.sign(np.sin(2 * math.pi * run / 0.36))
+            + 0.03 * np.sin(2 * math.pi * patch.u / 0.3)
+        )
     else:
         sheet_m = rng.uniform(0.8, 1.1)
         sheet = np.floor(patch.u / sheet_m + 50).astype(int) * 2 + (patch.v > 0)
         spread, colours = (0.22, RUSTY_COLOURS) if kind == "village" else (0.03, METAL_COLOURS)
         tones = np.exp(rng.normal(0, spread, 400)).astype(np.float32)
-        colour = textured(canvas, patch, pick(canvas, colours), 0.03, 0.05) * tones[sheet % 400][..., None]
+        colour = (
+            textured(canvas, patch, pick(canvas, colours), 0.03, 0.05)
+            * tones[sheet % 400][..., None]
+        )
         if kind == "village":
-            rust = np.clip(canvas.noise("mottle", patch) * 0.5 + rng.normal(0.1, 0.3), 0, 1)[..., None]
+            rust = np.clip(canvas.noise("mottle", patch) * 0.5 + rng.normal(0.1, 0.3), 0, 1)[
+                ..., None
+            ]
             colour = colour + rust * 0.7 * (reflectance((128, 84, 60)) - colour)
         courses = 1 + 0.07 * np.sin(2 * math.pi * patch.u / rng.choice([0.25, 0.5]))
     canvas.paint(patch, colour * courses[..., None])
@@ -101,7 +142,9 @@ def add_building(canvas: Canvas, place: Place, size_m: tuple[float, float], angl
     _roof_furniture(canvas, place, size_m, angle_rad, kind)
 
 
-def _flat_roof(canvas: Canvas, patch: Patch, place: Place, size_m: tuple[float, float], angle_rad: float) -> None:
+def _flat_roof(
+    canvas: Canvas, patch: Patch, place: Place, size_m: tuple[float, float], angle_rad: float
+) -> None:
     rng = canvas.rng
     height_m, parapet_m = float(rng.uniform(3, 9)), float(rng.uniform(0.2, 0.7))
     edge = patch.inside < 0.35
@@ -112,7 +155,9 @@ def _flat_roof(canvas: Canvas, patch: Patch, place: Place, size_m: tuple[float, 
     colour = colour * np.where(seams, 0.88, 1.0).astype(np.float32)[..., None]
     puddles = np.clip(canvas.noise("patch", patch) - 0.8, 0, 0.8)[..., None]
     colour = colour * (1 - 0.5 * puddles)
-    canvas.paint(patch, np.where(edge[..., None], np.clip(base * rng.uniform(0.9, 1.5), 0, 0.85), colour))
+    canvas.paint(
+        patch, np.where(edge[..., None], np.clip(base * rng.uniform(0.9, 1.5), 0, 0.85), colour)
+    )
     _roof_furniture(canvas, place, size_m, angle_rad, "flat")
 
 
@@ -121,7 +166,9 @@ def _on(place: Place, angle_rad: float, u_m: float, v_m: float) -> Place:
     return place[0] + cosine * u_m - sine * v_m, place[1] + sine * u_m + cosine * v_m
 
 
-def _roof_furniture(canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str) -> None:
+def _roof_furniture(
+    canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str
+) -> None:
     """Roof lights, dormers, solar panels, chimneys, air conditioning: bright and dark boxes on a large plain shape."""
     rng = canvas.rng
     half_u, half_v = size_m[0] / 2 - 1.2, size_m[1] / 2 - 1.2
@@ -130,7 +177,10 @@ def _roof_furniture(canvas: Canvas, place: Place, size_m: tuple[float, float], a
     area = size_m[0] * size_m[1]
     glass, bright = reflectance((60, 70, 82)), reflectance((214, 218, 222))
     if rng.random() < 0.55:  # a row of roof lights
-        light_m = (float(rng.uniform(0.8, 1.4)), float(rng.uniform(1.0, 3.0 if kind != "tiled" else 1.4)))
+        light_m = (
+            float(rng.uniform(0.8, 1.4)),
+            float(rng.uniform(1.0, 3.0 if kind != "tiled" else 1.4)),
+        )
         row_v = float(rng.uniform(0.25, 0.8)) * half_v * float(rng.choice([-1, 1]))
         spacing = float(rng.uniform(2.0, 4.5))
         colour = bright if rng.random() < 0.5 else glass
@@ -139,29 +189,45 @@ def _roof_furniture(canvas: Canvas, place: Place, size_m: tuple[float, float], a
             canvas.paint(pane, colour * float(rng.uniform(0.8, 1.2)))
             canvas.paint(
                 canvas.rectangle(
-                    _on(place, angle_rad, float(u_m), row_v), (light_m[0] - 0.4, light_m[1] - 0.4), angle_rad
+                    _on(place, angle_rad, float(u_m), row_v),
+                    (light_m[0] - 0.4, light_m[1] - 0.4),
+                    angle_rad,
                 ),
                 colour * 0.75,
             )
     if kind == "tiled":
         if rng.random() < 0.6:
-            spot = _on(place, angle_rad, float(rng.uniform(-half_u, half_u)), float(rng.uniform(-0.4, 0.4)) * half_v)
+            spot = _on(
+                place,
+                angle_rad,
+                float(rng.uniform(-half_u, half_u)),
+                float(rng.uniform(-0.4, 0.4)) * half_v,
+            )
             chimney = canvas.rectangle(spot, (0.7, 0.9), angle_rad)
             canvas.raise_to(chimney, canvas.base_height(spot) + 1.2)
             canvas.paint(chimney, pick(canvas, ((150, 90, 70), (170, 166, 160))))
             canvas.paint(canvas.rectangle(spot, (0.35, 0.5), angle_rad), reflectance((40, 38, 36)))
         if rng.random() < 0.15:
             spot = _on(place, angle_rad, float(rng.uniform(-0.4, 0.4)) * half_u, 0.5 * half_v)
-            _solar_panels(canvas, spot, (min(half_u, float(rng.uniform(2, 5))), min(half_v, 2.2)), angle_rad)
+            _solar_panels(
+                canvas, spot, (min(half_u, float(rng.uniform(2, 5))), min(half_v, 2.2)), angle_rad
+            )
         return
     if rng.random() < 0.12:
         _solar_panels(canvas, place, (half_u * 1.4, half_v * 0.7), angle_rad)
     for _ in range(int(rng.poisson(min(area / 60, 8)))):
-        spot = _on(place, angle_rad, float(rng.uniform(-half_u, half_u)), float(rng.uniform(-half_v, half_v)))
+        spot = _on(
+            place,
+            angle_rad,
+            float(rng.uniform(-half_u, half_u)),
+            float(rng.uniform(-half_v, half_v)),
+        )
         add_air_conditioner(canvas, spot, angle_rad)
 
 
-def _solar_panels(canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float) -> None:
+def _solar_panels(
+    canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float
+) -> None:
     patch = canvas.rectangle(place, size_m, angle_rad)
     lines = (np.mod(patch.u, 1.0) < 0.1) | (np.mod(patch.v, 1.65) < 0.1)
     colour = np.where(lines[..., None], reflectance((150, 156, 165)), reflectance((34, 40, 62)))
@@ -177,7 +243,9 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
     clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
     dome = np.sqrt(np.clip(patch.inside / radius_m, 0, 1))
     top_m = float(rng.uniform(1.2, 2.2)) * radius_m
-    canvas.raise_to(patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.4 * clumps + 0.12 * leaves, 0.3, None))
+    canvas.raise_to(
+        patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.4 * clumps + 0.12 * leaves, 0.3, None)
+    )
     colour = pick(canvas, CROWN_COLOURS, 0.16)
     uneven = canvas.noise("mottle", patch)
     factor = np.exp(0.22 * clumps + 0.22 * leaves + 0.18 * uneven - 0.2 * (1 - dome))
@@ -188,15 +256,22 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
 
 def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
     """A low bush: a crown near the ground."""
-    patch = canvas.disc(place, radius_m, raggedness=0.25, stretch=float(canvas.rng.uniform(1.0, 1.6)))
+    patch = canvas.disc(
+        place, radius_m, raggedness=0.25, stretch=float(canvas.rng.uniform(1.0, 1.6))
+    )
     if patch.empty:
         return
     clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
     canvas.raise_to(
-        patch, np.clip(0.9 * radius_m * np.sqrt(np.clip(patch.inside / radius_m, 0, 1)) + 0.2 * clumps, 0, 2.5)
+        patch,
+        np.clip(
+            0.9 * radius_m * np.sqrt(np.clip(patch.inside / radius_m, 0, 1)) + 0.2 * clumps, 0, 2.5
+        ),
     )
     colour = pick(canvas, CROWN_COLOURS, 0.2)
-    canvas.paint(patch, colour * np.exp(0.25 * clumps + 0.25 * leaves)[..., None].astype(np.float32))
+    canvas.paint(
+        patch, colour * np.exp(0.25 * clumps + 0.25 * leaves)[..., None].astype(np.float32)
+    )
 
 
 def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -> None:
@@ -207,7 +282,9 @@ def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -
     clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
     canvas.raise_to(patch, float(canvas.rng.uniform(0.9, 1.9)) + 0.12 * clumps)
     canvas.paint(
-        patch, pick(canvas, CROWN_COLOURS) * np.exp(0.2 * clumps + 0.25 * leaves)[..., None].astype(np.float32)
+        patch,
+        pick(canvas, CROWN_COLOURS)
+        * np.exp(0.2 * clumps + 0.25 * leaves)[..., None].astype(np.float32),
     )
 
 
@@ -221,11 +298,21 @@ def add_lamp_post(canvas: Canvas, place: Place) -> None:
 def add_manhole(canvas: Canvas, place: Place) -> None:
     """A round or square cover in the road."""
     side = float(canvas.rng.uniform(0.5, 0.8))
-    patch = canvas.disc(place, side / 2) if canvas.rng.random() < 0.6 else canvas.rectangle(place, (side, side))
+    patch = (
+        canvas.disc(place, side / 2)
+        if canvas.rng.random() < 0.6
+        else canvas.rectangle(place, (side, side))
+    )
     canvas.shade(patch, float(canvas.rng.uniform(0.55, 0.8)))
 
 
-def _box(canvas: Canvas, place: Place, size_m: tuple[float, float, float], angle_rad: float, colour: Array) -> Patch:
+def _box(
+    canvas: Canvas,
+    place: Place,
+    size_m: tuple[float, float, float],
+    angle_rad: float,
+    colour: Array,
+) -> Patch:
     """A plain box standing on whatever is there."""
     patch = canvas.rectangle(place, size_m[:2], angle_rad)
     if not patch.empty:
@@ -246,7 +333,9 @@ def add_air_conditioner(canvas: Canvas, place: Place, angle_rad: float) -> None:
         pick(canvas, ((190, 192, 192), (150, 152, 154))),
     )
     for u_m in np.arange(-length / 2 + 0.55, length / 2 - 0.4, 1.0):
-        canvas.paint(canvas.disc(_on(place, angle_rad, float(u_m), 0.0), 0.33), reflectance((62, 64, 66)))
+        canvas.paint(
+            canvas.disc(_on(place, angle_rad, float(u_m), 0.0), 0.33), reflectance((62, 64, 66))
+        )
 
 
 def add_container(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -264,7 +353,9 @@ def add_skip(canvas: Canvas, place: Place, angle_rad: float) -> None:
     _box(canvas, place, (*size, 1.3), angle_rad, colour)
     hollow = canvas.rectangle(place, (size[0] - 0.5, size[1] - 0.4), angle_rad)
     if not hollow.empty:
-        fill = textured(canvas, hollow, pick(canvas, ((110, 100, 90), (70, 66, 62), (150, 140, 126))), 0.15, 0.2)
+        fill = textured(
+            canvas, hollow, pick(canvas, ((110, 100, 90), (70, 66, 62), (150, 140, 126))), 0.15, 0.2
+        )
         canvas.paint(hollow, fill * np.exp(0.3 * canvas.noise("clump", hollow))[..., None])
 
 
@@ -315,7 +406,14 @@ def add_pool(canvas: Canvas, place: Place, angle_rad: float) -> None:
     water = canvas.rectangle(place, size, angle_rad, float(rng.uniform(0, 1.2)))
     if not water.empty:
         canvas.paint(
-            water, textured(canvas, water, pick(canvas, ((90, 170, 190), (70, 140, 170), (60, 100, 100))), 0.05, 0.08)
+            water,
+            textured(
+                canvas,
+                water,
+                pick(canvas, ((90, 170, 190), (70, 140, 170), (60, 100, 100))),
+                0.05,
+                0.08,
+            ),
         )
 
 
@@ -326,7 +424,11 @@ def add_pallets(canvas: Canvas, place: Place, angle_rad: float) -> None:
     for i in range(int(rng.integers(1, 5))):
         spot = _on(place, angle_rad, 1.3 * i - 2.0, float(rng.normal(0, 0.1)))
         patch = _box(
-            canvas, spot, (1.2, 1.0, float(rng.uniform(0.3, 1.8))), angle_rad, wood * float(rng.uniform(0.8, 1.2))
+            canvas,
+            spot,
+            (1.2, 1.0, float(rng.uniform(0.3, 1.8))),
+            angle_rad,
+            wood * float(rng.uniform(0.8, 1.2)),
         )
         canvas.shade(patch, np.where(np.mod(patch.v, 0.28) < 0.1, 0.7, 1.0).astype(np.float32))
 
@@ -355,16 +457,27 @@ def add_bench(canvas: Canvas, place: Place, angle_rad: float) -> None:
 def add_tarpaulin(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """A covered heap about as large as a car: soft outline, smooth top."""
     rng = canvas.rng
-    patch = canvas.rectangle(place, (float(rng.uniform(2.5, 5)), float(rng.uniform(1.6, 2.4))), angle_rad, 0.6)
+    patch = canvas.rectangle(
+        place, (float(rng.uniform(2.5, 5)), float(rng.uniform(1.6, 2.4))), angle_rad, 0.6
+    )
     if not patch.empty:
         canvas.raise_to(
             patch,
-            0.3 + np.clip(1.1 * np.sqrt(np.clip(patch.inside, 0, 1)) + 0.1 * canvas.noise("clump", patch), 0, 1.6),
+            0.3
+            + np.clip(
+                1.1 * np.sqrt(np.clip(patch.inside, 0, 1)) + 0.1 * canvas.noise("clump", patch),
+                0,
+                1.6,
+            ),
         )
         canvas.paint(
             patch,
             textured(
-                canvas, patch, pick(canvas, ((50, 90, 140), (70, 100, 70), (150, 150, 150), (70, 66, 62))), 0.03, 0.1
+                canvas,
+                patch,
+                pick(canvas, ((50, 90, 140), (70, 100, 70), (150, 150, 150), (70, 66, 62))),
+                0.03,
+                0.1,
             ),
         )
 

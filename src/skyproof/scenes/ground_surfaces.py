@@ -24,10 +24,28 @@ __all__ = [
     "pick_asphalt",
 ]
 
-ASPHALT: tuple[Colour, ...] = ((108, 108, 110), (92, 92, 95), (124, 122, 120), (80, 81, 85), (136, 132, 126))
+ASPHALT: tuple[Colour, ...] = (
+    (108, 108, 110),
+    (92, 92, 95),
+    (124, 122, 120),
+    (80, 81, 85),
+    (136, 132, 126),
+)
 PAVING: tuple[Colour, ...] = ((160, 156, 148), (148, 142, 136), (172, 164, 150), (134, 132, 132))
-GRASS: tuple[Colour, ...] = ((96, 112, 62), (84, 104, 58), (120, 124, 74), (138, 132, 88), (76, 98, 52))
-SOIL: tuple[Colour, ...] = ((150, 124, 96), (134, 108, 84), (170, 146, 116), (152, 104, 80), (120, 98, 80))
+GRASS: tuple[Colour, ...] = (
+    (96, 112, 62),
+    (84, 104, 58),
+    (120, 124, 74),
+    (138, 132, 88),
+    (76, 98, 52),
+)
+SOIL: tuple[Colour, ...] = (
+    (150, 124, 96),
+    (134, 108, 84),
+    (170, 146, 116),
+    (152, 104, 80),
+    (120, 98, 80),
+)
 CONCRETE: tuple[Colour, ...] = ((168, 166, 160), (150, 148, 144), (180, 176, 166))
 
 
@@ -47,7 +65,12 @@ def lay_asphalt(canvas: Canvas, patch: Patch, colour: Array | None = None) -> No
         + 0.07 * canvas.noise("patch", patch)
     )
     canvas.paint(patch, colour * np.clip(wear, 0.5, 1.6)[..., None])
-    crack = np.abs(canvas.noise("patch", patch) + 0.15 * canvas.noise("mottle", patch) - rng.uniform(-1, 1)) < 0.025
+    crack = (
+        np.abs(
+            canvas.noise("patch", patch) + 0.15 * canvas.noise("mottle", patch) - rng.uniform(-1, 1)
+        )
+        < 0.025
+    )
     canvas.shade(patch, np.where(crack, rng.uniform(0.7, 0.95), 1.0).astype(np.float32))
     reach = canvas.reach_m * 0.8
     for _ in range(int(rng.poisson(5))):
@@ -57,7 +80,12 @@ def lay_asphalt(canvas: Canvas, patch: Patch, colour: Array | None = None) -> No
         _within(canvas, repair, patch, float(rng.uniform(0.75, 1.2)))
     for _ in range(int(rng.poisson(6))):
         place = (float(rng.uniform(-reach, reach)), float(rng.uniform(-reach, reach)))
-        _within(canvas, canvas.disc(place, float(rng.uniform(0.3, 1.6)), 0.3), patch, float(rng.uniform(0.65, 0.9)))
+        _within(
+            canvas,
+            canvas.disc(place, float(rng.uniform(0.3, 1.6)), 0.3),
+            patch,
+            float(rng.uniform(0.65, 0.9)),
+        )
 
 
 def _within(canvas: Canvas, spot: Patch, ground: Patch, factor: float) -> None:
@@ -68,9 +96,13 @@ def _within(canvas: Canvas, spot: Patch, ground: Patch, factor: float) -> None:
 
 def lay_grass(canvas: Canvas, patch: Patch) -> None:
     """Grass of two tones with bare and mown places."""
-    blend = np.clip(0.5 + 0.5 * canvas.noise("patch", patch) + 0.25 * canvas.noise("mottle", patch), 0, 1)[..., None]
+    blend = np.clip(
+        0.5 + 0.5 * canvas.noise("patch", patch) + 0.25 * canvas.noise("mottle", patch), 0, 1
+    )[..., None]
     colour = pick(canvas, GRASS) * blend + pick(canvas, GRASS) * (1 - blend)
-    bare = np.clip(canvas.noise("patch", patch) + 0.4 * canvas.noise("mottle", patch) - 1.3, 0, 0.8)[..., None]
+    bare = np.clip(
+        canvas.noise("patch", patch) + 0.4 * canvas.noise("mottle", patch) - 1.3, 0, 0.8
+    )[..., None]
     colour = colour + bare * (pick(canvas, SOIL) - colour)
     texture = 1 + 0.10 * canvas.noise("grain", patch) + 0.08 * canvas.noise("clump", patch)
     canvas.paint(patch, (colour * np.clip(texture, 0.3, 2)[..., None]).astype(np.float32))
@@ -89,13 +121,19 @@ def lay_soil(canvas: Canvas, patch: Patch) -> None:
             2,
         )[..., None]
     )
-    weeds = np.clip(0.6 * canvas.noise("mottle", patch) + 0.5 * canvas.noise("patch", patch) - 0.9, 0, 1)[..., None]
+    weeds = np.clip(
+        0.6 * canvas.noise("mottle", patch) + 0.5 * canvas.noise("patch", patch) - 0.9, 0, 1
+    )[..., None]
     canvas.paint(patch, (colour + weeds * (pick(canvas, GRASS) - colour)).astype(np.float32))
 
 
-def lay_paving(canvas: Canvas, patch: Patch, colours: tuple[Colour, ...] = PAVING, slab_m: float = 0.6) -> None:
+def lay_paving(
+    canvas: Canvas, patch: Patch, colours: tuple[Colour, ...] = PAVING, slab_m: float = 0.6
+) -> None:
     """Slabs with joints; large ones make a concrete yard."""
-    joints = (np.mod(patch.u, slab_m) < 0.06 + 0.01 * slab_m) | (np.mod(patch.v, slab_m) < 0.06 + 0.01 * slab_m)
+    joints = (np.mod(patch.u, slab_m) < 0.06 + 0.01 * slab_m) | (
+        np.mod(patch.v, slab_m) < 0.06 + 0.01 * slab_m
+    )
     texture = (
         1
         + 0.04 * canvas.noise("grain", patch)
@@ -109,14 +147,21 @@ def lay_paving(canvas: Canvas, patch: Patch, colours: tuple[Colour, ...] = PAVIN
 def mark(canvas: Canvas, patch: Patch, colour: Colour = (232, 230, 222)) -> None:
     """Road paint, worn in places."""
     if not patch.empty:
-        worn = np.clip(canvas.rng.uniform(0.55, 0.95) + 0.22 * canvas.noise("mottle", patch), 0.1, 1)
+        worn = np.clip(
+            canvas.rng.uniform(0.55, 0.95) + 0.22 * canvas.noise("mottle", patch), 0.1, 1
+        )
         canvas.paint(patch, reflectance(colour), worn)
 
 
-def add_pavement(canvas: Canvas, ground: Patch, centre_v_m: float, road_m: float, pavement_m: float) -> None:
+def add_pavement(
+    canvas: Canvas, ground: Patch, centre_v_m: float, road_m: float, pavement_m: float
+) -> None:
     """Pavements on both sides of a road still to be laid, with its kerbs."""
     lay_paving(canvas, canvas.band(ground, centre_v_m, road_m + 2 * pavement_m))
-    canvas.paint(canvas.band(ground, centre_v_m, road_m + 0.3), pick(canvas, ((186, 182, 174), (160, 158, 154))))
+    canvas.paint(
+        canvas.band(ground, centre_v_m, road_m + 0.3),
+        pick(canvas, ((186, 182, 174), (160, 158, 154))),
+    )
 
 
 def add_road(
@@ -153,7 +198,11 @@ def add_road(
             )
     for _ in range(int(rng.integers(1, 6))):
         add_manhole(
-            canvas, (float(rng.uniform(-1, 1)) * canvas.reach_m, centre_v_m + float(rng.uniform(-0.4, 0.4)) * width_m)
+            canvas,
+            (
+                float(rng.uniform(-1, 1)) * canvas.reach_m,
+                centre_v_m + float(rng.uniform(-0.4, 0.4)) * width_m,
+            ),
         )
 
 

@@ -63,13 +63,17 @@ class SceneSettings:
                 "give 0 <= minimum <= maximum."
             )
         if not 0 <= self.tilt_maximum_rad < math.pi / 2:
-            raise ConfigurationError(f"tilt_maximum_rad is {self.tilt_maximum_rad}; give 0 to below half of pi.")
+            raise ConfigurationError(
+                f"tilt_maximum_rad is {self.tilt_maximum_rad}; give 0 to below half of pi."
+            )
         if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
             raise ConfigurationError(
                 "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
             )
         if not 0 <= self.parked_share <= 1:
-            raise ConfigurationError(f"parked_share is {self.parked_share}; give a share from 0 to 1.")
+            raise ConfigurationError(
+                f"parked_share is {self.parked_share}; give a share from 0 to 1."
+            )
         unknown = sorted(set(self.conditions) - set(CONDITIONS))
         if unknown or not self.conditions:
             raise ConfigurationError(
@@ -125,11 +129,15 @@ def sample_scenes(
         seed = int(torch.randint(2**63 - 1, (1,), generator=generator))
         own = torch.Generator().manual_seed(seed)
         window = backgrounds.sample_window(split, settings.size_px, generator=own)
-        radius, camera_turn, sun_turn, sun_height = torch.rand(4, dtype=torch.float64, generator=own).tolist()
+        radius, camera_turn, sun_turn, sun_height = torch.rand(
+            4, dtype=torch.float64, generator=own
+        ).tolist()
         low, high = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
         placements = _sample_placements(settings, vehicle_sizes_m, generator=own)
         # Drawn last, so that everything else is the same whatever the conditions.
-        condition = settings.conditions[int(torch.randint(len(settings.conditions), (1,), generator=own))]
+        condition = settings.conditions[
+            int(torch.randint(len(settings.conditions), (1,), generator=own))
+        ]
         strength = float(torch.rand(1, dtype=torch.float64, generator=own))
         if condition == "low_sun":
             (low, high), sun_height = LOW_SUN_ELEVATION_RAD, strength
@@ -144,7 +152,10 @@ def sample_scenes(
                     gsd_m=settings.gsd_m,
                     size_px=settings.size_px,
                 ),
-                sun=Sun(azimuth_rad=2 * math.pi * sun_turn, elevation_rad=low + (high - low) * sun_height),
+                sun=Sun(
+                    azimuth_rad=2 * math.pi * sun_turn,
+                    elevation_rad=low + (high - low) * sun_height,
+                ),
                 placements=placements,
                 seed=seed,
                 weather=draw_weather(condition, strength),
@@ -154,7 +165,10 @@ def sample_scenes(
 
 
 def _sample_placements(
-    settings: SceneSettings, vehicle_sizes_m: Mapping[str, tuple[float, float, float]], *, generator: torch.Generator
+    settings: SceneSettings,
+    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
+    *,
+    generator: torch.Generator,
 ) -> tuple[Placement, ...]:
     """Draws all vehicles at once until none overlap, so that free layouts stay equally likely."""
     span = settings.vehicles_maximum - settings.vehicles_minimum + 1
@@ -171,11 +185,22 @@ def _sample_placements(
     for _ in range(TRIES):
         draws = torch.rand(number, 3, dtype=torch.float64, generator=generator).tolist()
         placements = tuple(
-            Placement(name, (2 * x - 1) * settings.half_m, (2 * y - 1) * settings.half_m, 2 * math.pi * turn)
+            Placement(
+                name,
+                (2 * x - 1) * settings.half_m,
+                (2 * y - 1) * settings.half_m,
+                2 * math.pi * turn,
+            )
             for name, (x, y, turn) in zip(chosen, draws, strict=True)
         )
-        rectangles = [_footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements]
-        if not any(rectangles_overlap(rectangles[i], rectangles[j]) for i in range(number) for j in range(i)):
+        rectangles = [
+            _footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements
+        ]
+        if not any(
+            rectangles_overlap(rectangles[i], rectangles[j])
+            for i in range(number)
+            for j in range(i)
+        ):
             return placements
     raise ConfigurationError(
         f"No room was found for {number} vehicles in an image of {settings.size_px} px; "
@@ -195,12 +220,16 @@ def _park(
     side_by_side, row_rad = kind < 0.5, 2 * math.pi * turn
     places, reached = [], 0.0
     for name, draws in zip(
-        names, torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist(), strict=True
+        names,
+        torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist(),
+        strict=True,
     ):
         length_m, width_m, _ = vehicle_sizes_m[name]
         taken = width_m if side_by_side else length_m
         gap_m = settings.gap_m + draws[0] * (WIDEST_GAP_M[0] if side_by_side else WIDEST_GAP_M[1])
-        heading = row_rad + (math.pi / 2 if side_by_side else 0.0) + (2 * draws[1] - 1) * LARGEST_SKEW_RAD
+        heading = (
+            row_rad + (math.pi / 2 if side_by_side else 0.0) + (2 * draws[1] - 1) * LARGEST_SKEW_RAD
+        )
         places.append((reached + taken / 2, heading + (math.pi if draws[2] < 0.5 else 0.0)))
         reached += taken + gap_m
     rows = (
@@ -235,4 +264,6 @@ def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
 
 def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
     _, _, heading, length, width = rectangle
-    return (length * abs(math.cos(axis_rad - heading)) + width * abs(math.sin(axis_rad - heading))) / 2
+    return (
+        length * abs(math.cos(axis_rad - heading)) + width * abs(math.sin(axis_rad - heading))
+    ) / 2

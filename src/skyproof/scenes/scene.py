@@ -118,7 +118,9 @@ def read_scenes(path: Path) -> list[Scene]:
     try:
         scenes = [_scene(row) for row in read_jsonl(path)]
     except (KeyError, TypeError, ConfigurationError) as error:
-        message = f"{path} is not a scene file of this version ({error!r}); sample the scenes again."
+        message = (
+            f"{path} is not a scene file of this version ({error!r}); sample the scenes again."
+        )
         raise StoredFileError(message) from error
     if not scenes:
         raise StoredFileError(f"{path} holds no scene; sample the scenes again.")
@@ -147,4 +149,8 @@ def _scene(row: dict[str, Any]) -> Scene:
 
 def _direction(azimuth_rad: float, elevation_rad: float) -> tuple[float, float, float]:
     horizontal = math.cos(elevation_rad)
-    return horizontal * math.cos(azimuth_rad), horizontal * math.sin(azimuth_rad), math.sin(elevation_rad)
+    return (
+        horizontal * math.cos(azimuth_rad),
+        horizontal * math.sin(azimuth_rad),
+        math.sin(elevation_rad),
+    )

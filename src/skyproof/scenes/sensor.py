@@ -23,7 +23,11 @@ class Sensor:
     noise: float = 0.006
 
     def __post_init__(self) -> None:
-        if not 0 <= self.blur_sigma_px <= 10 or not math.isfinite(self.noise) or not 0 <= self.noise <= 0.5:
+        if (
+            not 0 <= self.blur_sigma_px <= 10
+            or not math.isfinite(self.noise)
+            or not 0 <= self.noise <= 0.5
+        ):
             raise ConfigurationError(
                 f"A sensor expects a blur of 0 to 10 px and noise of 0 to 0.5, "
                 f"got {self.blur_sigma_px} and {self.noise}."

@@ -39,14 +39,18 @@ class Weather:
     def __post_init__(self) -> None:
         for name in ("haze", "wetness", "overcast"):
             if not 0 <= getattr(self, name) <= 1:
-                raise ConfigurationError(f"The weather's {name} is {getattr(self, name)}; give a share from 0 to 1.")
+                raise ConfigurationError(
+                    f"The weather's {name} is {getattr(self, name)}; give a share from 0 to 1."
+                )
         if not self.noise >= 0 or not math.isfinite(self.exposure_stops):
             raise ConfigurationError(
                 f"The weather's noise is {self.noise} and its exposure_stops {self.exposure_stops}; give noise of 0 or "
                 "more and finite stops."
             )
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 95:
-            raise ConfigurationError(f"The weather's jpeg_quality is {self.jpeg_quality}; give 1 to 95, or none.")
+            raise ConfigurationError(
+                f"The weather's jpeg_quality is {self.jpeg_quality}; give 1 to 95, or none."
+            )
 
 
 CLEAR = Weather()
@@ -85,7 +89,9 @@ def draw_weather(condition: str, strength: float) -> Weather:
         ConfigurationError: there is no such condition.
     """
     if condition not in CONDITIONS:
-        raise ConfigurationError(f"There is no condition {condition!r}; choose from {', '.join(CONDITIONS)}.")
+        raise ConfigurationError(
+            f"There is no condition {condition!r}; choose from {', '.join(CONDITIONS)}."
+        )
     return CONDITIONS[condition](strength)
 
 

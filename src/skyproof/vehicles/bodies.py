@@ -32,7 +32,9 @@ class BodyRanges:
     bonnet_length: Range  # nose to foot of the windscreen
     windscreen_run: Range  # horizontal length of the windscreen: height and run give the rake
     rear_run: Range  # horizontal length of the rear window or the rear wall of the cab
-    deck_length: Range  # boot lid, pickup bed, or the little that a hatch stands out under its window
+    deck_length: (
+        Range  # boot lid, pickup bed, or the little that a hatch stands out under its window
+    )
     deck_height: Range
     belt_height: Range  # lower edge of the side windows
     tumblehome: Range  # how far the roof rail stands inside the shoulder on each side
@@ -208,7 +210,9 @@ def sample_dimensions(body_type: str, *, generator: torch.Generator) -> BodyDime
         ConfigurationError: an unknown body type.
     """
     if body_type not in BODY_RANGES:
-        raise ConfigurationError(f"Unknown body type {body_type!r}; choose from {', '.join(sorted(BODY_RANGES))}.")
+        raise ConfigurationError(
+            f"Unknown body type {body_type!r}; choose from {', '.join(sorted(BODY_RANGES))}."
+        )
     ranges = BODY_RANGES[body_type]
     names = [field.name for field in fields(ranges)]
     draws = torch.rand(len(names) + 1, generator=generator, dtype=torch.float64).tolist()
@@ -216,6 +220,10 @@ def sample_dimensions(body_type: str, *, generator: torch.Generator) -> BodyDime
     values = {}
     for name, draw in zip(names, draws, strict=True):
         low, high = getattr(ranges, name)
-        share = _SIZE_SHARE if name in ("length", "width", "wheelbase", "bonnet_length", "deck_length") else 0.0
+        share = (
+            _SIZE_SHARE
+            if name in ("length", "width", "wheelbase", "bonnet_length", "deck_length")
+            else 0.0
+        )
         values[name] = low + (high - low) * (share * size + (1 - share) * draw)
     return BodyDimensions(**values)

@@ -33,7 +33,9 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     template = vehicles.template
     faces, face_uvs = template.faces.cpu().numpy(), template.face_uvs.cpu().numpy()
     # glTF has one index for position and UV: a vertex for each pair that occurs.
-    pairs, corners = np.unique(np.stack([faces, face_uvs], -1).reshape(-1, 2), axis=0, return_inverse=True)
+    pairs, corners = np.unique(
+        np.stack([faces, face_uvs], -1).reshape(-1, 2), axis=0, return_inverse=True
+    )
     vertices = vehicles.vertices[index].detach().cpu().double().numpy()[:, [1, 2, 0]]
     uvs = template.uvs.detach().cpu().double().numpy()[pairs[:, 1]]
     texture = vehicles.row(index).worn_texture()[0].detach().cpu()
@@ -42,8 +44,12 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.5, name=vehicles.ids[index]
     )
-    visual = trimesh.visual.TextureVisuals(uv=np.stack([uvs[:, 0], 1 - uvs[:, 1]], -1), material=material)
-    mesh = trimesh.Trimesh(vertices[pairs[:, 0]], corners.reshape(-1, 3), visual=visual, process=False)
+    visual = trimesh.visual.TextureVisuals(
+        uv=np.stack([uvs[:, 0], 1 - uvs[:, 1]], -1), material=material
+    )
+    mesh = trimesh.Trimesh(
+        vertices[pairs[:, 0]], corners.reshape(-1, 3), visual=visual, process=False
+    )
     data = mesh.export(file_type="glb")
     assert isinstance(data, bytes)
     write_bytes(Path(path), data)

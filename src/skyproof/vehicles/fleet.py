@@ -30,7 +30,14 @@ _FORMAT_VERSION = 1
 
 def _default_weights() -> dict[str, float]:
     # Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
-    return {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26, "pickup": 0.04, "van": 0.10}
+    return {
+        "saloon": 0.18,
+        "hatchback": 0.28,
+        "estate": 0.14,
+        "suv": 0.26,
+        "pickup": 0.04,
+        "van": 0.10,
+    }
 
 
 @dataclass(frozen=True)
@@ -52,9 +59,13 @@ class FleetSettings:
             raise ConfigurationError(f"A fleet needs at least 1 vehicle, not {self.count}.")
         unknown = sorted(set(self.weights) - set(BODY_RANGES))
         if unknown:
-            raise ConfigurationError(f"Unknown body types {unknown}; choose from {', '.join(sorted(BODY_RANGES))}.")
+            raise ConfigurationError(
+                f"Unknown body types {unknown}; choose from {', '.join(sorted(BODY_RANGES))}."
+            )
         if not self.weights or min(self.weights.values()) < 0 or sum(self.weights.values()) <= 0:
-            raise ConfigurationError("Body type weights must not be negative, and at least one must be above 0.")
+            raise ConfigurationError(
+                "Body type weights must not be negative, and at least one must be above 0."
+            )
 
 
 @dataclass(frozen=True)
@@ -89,7 +100,9 @@ class Fleet:
             ConfigurationError: an id that is not in this fleet.
         """
         rows = torch.tensor([self._row(vehicle_id) for vehicle_id in ids], dtype=torch.int64)
-        return VehicleBatch(self.template, self.vertices[rows], self.textures[rows], self.parts[rows], tuple(ids))
+        return VehicleBatch(
+            self.template, self.vertices[rows], self.textures[rows], self.parts[rows], tuple(ids)
+        )
 
     def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
         """Length, width (without mirrors) and height in metres."""
@@ -114,7 +127,10 @@ class Fleet:
     def write_into(self, folder: Path) -> None:
         """Writes the same two files into a folder that is being made."""
         tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
-        write_bytes(folder / "fleet.safetensors", save_tensors({k: v.contiguous() for k, v in tensors.items()}))
+        write_bytes(
+            folder / "fleet.safetensors",
+            save_tensors({k: v.contiguous() for k, v in tensors.items()}),
+        )
         description = {
             "format": _FORMAT_VERSION,
             "ids": list(self.ids),
@@ -154,7 +170,9 @@ class Fleet:
             )
             fleet._check_shapes()
         except Exception as error:  # safetensors raises its own type, and whatever a damaged file provokes means damage
-            raise StoredFileError(f"{folder} holds a damaged fleet ({error}); make the fleet again.") from error
+            raise StoredFileError(
+                f"{folder} holds a damaged fleet ({error}); make the fleet again."
+            ) from error
         return fleet
 
     def _row(self, vehicle_id: str) -> int:
@@ -175,11 +193,16 @@ class Fleet:
         for name, (shape, dtype) in wanted.items():
             tensor = getattr(self, name)
             if tuple(tensor.shape) != shape or tensor.dtype != dtype:
-                raise ValueError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected {dtype} {shape}")
+                raise ValueError(
+                    f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected {dtype} {shape}"
+                )
 
 
 def sample_fleet(
-    settings: FleetSettings, *, generator: torch.Generator, progress: Callable[[int, int], None] | None = None
+    settings: FleetSettings,
+    *,
+    generator: torch.Generator,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
@@ -190,7 +213,9 @@ def sample_fleet(
     """
     types = list(settings.weights)
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
-    chosen = torch.multinomial(weights, settings.count, replacement=True, generator=generator).tolist()
+    chosen = torch.multinomial(
+        weights, settings.count, replacement=True, generator=generator
+    ).tolist()
     ids, vertices, textures, parts = [], [], [], []
     for number, choice in enumerate(chosen, start=settings.first_number):
         body = build_body(sample_dimensions(types[choice], generator=generator))
@@ -202,7 +227,12 @@ def sample_fleet(
         if progress is not None:
             progress(len(ids), settings.count)
     return Fleet(
-        settings, make_template(), tuple(ids), torch.stack(vertices), torch.stack(textures), torch.stack(parts)
+        settings,
+        make_template(),
+        tuple(ids),
+        torch.stack(vertices),
+        torch.stack(textures),
+        torch.stack(parts),
     )
 
 

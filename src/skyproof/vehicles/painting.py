@@ -55,7 +55,9 @@ class _Canvas:
         """Texels of the underside; on the two end faces the columns of the underside run up to the poles."""
         ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
         end_face = (ring < 3) | (ring > RINGS - 2)
-        return (self.column <= TOPOLOGY_SILL) & ~(end_face & (self.z > self.body.dimensions.clearance + 0.12))
+        return (self.column <= TOPOLOGY_SILL) & ~(
+            end_face & (self.z > self.body.dimensions.clearance + 0.12)
+        )
 
     @property
     def side(self) -> Tensor:
@@ -94,7 +96,9 @@ def paint_vehicle(
         _paint_bed(canvas, paint if chance[9] < 0.4 else torch.tensor([0.12, 0.12, 0.125]))
 
     texture = torch.cat([canvas.colour, canvas.colour.flip(-1)], dim=-1)
-    texture = _dirty(texture, torch.cat([canvas.z, canvas.z.flip(-1)], dim=-1), chance[10], generator=generator)
+    texture = _dirty(
+        texture, torch.cat([canvas.z, canvas.z.flip(-1)], dim=-1), chance[10], generator=generator
+    )
     parts = torch.cat([canvas.parts, canvas.parts.flip(-1)], dim=-1)
     return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8), parts
 
@@ -108,19 +112,26 @@ def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
         right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
         share = (at - knots[right - 1]) / (knots[right] - knots[right - 1])
         out = torch.zeros(len(at), len(knots))
-        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None]).scatter_(1, right[:, None], share[:, None])
+        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None]).scatter_(
+            1, right[:, None], share[:, None]
+        )
         return out
 
     half = COLUMNS // 2
     columns = weights(centre[: TEXTURE_SIZE // 2], column_u(torch.float32)[: half + 1])
-    return weights(centre, row_v(torch.float32)), columns.T.contiguous(), columns @ torch.arange(half + 1.0)
+    return (
+        weights(centre, row_v(torch.float32)),
+        columns.T.contiguous(),
+        columns @ torch.arange(half + 1.0),
+    )
 
 
 def _canvas(body: Body, paint: Tensor) -> _Canvas:
     rows, columns, column = _texel_weights()
     x, y, z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
     station, belt, rail_z, rail_y = (
-        (rows @ row.float())[:, None] for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
+        (rows @ row.float())[:, None]
+        for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
     )
     half_length = body.dimensions.length / 2
     return _Canvas(
@@ -160,7 +171,10 @@ def _paint_seams(c: _Canvas, body_type: str) -> None:
     on_door = c.side & (c.z > d.clearance + 0.14)
     for station in (door_front, middle, back):
         c.shade(on_door & _between(c.behind - station, -0.009, 0.009), _SEAM)
-    c.shade(on_door & _between(c.behind, door_front, back) & _between(c.z - d.clearance, 0.14, 0.16), _SEAM)
+    c.shade(
+        on_door & _between(c.behind, door_front, back) & _between(c.z - d.clearance, 0.14, 0.16),
+        _SEAM,
+    )
 
     bonnet = c.upper & (c.station < d.bonnet_length) & (c.station > 0.16)
     c.shade(bonnet & _between(c.y - (c.rail_y - 0.055), -0.008, 0.008), _SEAM)
@@ -172,9 +186,13 @@ def _paint_seams(c: _Canvas, body_type: str) -> None:
         c.shade(lid & (c.y < c.rail_y - 0.12) & _between(c.station - deck, -0.02, -0.004), _SEAM)
     if body_type == "van":
         # Roof corrugations and the sliding door's rail.
-        roof = c.upper & (c.column > 11.3) & (c.station > front + 0.1) & (c.station < d.length - 0.2)
+        roof = (
+            c.upper & (c.column > 11.3) & (c.station > front + 0.1) & (c.station < d.length - 0.2)
+        )
         c.shade(roof & (((c.y / 0.17) % 1.0) < 0.2), 0.92)
-        c.shade(c.upper & (c.column < 9) & (c.station > back) & _between(c.z - c.belt, 0.03, 0.05), 0.6)
+        c.shade(
+            c.upper & (c.column < 9) & (c.station > back) & _between(c.z - c.belt, 0.03, 0.05), 0.6
+        )
 
 
 def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
@@ -190,7 +208,11 @@ def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
         along, up = c.behind - axle, c.z - radius
         from_hub = torch.hypot(along, up)
         c.fill(c.side & (from_hub < radius + (0.10 if rugged else 0.05)), _BLACK, Part.TRIM)
-        c.fill(outer & ((from_hub < radius) | ((c.z < radius) & (along.abs() < 0.9 * radius))), _RUBBER, Part.WHEEL)
+        c.fill(
+            outer & ((from_hub < radius) | ((c.z < radius) & (along.abs() < 0.9 * radius))),
+            _RUBBER,
+            Part.WHEEL,
+        )
         spokes = (torch.atan2(up, along) * (5 / (2 * torch.pi)) % 1.0) < 0.62
         c.fill(c.side & (from_hub < 0.66 * radius) & spokes, (0.50, 0.51, 0.52), Part.WHEEL)
 
@@ -216,19 +238,29 @@ def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> Non
 
     # Grille and plate face forward; lights reach round the corners.
     face = nose & (c.behind < 0.14)
-    c.fill(face & (c.y < 0.52 * half) & _between(c.z, bumper_z - 0.04, d.nose_height - 0.10), _BLACK, Part.TRIM)
+    c.fill(
+        face & (c.y < 0.52 * half) & _between(c.z, bumper_z - 0.04, d.nose_height - 0.10),
+        _BLACK,
+        Part.TRIM,
+    )
     c.fill(face & (c.y < 0.66 * half) & _between(c.z, low, low + 0.11), _BLACK, Part.TRIM)
     c.fill(face & (c.y < 0.26) & _between(c.z, bumper_z - 0.16, bumper_z - 0.05), _PLATE, Part.TRIM)
     lamp_top = d.nose_height - 0.015
     lamp = nose & (c.y > 0.58 * half) & _between(c.z, lamp_top - 0.15, lamp_top) & (c.behind < 0.40)
     c.fill(lamp, (0.30, 0.31, 0.33), Part.LIGHT)
-    c.fill(lamp & _between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half), _LAMP, Part.LIGHT)
+    c.fill(
+        lamp & _between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half),
+        _LAMP,
+        Part.LIGHT,
+    )
 
     tall = body_type in ("hatchback", "estate", "suv", "van")
     high = d.deck_height - (0.04 if body_type != "van" else 0.55)
     across = 0.76 if tall else 0.50
     height = {"saloon": 0.17, "pickup": 0.40, "van": 0.42}.get(body_type, 0.30)
-    tail_lamp = above_floor & (c.y > across * half) & _between(c.z, high - height, high) & (c.ahead < 0.26)
+    tail_lamp = (
+        above_floor & (c.y > across * half) & _between(c.z, high - height, high) & (c.ahead < 0.26)
+    )
     c.fill(tail_lamp, _TAIL_LAMP, Part.LIGHT)
     rear_face = tail & (c.ahead < 0.14)
     plate_z = 0.66 if body_type in ("saloon", "suv", "estate", "hatchback") else 0.48
@@ -242,18 +274,35 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
     foot = d.bonnet_length
     inside = c.upper & (c.y < c.rail_y)
     c.fill(inside & _between(c.station, foot - 0.05, foot + 0.07), _BLACK, Part.TRIM)
-    c.fill(inside & (c.y < c.rail_y - 0.03) & _between(c.station, foot + 0.05, front - 0.01), _BLACK, Part.GLASS)
-    c.fill(inside & (c.y < c.rail_y - 0.055) & _between(c.station, foot + 0.09, front - 0.04), glass, Part.GLASS)
+    c.fill(
+        inside & (c.y < c.rail_y - 0.03) & _between(c.station, foot + 0.05, front - 0.01),
+        _BLACK,
+        Part.GLASS,
+    )
+    c.fill(
+        inside & (c.y < c.rail_y - 0.055) & _between(c.station, foot + 0.09, front - 0.04),
+        glass,
+        Part.GLASS,
+    )
 
     # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding them.
     above_belt = c.upper & (c.column < 13) & (c.z > c.belt + 0.03) & (c.y > c.rail_y - 0.01)
-    end = {"saloon": rear + 0.20, "hatchback": rear + 0.08, "van": d.length - 0.35, "pickup": rear - 0.10}
+    end = {
+        "saloon": rear + 0.20,
+        "hatchback": rear + 0.08,
+        "van": d.length - 0.35,
+        "pickup": rear - 0.10,
+    }
     last = end.get(body_type, rear - 0.02)
     if body_type == "van" and panel_van:
         last = middle + 0.25
     window_top = torch.minimum(c.rail_z - 0.065, c.belt + 0.62)
     window = above_belt & (c.z < window_top) & _between(c.station, foot + 0.22, last)
-    c.fill(above_belt & (c.z < window_top + 0.018) & _between(c.station, foot + 0.2, last + 0.02), _BLACK, Part.TRIM)
+    c.fill(
+        above_belt & (c.z < window_top + 0.018) & _between(c.station, foot + 0.2, last + 0.02),
+        _BLACK,
+        Part.TRIM,
+    )
     c.fill(window, glass, Part.GLASS)
     c.fill(window & _between(c.station - middle, -0.055, 0.055), _BLACK, Part.TRIM)
     if body_type != "saloon":
@@ -261,14 +310,23 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
 
     if body_type == "van":
         face = (c.ahead < 0.25) & ~c.floor
-        pane = face & _between(c.z, c.belt + 0.05, d.belt_height + 0.55) & _between(c.y, 0.12, c.rail_y - 0.12)
+        pane = (
+            face
+            & _between(c.z, c.belt + 0.05, d.belt_height + 0.55)
+            & _between(c.y, 0.12, c.rail_y - 0.12)
+        )
         c.shade(face & (c.y < 0.012) & _between(c.z, 0.6, d.height - 0.12), _SEAM)
         if not panel_van:
             c.fill(pane, glass, Part.GLASS)
         return
     deck = d.length - d.deck_length
     bottom = d.deck_height + (0.06 if body_type == "pickup" else 0.03)
-    pane = inside & (c.y < c.rail_y - 0.05) & _between(c.station, rear + 0.03, deck + 0.01) & (c.z > bottom)
+    pane = (
+        inside
+        & (c.y < c.rail_y - 0.05)
+        & _between(c.station, rear + 0.03, deck + 0.01)
+        & (c.z > bottom)
+    )
     c.fill(pane, _BLACK, Part.GLASS)
     c.fill(pane & (c.y < c.rail_y - 0.08) & (c.station > rear + 0.07), glass * 0.92, Part.GLASS)
 
@@ -279,7 +337,11 @@ def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) 
     roof = c.upper & (c.y < c.rail_y) & _between(c.station, front, rear)
     if body_type in ("hatchback", "suv") and chance[0] < 0.08:
         contrast = torch.tensor((0.07, 0.07, 0.075))
-        c.fill(c.upper & (c.z > c.rail_z - 0.03) & _between(c.station, front - 0.03, rear + 0.05), contrast, Part.BODY)
+        c.fill(
+            c.upper & (c.z > c.rail_z - 0.03) & _between(c.station, front - 0.03, rear + 0.05),
+            contrast,
+            Part.BODY,
+        )
     if body_type in ("estate", "suv") and chance[1] < 0.65:
         rail = _BLACK if chance[2] < 0.55 else _CHROME
         stretch = _between(c.station, front + 0.12, rear - 0.05)
@@ -287,11 +349,15 @@ def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) 
     if body_type not in ("van", "pickup") and chance[3] < 0.22:
         length = 0.45 if chance[4] < 0.6 else min(rear - front - 0.45, 1.10)
         pane = (
-            roof & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14)) & _between(c.station - front, 0.14, 0.14 + length)
+            roof
+            & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14))
+            & _between(c.station - front, 0.14, 0.14 + length)
         )
         c.fill(pane, glass * 0.8, Part.GLASS)
     if body_type != "van":
-        c.fill(roof & (c.y < 0.028) & _between(c.station, rear - 0.22, rear - 0.06), _BLACK, Part.TRIM)
+        c.fill(
+            roof & (c.y < 0.028) & _between(c.station, rear - 0.22, rear - 0.06), _BLACK, Part.TRIM
+        )
         # The ditch where roof and side panels meet.
         c.shade(roof & _between(c.y - (c.rail_y - 0.025), -0.008, 0.008), 0.6)
 
@@ -310,6 +376,10 @@ def _paint_bed(c: _Canvas, colour: Tensor) -> None:
 def _dirty(texture: Tensor, z: Tensor, amount: float, *, generator: torch.Generator) -> Tensor:
     """Road dust on the lower body and a faint unevenness everywhere."""
     noise = torch.randn(1, 1, 34, 34, generator=generator)
-    noise = torch.nn.functional.interpolate(noise, size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bicubic")[0]
-    share = (0.30 * amount**2 * (1 - z / 0.9).clamp(0.0) * (1 + 0.5 * noise) + 0.012 * noise.abs()).clamp(0.0, 0.5)
+    noise = torch.nn.functional.interpolate(
+        noise, size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bicubic"
+    )[0]
+    share = (
+        0.30 * amount**2 * (1 - z / 0.9).clamp(0.0) * (1 + 0.5 * noise) + 0.012 * noise.abs()
+    ).clamp(0.0, 0.5)
     return texture + share * (torch.tensor([0.42, 0.38, 0.32]).view(3, 1, 1) - texture)

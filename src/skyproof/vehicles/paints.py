@@ -42,7 +42,9 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
     """Draws a colour name and its sRGB in [0, 1]."""
     draws = torch.rand(3, generator=generator)
     shares = torch.tensor(list(PAINT_SHARES.values()))
-    name = list(PAINT_SHARES)[min(int((draws[0] * shares.sum() > shares.cumsum(0)).sum()), len(shares) - 1)]
+    name = list(PAINT_SHARES)[
+        min(int((draws[0] * shares.sum() > shares.cumsum(0)).sum()), len(shares) - 1)
+    ]
     if body_type == "van" and float(draws[1]) < _WHITE_VANS:
         name = "white"
     tones = _TONES[name]

@@ -9,7 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.vehicles.bodies import BodyDimensions
-from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_RAIL, TOPOLOGY_SILL, column_u
+from skyproof.vehicles.template import (
+    COLUMNS,
+    RINGS,
+    TOPOLOGY_BELT,
+    TOPOLOGY_RAIL,
+    TOPOLOGY_SILL,
+    column_u,
+)
 
 __all__ = ["Body", "build_body", "interpolate"]
 
@@ -18,7 +25,9 @@ _CAP_RINGS = 2  # rings inside each bumper's face
 _CAP_SCALES = (0.45, 0.86)
 _CAP_DEPTH_M = 0.06
 _SMOOTHING_M = 0.13
-_FLAT_TYRE_M = 0.125  # half the length of the tyre's contact, so that at least one ring reaches the ground
+_FLAT_TYRE_M = (
+    0.125  # half the length of the tyre's contact, so that at least one ring reaches the ground
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +57,9 @@ class Body:
         return torch.cat([rings, self.half[0, :1], self.half[-1, :1]]).float()
 
 
-def interpolate(at: Float[Tensor, " *at"], x: Float[Tensor, " K"], y: Float[Tensor, " K"]) -> Float[Tensor, " *at"]:
+def interpolate(
+    at: Float[Tensor, " *at"], x: Float[Tensor, " K"], y: Float[Tensor, " K"]
+) -> Float[Tensor, " *at"]:
     """Piecewise linear y(at), constant beyond the ends; x ascending."""
     right = torch.searchsorted(x, at.contiguous()).clamp(1, len(x) - 1)
     share = ((at - x[right - 1]) / (x[right] - x[right - 1])).clamp(0.0, 1.0)
@@ -68,11 +79,22 @@ def build_body(dimensions: BodyDimensions) -> Body:
     middle = torch.stack([(high[0] + low[0]) / 2, low.new_zeros(()), low.new_zeros(())])
     scale = size / extent
     half = (half - middle) * scale
-    padded = [torch.cat([row[:1].expand(3), row, row[-1:].expand(3)]) for row in (belt_z, rail_z, rail_y)]
+    padded = [
+        torch.cat([row[:1].expand(3), row, row[-1:].expand(3)]) for row in (belt_z, rail_z, rail_y)
+    ]
     ends = station[-1] + _CAP_DEPTH_M
     caps = torch.linspace(0.0, 1.0, 4, dtype=station.dtype)[:-1]
-    full_station = torch.cat([station[0] * caps, station, ends - (ends - station[-1]) * caps.flip(0)])
-    return Body(dimensions, half, full_station, padded[0] * scale[2], padded[1] * scale[2], padded[2] * scale[1])
+    full_station = torch.cat(
+        [station[0] * caps, station, ends - (ends - station[-1]) * caps.flip(0)]
+    )
+    return Body(
+        dimensions,
+        half,
+        full_station,
+        padded[0] * scale[2],
+        padded[1] * scale[2],
+        padded[2] * scale[1],
+    )
 
 
 def _smooth(values: Float[Tensor, " N"], window: int) -> Float[Tensor, " N"]:
@@ -112,18 +134,26 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
         (tail, belt_rear - 0.03),
     ]
     if d.bed_depth:
-        belt[3:] = [(roof_end, d.belt_height), (deck, d.deck_height - 0.03), (tail, d.deck_height - 0.04)]
+        belt[3:] = [
+            (roof_end, d.belt_height),
+            (deck, d.deck_height - 0.03),
+            (tail, d.deck_height - 0.04),
+        ]
     curves = {"at": at}
     for name, points in (("top", top), ("belt", belt)):
         x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
         curves[name] = _smooth(interpolate(at, x, y), round(_SMOOTHING_M / 2 / step))
     curves["belt"] = torch.minimum(curves["belt"], curves["top"] - 0.03)
-    wall = torch.tensor([deck + 0.08, deck + 0.13, d.length - 0.14, d.length - 0.09], dtype=torch.float64)
+    wall = torch.tensor(
+        [deck + 0.08, deck + 0.13, d.length - 0.14, d.length - 0.09], dtype=torch.float64
+    )
     curves["depth"] = interpolate(at, wall, d.bed_depth * wall.new_tensor([0.0, 1.0, 1.0, 0.0]))
     return curves
 
 
-def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -> Float[Tensor, " 27"]:
+def _ring_stations(
+    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]
+) -> Float[Tensor, " 27"]:
     """Stations of the rings between the caps: even along the centre line, but with a ring at each edge of the body."""
     at = profile["at"]
     height = profile["top"] - profile["depth"]
@@ -141,25 +171,44 @@ def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -
     rings[-1] = last
     for i in reversed(range(len(rings) - 1)):
         rings[i] = min(rings[i], rings[i + 1] - 1)
-    ring_arc = interpolate(torch.arange(last + 1, dtype=torch.float64), torch.tensor(rings, dtype=torch.float64), arcs)
+    ring_arc = interpolate(
+        torch.arange(last + 1, dtype=torch.float64), torch.tensor(rings, dtype=torch.float64), arcs
+    )
     return interpolate(ring_arc, arc, at)
 
 
 def _sections(
     d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]], station: Float[Tensor, " 27"]
-) -> tuple[Float[Tensor, "27 17 3"], Float[Tensor, " 27"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
+) -> tuple[
+    Float[Tensor, "27 17 3"], Float[Tensor, " 27"], Float[Tensor, " 27"], Float[Tensor, " 27"]
+]:
     """The left half of each ring, and belt height, rail height and rail half width of each ring."""
-    top, belt, depth = (interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth"))
+    top, belt, depth = (
+        interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth")
+    )
     from_tail = d.length - station
-    taper = 0.10 * (1 - station / 1.0).clamp(0.0) ** 2 + 0.06 * (1 - from_tail / 0.9).clamp(0.0) ** 2
+    taper = (
+        0.10 * (1 - station / 1.0).clamp(0.0) ** 2 + 0.06 * (1 - from_tail / 0.9).clamp(0.0) ** 2
+    )
     if d.bed_depth or d.deck_height > 1.5:
-        taper = 0.10 * (1 - station / 1.0).clamp(0.0) ** 2 + 0.02 * (1 - from_tail / 0.5).clamp(0.0) ** 2
+        taper = (
+            0.10 * (1 - station / 1.0).clamp(0.0) ** 2
+            + 0.02 * (1 - from_tail / 0.5).clamp(0.0) ** 2
+        )
     half_width = d.width / 2 * (1 - taper)
 
     # Bumpers bow in plan view, and so do windscreen and rear window, but these only above the belt.
-    bow = d.nose_bow * (1 - station / 0.75).clamp(0.0) ** 2 - d.tail_bow * (1 - from_tail / 0.6).clamp(0.0) ** 2
+    bow = (
+        d.nose_bow * (1 - station / 0.75).clamp(0.0) ** 2
+        - d.tail_bow * (1 - from_tail / 0.6).clamp(0.0) ** 2
+    )
     roof_front = d.bonnet_length + d.windscreen_run
-    points = [(0.4 * d.bonnet_length, 0.0), (d.bonnet_length, 0.17), (roof_front, 0.08), (roof_front + 0.5, 0.0)]
+    points = [
+        (0.4 * d.bonnet_length, 0.0),
+        (d.bonnet_length, 0.17),
+        (roof_front, 0.08),
+        (roof_front + 0.5, 0.0),
+    ]
     x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
     glass_bow = interpolate(station, x, y)
 
@@ -177,7 +226,10 @@ def _sections(
 
 
 def _lower_side(
-    d: BodyDimensions, station: Float[Tensor, " 27"], half_width: Float[Tensor, " 27"], belt: Float[Tensor, " 27"]
+    d: BodyDimensions,
+    station: Float[Tensor, " 27"],
+    half_width: Float[Tensor, " 27"],
+    belt: Float[Tensor, " 27"],
 ) -> Float[Tensor, "27 6 2"]:
     """(y, z) from the sill, or the ground under a tyre, up to the shoulder."""
     # The bumpers' lower edges are higher than the sill.
@@ -198,13 +250,20 @@ def _lower_side(
 
 
 def _upper_side(
-    d: BodyDimensions, shoulder: Float[Tensor, "27 2"], top: Float[Tensor, " 27"], belt: Float[Tensor, " 27"]
+    d: BodyDimensions,
+    shoulder: Float[Tensor, "27 2"],
+    top: Float[Tensor, " 27"],
+    belt: Float[Tensor, " 27"],
 ) -> tuple[Float[Tensor, "27 10 2"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
     """(y, z) from the shoulder over the roof rail to the middle of the roof (or bonnet, or boot)."""
     height = top - belt
     crown = torch.minimum(0.5 * height, torch.full_like(height, 0.045))
     rail_z = top - crown
-    rail_y = shoulder[:, 0] - 0.015 - d.tumblehome * (height / (d.height - d.belt_height)).clamp(0.0, 1.0)
+    rail_y = (
+        shoulder[:, 0]
+        - 0.015
+        - d.tumblehome * (height / (d.height - d.belt_height)).clamp(0.0, 1.0)
+    )
 
     # Where there are windows a column runs along the roof rail; on bonnet and boot the columns spread evenly.
     side = torch.hypot(shoulder[:, 0] - rail_y, rail_z - belt)[:, None]
@@ -225,7 +284,11 @@ def _upper_side(
         + 0.06 * up * (1 - up) * share
         - inward * rail_y[:, None]
     )
-    z = belt[:, None] + up * (rail_z - belt)[:, None] + (top - rail_z)[:, None] * (1 - (1 - inward) ** 2)
+    z = (
+        belt[:, None]
+        + up * (rail_z - belt)[:, None]
+        + (top - rail_z)[:, None] * (1 - (1 - inward) ** 2)
+    )
     y[:, -1] = 0.0
     return torch.stack([y, z], dim=-1), rail_z, rail_y
 

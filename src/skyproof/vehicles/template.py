@@ -8,7 +8,16 @@ from torch import Tensor
 
 from skyproof.vehicles.vehicle import Template
 
-__all__ = ["COLUMNS", "RINGS", "TOPOLOGY_BELT", "TOPOLOGY_RAIL", "TOPOLOGY_SILL", "column_u", "make_template", "row_v"]
+__all__ = [
+    "COLUMNS",
+    "RINGS",
+    "TOPOLOGY_BELT",
+    "TOPOLOGY_RAIL",
+    "TOPOLOGY_SILL",
+    "column_u",
+    "make_template",
+    "row_v",
+]
 
 RINGS = 31
 COLUMNS = 32
@@ -88,7 +97,13 @@ def _quads(grid: Int[Tensor, "31 33"]) -> Int[Tensor, "N 3"]:
     rising = [(upper_left, lower_left, upper_right), (upper_right, lower_left, lower_right)]
     half = COLUMNS // 2
     pairs = [
-        torch.stack([torch.cat([one[:, :half], other[:, half:]], dim=1) for one, other in zip(a, b, strict=True)], -1)
+        torch.stack(
+            [
+                torch.cat([one[:, :half], other[:, half:]], dim=1)
+                for one, other in zip(a, b, strict=True)
+            ],
+            -1,
+        )
         for a, b in zip(falling, rising, strict=True)
     ]
     return torch.stack(pairs, dim=2).reshape(-1, 3)

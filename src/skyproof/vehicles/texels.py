@@ -58,7 +58,9 @@ def texel_metric(
     share_of_row[0] = (2 * torch.arange(_ROWS) + 1) / _ROWS**2
     share_of_row[-1] = share_of_row[0].flip(0)
     cells = _cell_areas(vertices, vehicles)
-    area = (cells[:, :, None] * share_of_row[None, :, :, None]).flatten(1, 2).float() @ to_texels.float()
+    area = (cells[:, :, None] * share_of_row[None, :, :, None]).flatten(
+        1, 2
+    ).float() @ to_texels.float()
     return length_u, length_v, area
 
 
@@ -111,10 +113,14 @@ def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
     return torch.cat([grid, grid[:, :, :1]], dim=2)
 
 
-def _cell_areas(vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch) -> Float[Tensor, "N 32 32"]:
+def _cell_areas(
+    vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch
+) -> Float[Tensor, "N 32 32"]:
     """Area of each cell's triangles: one at the poles, two elsewhere, in the order of `make_template`."""
     corners = vertices[:, vehicles.template.faces.cpu()]
-    normal = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    normal = torch.linalg.cross(
+        corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
+    )
     triangles = normal.norm(dim=-1) / 2
     quads = triangles[:, COLUMNS:-COLUMNS].unflatten(1, (RINGS - 1, COLUMNS, 2)).sum(-1)
     return torch.cat([triangles[:, None, :COLUMNS], quads, triangles[:, None, -COLUMNS:]], dim=1)
@@ -134,4 +140,6 @@ def _centre_height(vehicles: VehicleBatch) -> Float[Tensor, "N 512"]:
     heights = vehicles.vertices[:, half : RINGS * COLUMNS : COLUMNS, 2].cpu()
     ends = torch.stack([heights[:, 0], heights[:, -1]], dim=1)
     line = torch.cat([ends[:, :1], heights, ends[:, 1:]], dim=1)
-    return torch.nn.functional.interpolate(line[:, None], size=TEXTURE_SIZE, mode="linear", align_corners=True)[:, 0]
+    return torch.nn.functional.interpolate(
+        line[:, None], size=TEXTURE_SIZE, mode="linear", align_corners=True
+    )[:, 0]

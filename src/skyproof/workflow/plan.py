@@ -78,25 +78,37 @@ class Preset:
         names = [field.name for field in fields(cls)]
         missing = [name for name in names if name not in values]
         if missing:
-            raise ConfigurationError(f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json.")
+            raise ConfigurationError(
+                f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json."
+            )
         lists = {"detectors", "textures", "magnitudes", "transfer", "ladder_steps"}
-        given: dict[str, Any] = {name: tuple(values[name]) if name in lists else values[name] for name in names}
+        given: dict[str, Any] = {
+            name: tuple(values[name]) if name in lists else values[name] for name in names
+        }
         given["magnitudes"] = tuple(map(float, given["magnitudes"]))
         others = values["combined_magnitudes"].items()
-        given["combined_magnitudes"] = {texture: tuple(map(float, grid)) for texture, grid in others}
+        given["combined_magnitudes"] = {
+            texture: tuple(map(float, grid)) for texture, grid in others
+        }
         preset = cls(**given)
         counted = ("repeats", "draws", "cycles_repeats", "score_batch", "threads")
         counts = {name: getattr(preset, name) for name in counted}
         if min(counts.values()) < 1 or not preset.detectors:
-            raise ConfigurationError(f"A preset expects at least one detector and counts of at least 1, got {counts}.")
+            raise ConfigurationError(
+                f"A preset expects at least one detector and counts of at least 1, got {counts}."
+            )
         for texture in (*preset.textures, *preset.combined_magnitudes):
             TextureConstraints.parse(texture)
         grids = (preset.magnitudes, *preset.combined_magnitudes.values())
         unfit = [pm for grid in grids for pm in grid if not 0 < pm <= 1]
         if unfit:
-            raise ConfigurationError(f"A preset expects magnitudes above 0 and up to 1, got {unfit}.")
+            raise ConfigurationError(
+                f"A preset expects magnitudes above 0 and up to 1, got {unfit}."
+            )
         if set(preset.attack_steps) != {"texture", "shape", "sequential", "parallel"}:
-            raise ConfigurationError("A preset expects attack_steps for texture, shape, sequential and parallel.")
+            raise ConfigurationError(
+                "A preset expects attack_steps for texture, shape, sequential and parallel."
+            )
         return preset
 
 
@@ -147,8 +159,14 @@ class AttackJob:
     def folders(self) -> tuple[str, ...]:
         """What it leaves to be scored, relative to `camouflages/`: itself and its kept copies."""
         base, _, repeat = self.name.rpartition("-")
-        variants = [*(f"step{step}" for step in self.keep_at), *(["relaxed"] if self.relaxed else [])]
-        return (self.name, *(f"{self.name}/snapshots/{base}_{variant}-{repeat}" for variant in variants))
+        variants = [
+            *(f"step{step}" for step in self.keep_at),
+            *(["relaxed"] if self.relaxed else []),
+        ]
+        return (
+            self.name,
+            *(f"{self.name}/snapshots/{base}_{variant}-{repeat}" for variant in variants),
+        )
 
 
 class Plan:
@@ -166,11 +184,15 @@ class Plan:
         self.preset = preset
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         self.attacks = {job.name: job for job in self._attacks()}
-        self.controls = tuple(f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws))
+        self.controls = tuple(
+            f"{base}-{draw}" for base in self._control_bases() for draw in range(preset.draws)
+        )
         folders = [folder for job in self.attacks.values() for folder in job.folders]
         self.batches = self._scored(self.controls, folders)
         finished = [name for name in self.attacks if "_" not in name]
-        self.cycles_batches = self._scored(*map(self._first, (self.controls, finished))) if cycles else {}
+        self.cycles_batches = (
+            self._scored(*map(self._first, (self.controls, finished))) if cycles else {}
+        )
 
     @property
     def measured(self) -> list[str]:
@@ -198,7 +220,9 @@ class Plan:
         """The repeats and draws that the Cycles column has."""
         return [name for name in names if int(name.rpartition("-")[2]) < self.preset.cycles_repeats]
 
-    def _scored(self, controls: Sequence[str], attacks: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    def _scored(
+        self, controls: Sequence[str], attacks: Sequence[str]
+    ) -> dict[str, tuple[str, ...]]:
         """Scoring jobs by name; controls by themselves and first: they wait for no attack."""
         size = self.preset.score_batch
         batches = [*_batched(controls, size), *_batched(attacks, size)]
@@ -207,7 +231,9 @@ class Plan:
     def _control_bases(self) -> list[str]:
         textures = [f"R-{texture.name}" for texture in self._textures]
         shapes = [f"R-S-O@{pm:g}" for pm in self.preset.magnitudes]
-        combined = [f"R-C-{texture.name}@{pm:g}" for texture in self._textures for pm in self._grid(texture)]
+        combined = [
+            f"R-C-{texture.name}@{pm:g}" for texture in self._textures for pm in self._grid(texture)
+        ]
         return textures + shapes + combined
 
     def _grid(self, texture: TextureConstraints) -> tuple[float, ...]:
@@ -227,16 +253,30 @@ class Plan:
             for texture, pm in [(each, pm) for each in self._textures for pm in self._grid(each)]:
                 under = f"T-{texture.name}-{repeat}"
                 jobs.append(
-                    self._job(f"C-{texture.name}-seq@{pm:g}", repeat, "sequential", texture, pm=pm, under=under)
+                    self._job(
+                        f"C-{texture.name}-seq@{pm:g}",
+                        repeat,
+                        "sequential",
+                        texture,
+                        pm=pm,
+                        under=under,
+                    )
                 )
             for texture, pm in [(each, pm) for each in parallel for pm in self._grid(each)]:
-                jobs.append(self._job(f"C-{texture.name}-par@{pm:g}", repeat, "parallel", texture, pm=pm))
+                jobs.append(
+                    self._job(f"C-{texture.name}-par@{pm:g}", repeat, "parallel", texture, pm=pm)
+                )
         return jobs
 
     def _transfers(self) -> list[tuple[str, tuple[str, ...]]]:
         """Names of textures attacked on a part of the detectors, and on which."""
         every = self.preset.detectors
-        alone = [(f"{base}_on_{one}", (one,)) for base in self.preset.transfer for one in every if len(every) > 1]
+        alone = [
+            (f"{base}_on_{one}", (one,))
+            for base in self.preset.transfer
+            for one in every
+            if len(every) > 1
+        ]
         # Of two detectors, all but one is the other one.
         without = [
             (f"{base}_without_{one}", tuple(other for other in every if other != one))

@@ -15,7 +15,8 @@ from skyproof.files import write_bytes
 __all__ = ["FinishedJob", "failed_log", "finished_jobs", "time_left_s", "write_timings"]
 
 _FAILED = re.compile(
-    r"^Error in (?:rule|group) [^\n]*:\n(?:    [^\n]*\n)*?    log: (?P<log>[^\n]+?) \(check log", re.MULTILINE
+    r"^Error in (?:rule|group) [^\n]*:\n(?:    [^\n]*\n)*?    log: (?P<log>[^\n]+?) \(check log",
+    re.MULTILINE,
 )
 
 
@@ -31,17 +32,23 @@ class FinishedJob:
 
 def finished_jobs(folder: Path) -> list[FinishedJob]:
     """Reads Snakemake's benchmark files, `benchmarks/<rule>/<name>.tsv`, oldest first."""
-    files = sorted((path.stat().st_mtime_ns, path) for path in (folder / "benchmarks").glob("*/*.tsv"))
+    files = sorted(
+        (path.stat().st_mtime_ns, path) for path in (folder / "benchmarks").glob("*/*.tsv")
+    )
     jobs = []
     for _, path in files:
         rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")), delimiter="\t"))
         # A file may be seen before it is whole.
         if rows and (seconds := _number(rows[-1].get("s"))) is not None:
-            jobs.append(FinishedJob(path.parent.name, path.stem, seconds, _number(rows[-1].get("max_rss"))))
+            jobs.append(
+                FinishedJob(path.parent.name, path.stem, seconds, _number(rows[-1].get("max_rss")))
+            )
     return jobs
 
 
-def time_left_s(jobs: Mapping[str, int], finished: Sequence[FinishedJob], cores: int) -> float | None:
+def time_left_s(
+    jobs: Mapping[str, int], finished: Sequence[FinishedJob], cores: int
+) -> float | None:
     """A guess: jobs still to do, each as long as its rule's finished ones took on average, spread over the cores.
 
     Rules of which none is finished count as the mean of all; None before the first job.

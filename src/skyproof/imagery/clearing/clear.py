@@ -16,9 +16,25 @@ from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import read_json, write_json
 from skyproof.imagery.clearing.inpainting import Inpainting, apply_inpainting, inpainting_record
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, check_resolution, other_vehicles, read_boxes
-from skyproof.imagery.clearing.vehicle_masks import Shadow, darkness_profiles, estimate_shadow, vehicle_mask
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.imagery.clearing.vehicle_finder import (
+    VehicleFinder,
+    check_resolution,
+    other_vehicles,
+    read_boxes,
+)
+from skyproof.imagery.clearing.vehicle_masks import (
+    Shadow,
+    darkness_profiles,
+    estimate_shadow,
+    vehicle_mask,
+)
+from skyproof.scenes.backgrounds import (
+    SPLITS,
+    BackgroundSet,
+    BackgroundTile,
+    save_tile,
+    write_index,
+)
 
 __all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]
 
@@ -79,7 +95,9 @@ class Cleared:
 class _Found:
     labelled: Float[Tensor, "n 4"]
     detected: Float[Tensor, "m 4"]
-    profiles: Float[Tensor, "k directions layers"] = field(default_factory=lambda: torch.zeros(0, 1, 1))
+    profiles: Float[Tensor, "k directions layers"] = field(
+        default_factory=lambda: torch.zeros(0, 1, 1)
+    )
 
     @property
     def boxes(self) -> Tensor:
@@ -141,7 +159,14 @@ def clear_backgrounds(
     with ContactSheet(out / "sheets") as sheet:
         for done, tile in enumerate(tiles, start=1):
             row, sheet_row = _clear_tile(
-                backgrounds, tile, found[tile.id], shadows[_light(tile)], inpainting, settings, checker, out
+                backgrounds,
+                tile,
+                found[tile.id],
+                shadows[_light(tile)],
+                inpainting,
+                settings,
+                checker,
+                out,
             )
             rows.append(row)
             if row.left_out is None:
@@ -180,14 +205,20 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         raise ConfigurationError(f"{folder} has no tile {unknown[0]!r}; the ids are on the sheets.")
     kept = [tile for tile in tiles if tile.id not in set(ids)]
     if not kept:
-        raise ConfigurationError(f"Every tile of {folder} would be dropped; clear the imagery again instead.")
+        raise ConfigurationError(
+            f"Every tile of {folder} would be dropped; clear the imagery again instead."
+        )
     if (folder / RECORD).is_file():
         record = read_json(folder / RECORD)
         record["rejected"] = sorted({*record.get("rejected", []), *ids})
         write_json(folder / RECORD, record)
     _copy_places(folder, folder, {tile.id for tile in kept})
     write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor)
-    return [split for split in SPLITS if any(t.split == split for t in tiles) and all(t.split != split for t in kept)]
+    return [
+        split
+        for split in SPLITS
+        if any(t.split == split for t in tiles) and all(t.split != split for t in kept)
+    ]
 
 
 def _find(
@@ -213,12 +244,17 @@ def _light(tile: BackgroundTile) -> str:
     return tile.source if tile.sun_azimuth_rad is None else tile.id
 
 
-def _shadows(tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]) -> dict[str, Shadow | None]:
+def _shadows(
+    tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]
+) -> dict[str, Shadow | None]:
     profiles: dict[str, list[Tensor]] = defaultdict(list)
     for tile in tiles:
         own = found[tile.id].profiles
         profiles[_light(tile)] += [own] if len(own) else []
-    return {light: estimate_shadow(own) for light, own in ((_light(t), profiles[_light(t)]) for t in tiles)}
+    return {
+        light: estimate_shadow(own)
+        for light, own in ((_light(t), profiles[_light(t)]) for t in tiles)
+    }
 
 
 def _clear_tile(
@@ -283,8 +319,14 @@ def _record(
 ) -> dict[str, Any]:
     left_out = Counter(row.left_out for row in rows if row.left_out)
     kept = [row for row in rows if row.left_out is None]
-    emptied = [s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)]
-    checked_by = {"name": checker.name, "threshold": checker.threshold} if checker else "not checked by a detector"
+    emptied = [
+        s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)
+    ]
+    checked_by = (
+        {"name": checker.name, "threshold": checker.threshold}
+        if checker
+        else "not checked by a detector"
+    )
     return {
         "format_version": 1,
         "settings": asdict(settings),
@@ -292,7 +334,9 @@ def _record(
         "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
         "checked_by": checked_by,
         "shadows": {
-            light: None if shadow is None else {**asdict(shadow), "direction": list(shadow.direction)}
+            light: None
+            if shadow is None
+            else {**asdict(shadow), "direction": list(shadow.direction)}
             for light, shadow in shadows.items()
         },
         "totals": {
@@ -317,5 +361,7 @@ def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
     try:
         document["features"] = [f for f in document["features"] if f["properties"]["id"] in kept]
     except (KeyError, TypeError) as error:
-        raise StoredFileError(f"{path} is not an index of tiles ({error!r}); tile the imagery again.") from error
+        raise StoredFileError(
+            f"{path} is not an index of tiles ({error!r}); tile the imagery again."
+        ) from error
     write_json(Path(out) / "index.geojson", document)

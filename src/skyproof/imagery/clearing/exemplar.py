@@ -55,7 +55,11 @@ class _Window:
 
 
 def fill_by_exemplar(
-    image: Array, mask: Flags, settings: ExemplarSettings | None = None, *, start: Array | None = None
+    image: Array,
+    mask: Flags,
+    settings: ExemplarSettings | None = None,
+    *,
+    start: Array | None = None,
 ) -> Array:
     """Fills `mask` with ground of the same picture.
 
@@ -100,8 +104,13 @@ def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
             for column in range(across):
                 part = np.zeros_like(mask)
                 place = (
-                    slice(rows.start + height * row // down, rows.start + height * (row + 1) // down),
-                    slice(columns.start + width * column // across, columns.start + width * (column + 1) // across),
+                    slice(
+                        rows.start + height * row // down, rows.start + height * (row + 1) // down
+                    ),
+                    slice(
+                        columns.start + width * column // across,
+                        columns.start + width * (column + 1) // across,
+                    ),
                 )
                 part[place] = own[place]
                 if part.any():
@@ -133,7 +142,9 @@ def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | 
     return _join(window, _serve_sides(window, ring, sound, shifts), shifts, levels, settings.hold)
 
 
-def _best_shifts(window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings) -> list[Shift]:
+def _best_shifts(
+    window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings
+) -> list[Shift]:
     """Places to copy from, best first: shifts (down, across) at which the ring looks the same."""
     # Room for the largest shift, so that none wraps around.
     size = tuple(fft.next_fast_len(side + settings.search_px, real=True) for side in ring.shape)
@@ -141,14 +152,18 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags, settings: ExemplarS
     def spectrum(values: NDArray[Any]) -> NDArray[np.complex64]:
         return fft.rfft2(values.astype(np.float32), size)
 
-    def correlate(template: NDArray[np.complex64], field: NDArray[np.complex64]) -> NDArray[np.float32]:
+    def correlate(
+        template: NDArray[np.complex64], field: NDArray[np.complex64]
+    ) -> NDArray[np.float32]:
         return fft.irfft2(np.conj(template) * field, size)
 
     ground = spectrum(sound)
     ring_spectrum, hole_spectrum = spectrum(ring), spectrum(window.hole)
     copied = ndimage.binary_dilation(window.hole)
     seen = correlate(ring_spectrum, ground).round()
-    valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (seen >= SEEN_SHARE * ring.sum())
+    valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (
+        seen >= SEEN_SHARE * ring.sum()
+    )
     seen = np.maximum(seen, 1)
     mismatch, contrast = np.zeros(size, np.float32), np.zeros(size, np.float32)
     for channel in np.moveaxis(window.values, 2, 0):
@@ -157,12 +172,18 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags, settings: ExemplarS
         theirs, ours = np.where(sound, values, 0.0), np.where(ring, values, 0.0)
         field, squares, own = spectrum(theirs), spectrum(theirs**2), spectrum(ours)
         # Sums over the part of the shifted ring that lies on sound ground.
-        squared = correlate(spectrum(ours**2), ground) + correlate(ring_spectrum, squares) - 2 * correlate(own, field)
+        squared = (
+            correlate(spectrum(ours**2), ground)
+            + correlate(ring_spectrum, squares)
+            - 2 * correlate(own, field)
+        )
         even = correlate(own, ground) - correlate(ring_spectrum, field)
         mismatch += squared / seen - settings.brightness_freedom * (even / seen) ** 2
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
-    cost = np.where(valid, np.maximum(mismatch, 0) + settings.plainness * np.maximum(contrast, 0), np.inf)
+    cost = np.where(
+        valid, np.maximum(mismatch, 0) + settings.plainness * np.maximum(contrast, 0), np.inf
+    )
     down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
     far = np.maximum(abs(down), abs(across)) > settings.search_px
     cost[far] = np.inf
@@ -186,14 +207,18 @@ def _signed(size: int) -> NDArray[np.int64]:
     return np.fft.fftfreq(size, 1 / size).round().astype(np.int64)
 
 
-def _serve_sides(window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]) -> NDArray[np.int64]:
+def _serve_sides(
+    window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]
+) -> NDArray[np.int64]:
     """Per pixel the number of the shift whose mismatch on the nearby ring is smallest."""
     reach_px = 0.15 * math.sqrt(window.hole.sum()) + 2
     costs = []
     for shift in shifts:
         seen = ring & _shifted(sound, shift)
         weight = ndimage.gaussian_filter(seen.astype(float), reach_px, truncate=8) + 1e-12
-        difference = np.where(seen, ((window.values - _shifted(window.values, shift)) ** 2).sum(2), 0.0)
+        difference = np.where(
+            seen, ((window.values - _shifted(window.values, shift)) ** 2).sum(2), 0.0
+        )
         costs.append(ndimage.gaussian_filter(difference, reach_px, truncate=8) / weight)
     return np.argmin(costs, axis=0)
 
@@ -203,13 +228,24 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
-def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift], levels: list[Array], hold: float) -> Array:
+def _join(
+    window: _Window,
+    choice: NDArray[np.int64],
+    shifts: list[Shift],
+    levels: list[Array],
+    hold: float,
+) -> Array:
     """Solves a screened Poisson equation in the hole.
 
     Wanted are the copies' differences between neighbours, the ring's values next to it and, with weight `hold`, the
     copies levelled to the ring's brightness: what differs at one place of the ring does not bleed through the hole.
     """
-    copies = np.stack([_shifted(window.values, shift) + level for shift, level in zip(shifts, levels, strict=True)])
+    copies = np.stack(
+        [
+            _shifted(window.values, shift) + level
+            for shift, level in zip(shifts, levels, strict=True)
+        ]
+    )
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
     number[rows, columns] = np.arange(len(rows))
@@ -219,8 +255,16 @@ def _join(window: _Window, choice: NDArray[np.int64], shifts: list[Shift], level
     links: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
     for down, across in ((0, 1), (1, 0), (0, -1), (-1, 0)):
         to_row, to_column = rows + down, columns + across
-        inside = (to_row >= 0) & (to_row < window.hole.shape[0]) & (to_column >= 0) & (to_column < window.hole.shape[1])
-        to_row, to_column = to_row.clip(0, window.hole.shape[0] - 1), to_column.clip(0, window.hole.shape[1] - 1)
+        inside = (
+            (to_row >= 0)
+            & (to_row < window.hole.shape[0])
+            & (to_column >= 0)
+            & (to_column < window.hole.shape[1])
+        )
+        to_row, to_column = (
+            to_row.clip(0, window.hole.shape[0] - 1),
+            to_column.clip(0, window.hole.shape[1] - 1),
+        )
         in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
         # Towards the picture's edge and towards pieces still to be filled nothing is asked.
         asked = inside & (in_hole | fixed)

@@ -17,14 +17,23 @@ from torch import Tensor
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.clearing.exemplar import ExemplarSettings, fill_by_exemplar
 
-__all__ = ["Diffusion", "Exemplar", "Inpainting", "LearntInpainting", "apply_inpainting", "inpainting_record"]
+__all__ = [
+    "Diffusion",
+    "Exemplar",
+    "Inpainting",
+    "LearntInpainting",
+    "apply_inpainting",
+    "inpainting_record",
+]
 
 
 @runtime_checkable
 class Inpainting(Protocol):
     """Any function of this form fills masks; what it returns outside the mask is not used."""
 
-    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+    def __call__(
+        self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]
+    ) -> Float[Tensor, "3 H W"]:
         """Fills an sRGB image in [0, 1] where the mask is True."""
         ...
 
@@ -42,15 +51,27 @@ def apply_inpainting(
         filled = inpainting(image.float() / 255, mask.clone())
     except RuntimeError as error:
         reason = " ".join(str(error).split())[-300:]
-        raise ImageryError(f"The inpainting {name} failed on a tile of {tuple(image.shape)} ({reason}).") from error
-    if not isinstance(filled, Tensor) or filled.shape != image.shape or not filled.is_floating_point():
-        came = f"{filled.dtype} {tuple(filled.shape)}" if isinstance(filled, Tensor) else type(filled).__name__
+        raise ImageryError(
+            f"The inpainting {name} failed on a tile of {tuple(image.shape)} ({reason})."
+        ) from error
+    if (
+        not isinstance(filled, Tensor)
+        or filled.shape != image.shape
+        or not filled.is_floating_point()
+    ):
+        came = (
+            f"{filled.dtype} {tuple(filled.shape)}"
+            if isinstance(filled, Tensor)
+            else type(filled).__name__
+        )
         raise ImageryError(
             f"The inpainting {name} is to return a float image of shape {tuple(image.shape)} but returned {came}; "
             "use one that keeps the size."
         )
     if not torch.isfinite(filled[:, mask]).all():
-        raise ImageryError(f"The inpainting {name} returned values that are not finite; use another one.")
+        raise ImageryError(
+            f"The inpainting {name} returned values that are not finite; use another one."
+        )
     values = (filled.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8)
     return torch.where(mask, values, image)
 
@@ -75,17 +96,25 @@ class Diffusion:
     method: Literal["telea", "navier-stokes"] = "telea"
     radius_px: float = 5.0
 
-    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+    def __call__(
+        self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]
+    ) -> Float[Tensor, "3 H W"]:
         """Fills the mask."""
         cv2 = _opencv()
         flag = cv2.INPAINT_TELEA if self.method == "telea" else cv2.INPAINT_NS
-        pixels = np.ascontiguousarray((image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8))
+        pixels = np.ascontiguousarray(
+            (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+        )
         filled = cv2.inpaint(pixels, mask.numpy().astype(np.uint8) * 255, self.radius_px, flag)
         return torch.from_numpy(filled).permute(2, 0, 1).float() / 255
 
     def record(self) -> dict[str, Any]:
         """Method and OpenCV's version."""
-        return {"name": f"opencv {self.method}", "radius_px": self.radius_px, "opencv": _opencv().__version__}
+        return {
+            "name": f"opencv {self.method}",
+            "radius_px": self.radius_px,
+            "opencv": _opencv().__version__,
+        }
 
 
 @dataclass(frozen=True)
@@ -100,9 +129,13 @@ class Exemplar:
     settings: ExemplarSettings = field(default_factory=ExemplarSettings)
     otherwise: Diffusion = field(default_factory=Diffusion)
 
-    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "3 H W"]:
+    def __call__(
+        self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]
+    ) -> Float[Tensor, "3 H W"]:
         """Fills the mask."""
-        pixels, start = (i.permute(1, 2, 0).double().numpy() for i in (image, self.otherwise(image, mask)))
+        pixels, start = (
+            i.permute(1, 2, 0).double().numpy() for i in (image, self.otherwise(image, mask))
+        )
         filled = fill_by_exemplar(pixels, mask.numpy(), self.settings, start=start)
         return torch.from_numpy(filled).permute(2, 0, 1).float()
 
@@ -128,7 +161,9 @@ class LearntInpainting:
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         if not self.path.is_file():
-            raise ImageryError(f"{self.path} is missing; give --inpainting a TorchScript or torch.export file.")
+            raise ImageryError(
+                f"{self.path} is missing; give --inpainting a TorchScript or torch.export file."
+            )
         self._module = _load_module(self.path)
         self._digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
 
@@ -157,7 +192,11 @@ def _load_module(path: Path) -> Any:
             scripted = any("/code/" in name for name in archive.namelist())
         # torch.export logs what it then raises.
         logging.disable(logging.ERROR)
-        return torch.jit.load(path, map_location="cpu").eval() if scripted else torch.export.load(path).module()
+        return (
+            torch.jit.load(path, map_location="cpu").eval()
+            if scripted
+            else torch.export.load(path).module()
+        )
     except Exception as error:  # the loaders raise whatever their parsers meet
         reason = " ".join(str(error).split())[:200]
         raise ImageryError(

@@ -61,7 +61,10 @@ class ContactSheet:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if error is None:
             self._write_page()
@@ -77,7 +80,9 @@ class ContactSheet:
         if not self._waiting:
             return
         pictures = [_draw_row(row) for row in self._waiting]
-        page = Image.new("RGB", (max(p.width for p in pictures), sum(p.height for p in pictures)), "white")
+        page = Image.new(
+            "RGB", (max(p.width for p in pictures), sum(p.height for p in pictures)), "white"
+        )
         top = 0
         for picture in pictures:
             page.paste(picture, (0, top))
@@ -102,7 +107,9 @@ class ContactSheet:
 
 def _draw_row(row: SheetRow) -> Image.Image:
     scale = min(1.0, LARGEST_SIDE_PX / max(row.mask.shape))
-    before = torch.where(_outline(row.mask), torch.tensor(MASKED, dtype=torch.uint8)[:, None, None], row.before)
+    before = torch.where(
+        _outline(row.mask), torch.tensor(MASKED, dtype=torch.uint8)[:, None, None], row.before
+    )
     pictures = []
     for pixels in (before, row.after):
         picture = Image.fromarray(pixels.permute(1, 2, 0).contiguous().numpy())
@@ -113,7 +120,11 @@ def _draw_row(row: SheetRow) -> Image.Image:
         draw.rectangle([round(value) for value in box], outline=REMAINING, width=2)
     width, height = pictures[0].size
     text, font = f"{row.tile}   {row.caption}", ImageFont.load_default(15)
-    page = Image.new("RGB", (max(2 * width + GAP_PX, int(font.getlength(text)) + 8), height + CAPTION_PX), "white")
+    page = Image.new(
+        "RGB",
+        (max(2 * width + GAP_PX, int(font.getlength(text)) + 8), height + CAPTION_PX),
+        "white",
+    )
     ImageDraw.Draw(page).text((4, 4), text, fill="black", font=font)
     page.paste(pictures[0], (0, CAPTION_PX))
     page.paste(pictures[1], (width + GAP_PX, CAPTION_PX))

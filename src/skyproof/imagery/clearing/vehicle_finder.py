@@ -58,7 +58,9 @@ def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
     Raises:
         StoredFileError: an annotation file is damaged.
     """
-    paths = [path for split in SPLITS if (path := Path(folder) / split / "annotations.json").is_file()]
+    paths = [
+        path for split in SPLITS if (path := Path(folder) / split / "annotations.json").is_file()
+    ]
     boxes: dict[str, list[list[float]]] = {}
     for path in paths:
         document = read_json(path)
@@ -69,8 +71,12 @@ def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
                 left, top, width, height = map(float, row["bbox"])
                 boxes[names[row["image_id"]]].append([left, top, left + width, top + height])
         except (KeyError, TypeError, ValueError) as error:
-            raise StoredFileError(f"{path} is not a label file of ours ({error!r}); tile the imagery again.") from error
-    return {name: torch.tensor(rows).reshape(-1, 4) for name, rows in boxes.items()} if paths else None
+            raise StoredFileError(
+                f"{path} is not a label file of ours ({error!r}); tile the imagery again."
+            ) from error
+    return (
+        {name: torch.tensor(rows).reshape(-1, 4) for name, rows in boxes.items()} if paths else None
+    )
 
 
 def other_vehicles(boxes: Tensor, known: Tensor) -> Tensor:
@@ -98,6 +104,10 @@ def _windows(height_px: int, width_px: int) -> list[tuple[int, int, int, int]]:
     parts = []
     for side in (height_px, width_px):
         length = min(side, WINDOW_PX)
-        count = 1 if side == length else -(-(side - WINDOW_OVERLAP_PX) // (length - WINDOW_OVERLAP_PX))
-        parts.append([(round(i * (side - length) / max(count - 1, 1)), length) for i in range(count)])
+        count = (
+            1 if side == length else -(-(side - WINDOW_OVERLAP_PX) // (length - WINDOW_OVERLAP_PX))
+        )
+        parts.append(
+            [(round(i * (side - length) / max(count - 1, 1)), length) for i in range(count)]
+        )
     return [(top, left, height, width) for top, height in parts[0] for left, width in parts[1]]

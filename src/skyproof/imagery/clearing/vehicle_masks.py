@@ -48,7 +48,12 @@ class Shadow:
 
 
 def vehicle_mask(
-    size_px: tuple[int, int], boxes: Float[Tensor, "n 4"], shadow: Shadow | None, *, gsd_m: float, margin_m: float
+    size_px: tuple[int, int],
+    boxes: Float[Tensor, "n 4"],
+    shadow: Shadow | None,
+    *,
+    gsd_m: float,
+    margin_m: float,
 ) -> Bool[Tensor, "H W"]:
     """Boxes grown by a margin and drawn along the shadow: every place the moving box touches.
 
@@ -117,12 +122,18 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
         None with fewer than 3 vehicles; without direction and length where no side is darker than the one across, as
         under an overcast sky.
     """
-    found = [one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()]
+    found = [
+        one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()
+    ]
     if len(found) < FEWEST_VEHICLES:
         return None
     stacked = np.stack(found[:SAMPLE_LIMIT])
     near_layers = round(NEAR_M / LAYER_M)
-    near = _median(stacked[:, :, :near_layers].reshape(len(stacked), -1)).reshape(DIRECTIONS, -1).mean(1)
+    near = (
+        _median(stacked[:, :, :near_layers].reshape(len(stacked), -1))
+        .reshape(DIRECTIONS, -1)
+        .mean(1)
+    )
     units = np.array([_unit(number) for number in range(DIRECTIONS)])
     x, y = (near[:, None] * units).sum(0)
     length = math.hypot(x, y)
@@ -135,7 +146,12 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     if contrast < FAINTEST_SHADOW or not len(ends):
         return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
-    return Shadow((float(x / length), float(y / length)), min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
+    return Shadow(
+        (float(x / length), float(y / length)),
+        min(reach_m, LONGEST_SHADOW_M),
+        contrast,
+        len(stacked),
+    )
 
 
 def _median(values: Array) -> Array:
@@ -149,21 +165,37 @@ def _unit(number: int) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def _around(box: Box | list[float], margin_px: float, size_px: tuple[int, ...]) -> tuple[slice, slice]:
+def _around(
+    box: Box | list[float], margin_px: float, size_px: tuple[int, ...]
+) -> tuple[slice, slice]:
     left, top, right, bottom = box
     return (
-        slice(max(0, math.floor(top - margin_px)), max(0, min(size_px[0], math.ceil(bottom + margin_px)))),
-        slice(max(0, math.floor(left - margin_px)), max(0, min(size_px[1], math.ceil(right + margin_px)))),
+        slice(
+            max(0, math.floor(top - margin_px)),
+            max(0, min(size_px[0], math.ceil(bottom + margin_px))),
+        ),
+        slice(
+            max(0, math.floor(left - margin_px)),
+            max(0, min(size_px[1], math.ceil(right + margin_px))),
+        ),
     )
 
 
-def _arrival(box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice) -> Array:
+def _arrival(
+    box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice
+) -> Array:
     """Per pixel centre, how far the box must move in the direction until it covers it; 0 inside, inf where it never."""
     left, top, right, bottom = box
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)
-    xs, ys = np.arange(columns.start, columns.stop)[None, :] + 0.5, np.arange(rows.start, rows.stop)[:, None] + 0.5
-    for places, low, high, speed in ((xs, left, right, direction[0]), (ys, top, bottom, direction[1])):
+    xs, ys = (
+        np.arange(columns.start, columns.stop)[None, :] + 0.5,
+        np.arange(rows.start, rows.stop)[:, None] + 0.5,
+    )
+    for places, low, high, speed in (
+        (xs, left, right, direction[0]),
+        (ys, top, bottom, direction[1]),
+    ):
         if abs(speed) < 1e-9:
             outside = (places < low) | (places > high)
             first, last = np.where(outside, np.inf, first), np.where(outside, -np.inf, last)

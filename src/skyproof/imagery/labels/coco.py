@@ -47,16 +47,26 @@ def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
         where = f"{path} annotation {row.get('id', number) if isinstance(row, dict) else number}"
         try:
             left, top, width, height = (float(value) for value in row["bbox"])
-            image_id, category_id, ignore = row["image_id"], row["category_id"], bool(row.get("iscrowd", 0))
+            image_id, category_id, ignore = (
+                row["image_id"],
+                row["category_id"],
+                bool(row.get("iscrowd", 0)),
+            )
             if not all(map(math.isfinite, (left, top, width, height))):
                 raise ValueError("not finite")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ImageryError(f"{where} has no image_id, category_id and bbox [x, y, w, h]; correct it.") from error
+            raise ImageryError(
+                f"{where} has no image_id, category_id and bbox [x, y, w, h]; correct it."
+            ) from error
         if image_id not in stems:
-            raise ImageryError(f"{where} belongs to image {image_id}, which is not listed; correct it.")
+            raise ImageryError(
+                f"{where} belongs to image {image_id}, which is not listed; correct it."
+            )
         if category_id not in categories:
             known = ", ".join(f"{key} ({name})" for key, name in categories.items()) or "none"
-            raise ImageryError(f"{where} has category {category_id} but the file lists {known}; correct it.")
+            raise ImageryError(
+                f"{where} has category {category_id} but the file lists {known}; correct it."
+            )
         if width <= 0 or height <= 0:
             raise ImageryError(f"{where} has a box without size; correct it.")
         right, bottom = left + width, top + height

@@ -66,8 +66,12 @@ def _label(where: str, words: list[str]) -> Label:
         if len(words) not in (9, 10) or words[9:] not in ([], ["0"], ["1"], ["2"]):
             raise ValueError
     except ValueError as error:
-        raise ImageryError(f"{where} is not 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult'; correct it.") from error
-    label = Label(words[8], ((x1, y1), (x2, y2), (x3, y3), (x4, y4)), ignore=words[9:] not in ([], ["0"]))
+        raise ImageryError(
+            f"{where} is not 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult'; correct it."
+        ) from error
+    label = Label(
+        words[8], ((x1, y1), (x2, y2), (x3, y3), (x4, y4)), ignore=words[9:] not in ([], ["0"])
+    )
     left, top, right, bottom = bounds(label)
     if left >= right or top >= bottom:
         raise ImageryError(f"{where} has a box without size; correct it.")

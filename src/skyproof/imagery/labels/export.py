@@ -79,7 +79,9 @@ class Exported:
 Progress = Callable[[int, int], None]
 
 
-def export_labels(dataset: Path, form: str, out: Path, *, progress: Progress | None = None) -> Exported:
+def export_labels(
+    dataset: Path, form: str, out: Path, *, progress: Progress | None = None
+) -> Exported:
     """Writes a dataset's labels in another form, whole or not at all.
 
     - "coco": one JSON file of plain instances; file names are relative to the dataset.
@@ -102,9 +104,13 @@ def export_labels(dataset: Path, form: str, out: Path, *, progress: Progress | N
         RunFolderError: `out` exists, or the disk cannot take it.
     """
     if form not in LABEL_FORMS:
-        raise ImageryError(f"There is no label form {form!r}; choose one of {', '.join(LABEL_FORMS)}.")
+        raise ImageryError(
+            f"There is no label form {form!r}; choose one of {', '.join(LABEL_FORMS)}."
+        )
     refuse_existing(Path(out))
-    return LABEL_FORMS[form](_read(Path(dataset)), Path(out), progress or (lambda done, total: None))
+    return LABEL_FORMS[form](
+        _read(Path(dataset)), Path(out), progress or (lambda done, total: None)
+    )
 
 
 def _read(folder: Path) -> _Dataset:
@@ -117,16 +123,28 @@ def _read(folder: Path) -> _Dataset:
             left, top, width, height = map(float, row["bbox"])
             corners = tuple((float(x), float(y)) for x, y in row.get("corners_px") or ()) or None
             one = _Object(
-                (left, top, width, height), categories[row["category_id"]], bool(row["iscrowd"]), corners, row
+                (left, top, width, height),
+                categories[row["category_id"]],
+                bool(row["iscrowd"]),
+                corners,
+                row,
             )
             if width > 0 and height > 0:
                 objects[row["image_id"]].append(one)
         images = tuple(
-            _Image(row["scene_id"], folder / row["file_name"], row["width"], row["height"], tuple(objects[row["id"]]))
+            _Image(
+                row["scene_id"],
+                folder / row["file_name"],
+                row["width"],
+                row["height"],
+                tuple(objects[row["id"]]),
+            )
             for row in document["images"]
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(f"{path} is not a dataset of ours ({error!r}); write the dataset again.") from error
+        raise StoredFileError(
+            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
+        ) from error
     if not images:
         raise ImageryError(f"{folder} holds no images; give another dataset.")
     return _Dataset(folder, tuple(categories.values()), images, document)
@@ -135,7 +153,9 @@ def _read(folder: Path) -> _Dataset:
 def _count(data: _Dataset, **more: int) -> Exported:
     objects = [one for image in data.images for one in image.objects]
     ignored = sum(one.ignore for one in objects)
-    return Exported(len(data.images), len(objects) - ignored, ignored - more.get("left_out", 0), **more)
+    return Exported(
+        len(data.images), len(objects) - ignored, ignored - more.get("left_out", 0), **more
+    )
 
 
 def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
@@ -144,15 +164,29 @@ def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
     annotations: list[dict[str, Any]] = []
     for number, image in enumerate(data.images, 1):
         file = image.file.relative_to(data.folder).as_posix()
-        images.append({"id": number, "file_name": file, "width": image.width, "height": image.height})
+        images.append(
+            {"id": number, "file_name": file, "width": image.width, "height": image.height}
+        )
         for one in image.objects:
-            row: dict[str, Any] = {"id": len(annotations) + 1, "image_id": number, "category_id": numbers[one.category]}
+            row: dict[str, Any] = {
+                "id": len(annotations) + 1,
+                "image_id": number,
+                "category_id": numbers[one.category],
+            }
             row |= {"bbox": list(one.box), "iscrowd": int(one.ignore)}
-            annotations.append(row | {key: one.row[key] for key in ("area", "segmentation") if key in one.row})
+            annotations.append(
+                row | {key: one.row[key] for key in ("area", "segmentation") if key in one.row}
+            )
         progress(number, len(data.images))
     categories = [{"id": number, "name": name} for name, number in numbers.items()]
     info = {"description": "skyproof dataset", "gsd_m": data.document.get("info", {}).get("gsd_m")}
-    document = {"info": info, "licenses": [], "categories": categories, "images": images, "annotations": annotations}
+    document = {
+        "info": info,
+        "licenses": [],
+        "categories": categories,
+        "images": images,
+        "annotations": annotations,
+    }
     write_json(out, document)
     return _count(data)
 
@@ -165,8 +199,15 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
         for one in image.objects:
             if not one.ignore:
                 x, y = one.centre
-                parts = (x / image.width, y / image.height, one.box[2] / image.width, one.box[3] / image.height)
-                found.append(f"{numbers[one.category]} " + " ".join(f"{part:.7f}" for part in parts))
+                parts = (
+                    x / image.width,
+                    y / image.height,
+                    one.box[2] / image.width,
+                    one.box[3] / image.height,
+                )
+                found.append(
+                    f"{numbers[one.category]} " + " ".join(f"{part:.7f}" for part in parts)
+                )
         return found
 
     with finished_folder(out) as partial:
@@ -205,7 +246,11 @@ def _middle_inside(corners: tuple[Point, ...], image: _Image) -> bool:
 
 
 def _write_texts(
-    data: _Dataset, partial: Path, folder: str, lines: Callable[[_Image], list[str]], progress: Progress
+    data: _Dataset,
+    partial: Path,
+    folder: str,
+    lines: Callable[[_Image], list[str]],
+    progress: Progress,
 ) -> None:
     """One text per image and a copy of the image beside, in `images/`."""
     for place in (partial / folder, partial / "images"):
@@ -229,8 +274,12 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
             # Rings of a polygon end where they began, and run anticlockwise with north up.
             pixels = [*reversed(one.upright), one.upright[-1]] if one.ignore else [one.centre]
             ground = [(left + x * step_x, top - y * step_y) for x, y in pixels]
-            longitudes, latitudes = transform_places(crs, "EPSG:4326", [x for x, _ in ground], [y for _, y in ground])
-            places = [[round(x, 9), round(y, 9)] for x, y in zip(longitudes, latitudes, strict=True)]
+            longitudes, latitudes = transform_places(
+                crs, "EPSG:4326", [x for x, _ in ground], [y for _, y in ground]
+            )
+            places = [
+                [round(x, 9), round(y, 9)] for x, y in zip(longitudes, latitudes, strict=True)
+            ]
             geometry = {"type": "Polygon", "coordinates": [places]}
             if not one.ignore:
                 geometry = {"type": "Point", "coordinates": places[0]}
@@ -257,7 +306,9 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
             crs = rasterio.crs.CRS.from_user_input(properties["crs"])
             found[str(properties["id"])] = crs, (left, bottom, right, top)
     except (KeyError, TypeError, ValueError, AttributeError, RasterioError) as error:
-        raise StoredFileError(f"{path} is not an index of ours ({error!r}); tile the imagery again.") from error
+        raise StoredFileError(
+            f"{path} is not an index of ours ({error!r}); tile the imagery again."
+        ) from error
     missing = next((image.name for image in data.images if image.name not in found), None)
     if missing is not None:
         raise ImageryError(

@@ -42,14 +42,18 @@ def read_labels(path: Path) -> Labels:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        raise ImageryError(f"{path} line {error.lineno} is not JSON ({error.msg}); replace the file.") from error
+        raise ImageryError(
+            f"{path} line {error.lineno} is not JSON ({error.msg}); replace the file."
+        ) from error
     except (OSError, UnicodeDecodeError) as error:
         raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
     if isinstance(document, dict) and document.get("type") == "FeatureCollection":
         return parse_geojson_labels(document, path)
     if isinstance(document, dict) and {"images", "annotations"} <= document.keys():
         return parse_coco_labels(document, path)
-    raise ImageryError(f"{path} is JSON but neither COCO nor a GeoJSON FeatureCollection; expected {_FORMS}.")
+    raise ImageryError(
+        f"{path} is JSON but neither COCO nor a GeoJSON FeatureCollection; expected {_FORMS}."
+    )
 
 
 def _read_folder(folder: Path) -> Labels:
@@ -64,7 +68,11 @@ def _read_folder(folder: Path) -> Labels:
     # Files may be empty (an image without vehicles): the first line that there is decides.
     first = next(((text, words) for text in texts for _, words in text_lines(text)[:1]), None)
     if first is None or not is_dota_line(first[1]):
-        line = f"{first[0]} begins {' '.join(first[1][:6])!r}" if first else "all its .txt files are empty"
+        line = (
+            f"{first[0]} begins {' '.join(first[1][:6])!r}"
+            if first
+            else "all its .txt files are empty"
+        )
         raise ImageryError(
             f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no data.yaml); add the class "
             "names for YOLO, or give other labels."

@@ -49,7 +49,9 @@ def parse_geojson_labels(document: Mapping[str, Any], path: Path) -> GroundLabel
             named = [properties[key] for key in CLASS_KEYS if properties.get(key) not in (None, "")]
             shapes = _shapes(feature["geometry"])
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            raise ImageryError(f"{where} is neither a point nor a polygon with coordinates; correct it.") from error
+            raise ImageryError(
+                f"{where} is neither a point nor a polygon with coordinates; correct it."
+            ) from error
         name, ignore = str(named[0]) if named else UNNAMED, properties.get("ignore") is True
         for corners in shapes:
             if crs == "EPSG:4326" and any(abs(x) > 180 or abs(y) > 90 for x, y in corners):
@@ -58,7 +60,9 @@ def parse_geojson_labels(document: Mapping[str, Any], path: Path) -> GroundLabel
                     "reference system in a crs member, or convert the file (ogr2ogr -t_srs EPSG:4326)."
                 )
             labels.append(Label(name, corners, ignore))
-    return GroundLabels(tuple(dict.fromkeys(label.class_name for label in labels)), tuple(labels), crs)
+    return GroundLabels(
+        tuple(dict.fromkeys(label.class_name for label in labels)), tuple(labels), crs
+    )
 
 
 def _shapes(geometry: Mapping[str, Any]) -> list[tuple[Point, ...]]:
@@ -89,7 +93,11 @@ def _corners(ring: Any) -> tuple[Point, ...]:
     left, top, right, bottom = min(xs), min(ys), max(xs), max(ys)
     if left == right or top == bottom:
         raise ValueError("without size")
-    return tuple(points) if len(points) == 4 else ((left, top), (right, top), (right, bottom), (left, bottom))
+    return (
+        tuple(points)
+        if len(points) == 4
+        else ((left, top), (right, top), (right, bottom), (left, bottom))
+    )
 
 
 def _crs(document: Mapping[str, Any], path: Path) -> str:

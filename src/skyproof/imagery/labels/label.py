@@ -93,7 +93,9 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
     unknown = next((name for name in classes if name not in labels.classes), None)
     if unknown is not None:
         known = ", ".join(labels.classes) or "none at all"
-        raise ImageryError(f"{where} has no class {unknown!r}; it names {known}. Choose among these.")
+        raise ImageryError(
+            f"{where} has no class {unknown!r}; it names {known}. Choose among these."
+        )
 
 
 def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
@@ -109,17 +111,29 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
     (width, height), points = size_px, len(label.corners) == 1
     if not points and not (right > left and bottom > top):
         raise ImageryError(f"{where} has a box without size; correct it.")
-    if {x for x, _ in label.corners} == {left, right} and {y for _, y in label.corners} == {top, bottom}:
+    if {x for x, _ in label.corners} == {left, right} and {y for _, y in label.corners} == {
+        top,
+        bottom,
+    }:
         slack_x, slack_y = _SLACK * width, _SLACK * height
-        inside = left >= -slack_x and top >= -slack_y and right <= width + slack_x and bottom <= height + slack_y
+        inside = (
+            left >= -slack_x
+            and top >= -slack_y
+            and right <= width + slack_x
+            and bottom <= height + slack_y
+        )
     else:
         # Corners of an oriented box may well reach over the edge.
         inside = 0 <= (left + right) / 2 <= width and 0 <= (top + bottom) / 2 <= height
     if not inside:
-        raise ImageryError(f"{where} has a box outside its image of {width} x {height} px; correct it.")
+        raise ImageryError(
+            f"{where} has a box outside its image of {width} x {height} px; correct it."
+        )
 
 
-def border_strips(size_px: tuple[int, int], border_px: float) -> list[tuple[float, float, float, float]]:
+def border_strips(
+    size_px: tuple[int, int], border_px: float
+) -> list[tuple[float, float, float, float]]:
     """The band along an image's border as four boxes, pixel xyxy: top, bottom, left, right."""
     width, height = map(float, size_px)
     x, y = min(border_px, width), min(border_px, height)

@@ -12,7 +12,15 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.errors import ImageryError
 
-__all__ = ["IMAGE_SUFFIXES", "LABEL_FOLDERS", "finite_numbers", "image_of", "image_size_px", "stem_once", "text_lines"]
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "LABEL_FOLDERS",
+    "finite_numbers",
+    "image_of",
+    "image_size_px",
+    "stem_once",
+    "text_lines",
+]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LABEL_FOLDERS = ("labels", "labelTxt")
@@ -83,4 +91,6 @@ def stem_once(stem: str, known: Collection[str], where: Path) -> None:
         ImageryError: the stem is known already.
     """
     if stem in known:
-        raise ImageryError(f"{where} labels two images called {stem!r}; rename one of them, or split the labels.")
+        raise ImageryError(
+            f"{where} labels two images called {stem!r}; rename one of them, or split the labels."
+        )

@@ -7,7 +7,14 @@ from pathlib import Path
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
-from skyproof.imagery.labels.text import LABEL_FOLDERS, finite_numbers, image_of, image_size_px, stem_once, text_lines
+from skyproof.imagery.labels.text import (
+    LABEL_FOLDERS,
+    finite_numbers,
+    image_of,
+    image_size_px,
+    stem_once,
+    text_lines,
+)
 
 __all__ = ["class_file", "read_yolo_labels"]
 
@@ -23,7 +30,9 @@ def class_file(folder: Path) -> Path | None:
     if yaml.is_file():
         return yaml
     if len(names) > 1:
-        raise ImageryError(f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep one.")
+        raise ImageryError(
+            f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep one."
+        )
     return names[0] if names else None
 
 
@@ -40,7 +49,9 @@ def read_yolo_labels(folder: Path) -> ImageLabels:
     folder = Path(folder)
     source = class_file(folder)
     if source is None:
-        raise ImageryError(f"{folder} holds 0 .names files and no data.yaml, but one must list its classes; add it.")
+        raise ImageryError(
+            f"{folder} holds 0 .names files and no data.yaml, but one must list its classes; add it."
+        )
     classes = _classes(source)
     root = folder / LABEL_FOLDERS[0]
     texts = sorted(root.rglob("*.txt") if root.is_dir() else folder.glob("*.txt"))
@@ -53,29 +64,40 @@ def read_yolo_labels(folder: Path) -> ImageLabels:
         stem_once(text.stem, images, folder)
         sizes_px[text.stem] = image_size_px(image)
         images[text.stem] = tuple(
-            _label(f"{text} line {number}", words, classes, sizes_px[text.stem]) for number, words in text_lines(text)
+            _label(f"{text} line {number}", words, classes, sizes_px[text.stem])
+            for number, words in text_lines(text)
         )
     if not images:
-        raise ImageryError(f"{folder} holds no label text (.txt) with an image of the same name; give another folder.")
+        raise ImageryError(
+            f"{folder} holds no label text (.txt) with an image of the same name; give another folder."
+        )
     return ImageLabels(classes, images, sizes_px)
 
 
-def _label(where: str, words: list[str], classes: tuple[str, ...], size_px: tuple[int, int]) -> Label:
+def _label(
+    where: str, words: list[str], classes: tuple[str, ...], size_px: tuple[int, int]
+) -> Label:
     try:
         index, *values = finite_numbers(words)
         if len(values) not in (4, 8):
             raise ValueError
     except ValueError as error:
-        raise ImageryError(f"{where} is not 'class cx cy w h' or 'class x1 y1 ... x4 y4'; correct it.") from error
+        raise ImageryError(
+            f"{where} is not 'class cx cy w h' or 'class x1 y1 ... x4 y4'; correct it."
+        ) from error
     if index != int(index) or not 0 <= index < len(classes):
-        raise ImageryError(f"{where} has class {index:g} but there are {len(classes)} names; correct it.")
+        raise ImageryError(
+            f"{where} has class {index:g} but there are {len(classes)} names; correct it."
+        )
     if len(values) == 4:
         x, y, width, height = values
         if width <= 0 or height <= 0:
             raise ImageryError(f"{where} has a box without size; correct it.")
         left, top, right, bottom = x - width / 2, y - height / 2, x + width / 2, y + height / 2
         values = [left, top, right, top, right, bottom, left, bottom]
-    corners = tuple((x * size_px[0], y * size_px[1]) for x, y in zip(values[::2], values[1::2], strict=True))
+    corners = tuple(
+        (x * size_px[0], y * size_px[1]) for x, y in zip(values[::2], values[1::2], strict=True)
+    )
     label = Label(classes[int(index)], corners)
     require_inside(label, size_px, where)
     return label
@@ -86,10 +108,16 @@ def _classes(path: Path) -> tuple[str, ...]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
-    names = _yaml_names(text) if path.suffix == ".yaml" else [line.strip() for line in text.splitlines()]
+    names = (
+        _yaml_names(text)
+        if path.suffix == ".yaml"
+        else [line.strip() for line in text.splitlines()]
+    )
     names = [name for name in names if name]
     if not names:
-        raise ImageryError(f"{path} names no classes ('names:' as a list, or as numbers and names); add them.")
+        raise ImageryError(
+            f"{path} names no classes ('names:' as a list, or as numbers and names); add them."
+        )
     return tuple(names)
 
 

@@ -16,7 +16,13 @@ from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
 
-__all__ = ["Georeference", "is_true_to_scale", "outline", "read_georeference", "to_reference_system"]
+__all__ = [
+    "Georeference",
+    "is_true_to_scale",
+    "outline",
+    "read_georeference",
+    "to_reference_system",
+]
 
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
@@ -44,31 +50,44 @@ class Georeference:
     gsd_m: tuple[float, float]
 
 
-def to_reference_system(source: CRS | None, target: CRS | None, points: Sequence[Point]) -> list[Point]:
+def to_reference_system(
+    source: CRS | None, target: CRS | None, points: Sequence[Point]
+) -> list[Point]:
     """Takes points from one system to another; those that cannot be taken there become infinite."""
     if source == target or not points:
         return list(points)
     try:
-        xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[:2]
+        xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[
+            :2
+        ]
         return list(zip(xs, ys, strict=True))
     except (RasterioError, CPLE_BaseError):
         # One point fails all: find which.
         if len(points) == 1:
             return [(math.inf, math.inf)]
         half = len(points) // 2
-        return to_reference_system(source, target, points[:half]) + to_reference_system(source, target, points[half:])
+        return to_reference_system(source, target, points[:half]) + to_reference_system(
+            source, target, points[half:]
+        )
 
 
 def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     """Points along the border of a picture, in pixels: straight lines of one system are curves in another."""
     width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
-    half = [*((share * width, 0.0) for share in shares), *((width, share * height) for share in shares)]
+    half = [
+        *((share * width, 0.0) for share in shares),
+        *((width, share * height) for share in shares),
+    ]
     return [*half, *((width - x, height - y) for x, y in half)]
 
 
 def read_georeference(
-    dataset: DatasetReader, path: Path, source_gsd_m: float | None, crs: str | None, notes: list[str]
+    dataset: DatasetReader,
+    path: Path,
+    source_gsd_m: float | None,
+    crs: str | None,
+    notes: list[str],
 ) -> Georeference:
     """Finds out where an image lies.
 
@@ -99,7 +118,9 @@ def read_georeference(
     if not plain and system is not None:
         gsd_m = _ground_resolution(system, affine, dataset.width, dataset.height)
         if gsd_m is None:
-            raise ImageryError(f"{path} lies outside what its reference system covers; check its system (or --crs).")
+            raise ImageryError(
+                f"{path} lies outside what its reference system covers; check its system (or --crs)."
+            )
         _check_resolution(path, gsd_m, "the image")
         return Georeference(system, affine, gsd_m)
     if source_gsd_m is not None:
@@ -116,7 +137,9 @@ def read_georeference(
                 f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference system; give it with "
                 "--crs, or the metres per pixel with --source-gsd."
             )
-        notes.append(f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m")
+        notes.append(
+            f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m"
+        )
     _check_resolution(path, gsd_m, "the metres per pixel given")
     return Georeference(None, Affine.scale(gsd_m[0], -gsd_m[1]), gsd_m)
 
@@ -129,7 +152,9 @@ def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> Non
         )
 
 
-def _ground_resolution(crs: CRS, affine: Affine, width_px: int, height_px: int) -> tuple[float, float] | None:
+def _ground_resolution(
+    crs: CRS, affine: Affine, width_px: int, height_px: int
+) -> tuple[float, float] | None:
     """Metres on the ground per column and per row in the image's middle, on the WGS 84 ellipsoid.
 
     This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too long by
@@ -137,7 +162,10 @@ def _ground_resolution(crs: CRS, affine: Affine, width_px: int, height_px: int) 
     """
     step = 16.0
     middle = (width_px / 2, height_px / 2)
-    places = [affine * (middle[0] + dx, middle[1] + dy) for dx, dy in ((0.0, 0.0), (step, 0.0), (0.0, step))]
+    places = [
+        affine * (middle[0] + dx, middle[1] + dy)
+        for dx, dy in ((0.0, 0.0), (step, 0.0), (0.0, step))
+    ]
     lengths_m = _distances_m(crs, places)
     return None if lengths_m is None else (lengths_m[0] / step, lengths_m[1] / step)
 
@@ -152,7 +180,9 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
     east_radius_m = EQUATOR_RADIUS_M / math.sqrt(squeeze) * math.cos(math.radians(latitude))
     north_radius_m = EQUATOR_RADIUS_M * (1 - ECCENTRICITY_SQUARED) / squeeze**1.5
     return [
-        math.hypot(math.radians(x - longitude) * east_radius_m, math.radians(y - latitude) * north_radius_m)
+        math.hypot(
+            math.radians(x - longitude) * east_radius_m, math.radians(y - latitude) * north_radius_m
+        )
         for x, y in degrees[1:]
     ]
 
@@ -166,4 +196,6 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
         return False
     step = 100.0
     lengths_m = _distances_m(crs, [place, (place[0] + step, place[1]), (place[0], place[1] + step)])
-    return lengths_m is not None and all(abs(length / step - 1) < TRUE_TO_SCALE for length in lengths_m)
+    return lengths_m is not None and all(
+        abs(length / step - 1) < TRUE_TO_SCALE for length in lengths_m
+    )

@@ -88,8 +88,14 @@ class Frame:
         side_m = self.size_px * self.gsd_m
         slack = 0.5 * self.gsd_m / side_m * (1 if whole else -1)
         low, high = (math.ceil, math.floor) if whole else (math.floor, math.ceil)
-        left, right = (extent[0] - self.left_m) / side_m - slack, (extent[2] - self.left_m) / side_m + slack
-        top, bottom = (self.top_m - extent[3]) / side_m - slack, (self.top_m - extent[1]) / side_m + slack
+        left, right = (
+            (extent[0] - self.left_m) / side_m - slack,
+            (extent[2] - self.left_m) / side_m + slack,
+        )
+        top, bottom = (
+            (self.top_m - extent[3]) / side_m - slack,
+            (self.top_m - extent[1]) / side_m + slack,
+        )
         return range(low(left), high(right)), range(low(top), high(bottom))
 
     def whole_cells(self) -> int:
@@ -109,10 +115,15 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
     Raises:
         ImageryError: the source lies outside what `crs` covers.
     """
-    own = [source.georeference.transform * point for point in outline(source.width_px, source.height_px)]
+    own = [
+        source.georeference.transform * point
+        for point in outline(source.width_px, source.height_px)
+    ]
     points = to_reference_system(source.georeference.crs, crs, own)
     if not all(math.isfinite(value) for point in points for value in point):
-        raise ImageryError(f"{source.path} lies outside what its reference system covers; check its system (or --crs).")
+        raise ImageryError(
+            f"{source.path} lies outside what its reference system covers; check its system (or --crs)."
+        )
     xs, ys = [x for x, _ in points], [y for _, y in points]
     return min(xs), min(ys), max(xs), max(ys)
 
@@ -138,7 +149,9 @@ def lay_frames(
     layouts = [_layout(sources, group) for group in _groups(sources)]
     size = size_px
     while True:
-        frames = [_frame(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts]
+        frames = [
+            _frame(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
+        ]
         if size <= minimum_px or sum(frame.whole_cells() for frame in frames) >= len(SPLITS):
             break
         size = max(minimum_px, round(size * SHRINK))
@@ -159,7 +172,12 @@ def lay_frames(
 
 
 def _frame(
-    name: str, crs: CRS | None, extents: Mapping[int, Extent], size_px: int, minimum_px: int, gsd_m: float
+    name: str,
+    crs: CRS | None,
+    extents: Mapping[int, Extent],
+    size_px: int,
+    minimum_px: int,
+    gsd_m: float,
 ) -> Frame:
     left, bottom = min(e[0] for e in extents.values()), min(e[1] for e in extents.values())
     right, top = max(e[2] for e in extents.values()), max(e[3] for e in extents.values())
@@ -172,7 +190,9 @@ def _frame(
         size_px = max(minimum_px, round(size_px * SHRINK))
 
 
-def _layout(sources: Sequence[Source], group: Sequence[int]) -> tuple[str, CRS | None, dict[int, Extent]]:
+def _layout(
+    sources: Sequence[Source], group: Sequence[int]
+) -> tuple[str, CRS | None, dict[int, Extent]]:
     """Name, system and extents of the frame of sources that touch."""
     first = sources[group[0]]
     crs = first.georeference.crs
@@ -191,7 +211,9 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
     """Numbers of sources whose extents in degrees touch, directly or through others."""
     degrees = CRS.from_epsg(4326)
     extents: dict[int, Extent] = {
-        i: extent_of(source, degrees) for i, source in enumerate(sources) if source.georeference.crs is not None
+        i: extent_of(source, degrees)
+        for i, source in enumerate(sources)
+        if source.georeference.crs is not None
     }
     group_of = list(range(len(sources)))
     # Sheets that lie side by side leave gaps of rounding.
@@ -200,7 +222,12 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
         for j, b in extents.items():
             if j <= i or group_of[i] == group_of[j]:
                 continue
-            if a[0] <= b[2] + gap and b[0] <= a[2] + gap and a[1] <= b[3] + gap and b[1] <= a[3] + gap:
+            if (
+                a[0] <= b[2] + gap
+                and b[0] <= a[2] + gap
+                and a[1] <= b[3] + gap
+                and b[1] <= a[3] + gap
+            ):
                 old, new = sorted((group_of[i], group_of[j]), reverse=True)
                 group_of = [new if group == old else group for group in group_of]
     groups: dict[int, list[int]] = {}
@@ -235,5 +262,17 @@ def cells_of(frame: Frame) -> list[Cell]:
         else:
             tile_id = f"{frame.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
         sources, block = tuple(sorted(numbers)), (frame.name, row, column)
-        cells.append(Cell(tile_id, frame.crs, left_m, top_m, frame.size_px, frame.gsd_m, sources, offset_px, block))
+        cells.append(
+            Cell(
+                tile_id,
+                frame.crs,
+                left_m,
+                top_m,
+                frame.size_px,
+                frame.gsd_m,
+                sources,
+                offset_px,
+                block,
+            )
+        )
     return cells

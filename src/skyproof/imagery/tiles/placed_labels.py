@@ -92,7 +92,11 @@ class PlacedLabels:
     """
 
     def __init__(
-        self, labels: Labels, settings: LabelSettings, sources: Sequence[Source], cells: Sequence[Cell]
+        self,
+        labels: Labels,
+        settings: LabelSettings,
+        sources: Sequence[Source],
+        cells: Sequence[Cell],
     ) -> None:
         self._classes = _vehicle_classes(labels, settings)
         self._settings, self._sources = settings, sources
@@ -100,20 +104,28 @@ class PlacedLabels:
         self.notes: list[str] = []
         planes: dict[str, tuple[CRS | None, set[int]]] = {}
         for cell in cells:
-            planes.setdefault(plane_of(cell.crs, cell.sources), (cell.crs, set()))[1].update(cell.sources)
+            planes.setdefault(plane_of(cell.crs, cell.sources), (cell.crs, set()))[1].update(
+                cell.sources
+            )
         if isinstance(labels, GroundLabels):
             self.outside = self._place_ground(labels, planes)
         else:
             self.outside = self._place_pixels(labels, planes)
         if self.outside:
-            self.notes.append(f"{self.outside} labels of {settings.path} lie outside the imagery and are left out")
+            self.notes.append(
+                f"{self.outside} labels of {settings.path} lie outside the imagery and are left out"
+            )
         if settings.border_px:
             for plane, (crs, numbers) in planes.items():
                 for number in numbers:
                     size_px = sources[number].width_px, sources[number].height_px
-                    self._add_regions(plane, crs, number, BORDER, border_strips(size_px, settings.border_px))
+                    self._add_regions(
+                        plane, crs, number, BORDER, border_strips(size_px, settings.border_px)
+                    )
 
-    def _place_ground(self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]) -> int:
+    def _place_ground(
+        self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]
+    ) -> int:
         path, count = self._settings.path, len(labels.labels)
         if all(crs is None for crs, _ in planes.values()):
             raise ImageryError(
@@ -134,7 +146,10 @@ class PlacedLabels:
             for number in numbers:
                 here |= _within(middles, extent_of(self._sources[number], crs))
             inside |= here
-            self._add(plane, (_Placed(label, None) for label in moved if math.isfinite(sum(_middle(label)))))
+            self._add(
+                plane,
+                (_Placed(label, None) for label in moved if math.isfinite(sum(_middle(label)))),
+            )
         if count and not inside.any():
             raise ImageryError(
                 f"None of the {count} labels of {path} lies in the imagery; check their reference system "
@@ -142,8 +157,13 @@ class PlacedLabels:
             )
         return int(count - inside.sum())
 
-    def _place_pixels(self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]) -> int:
-        path, number_of = self._settings.path, {source.path.stem: i for i, source in enumerate(self._sources)}
+    def _place_pixels(
+        self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]
+    ) -> int:
+        path, number_of = (
+            self._settings.path,
+            {source.path.stem: i for i, source in enumerate(self._sources)},
+        )
         unknown = [stem for stem in labels.images if stem not in number_of]
         total = sum(map(len, labels.images.values()))
         outside = sum(len(labels.images[stem]) for stem in unknown)
@@ -157,8 +177,12 @@ class PlacedLabels:
                 source = self._sources[number]
                 stem, size = source.path.stem, (source.width_px, source.height_px)
                 if stem not in labels.images:
-                    self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
-                    self._add_regions(plane, crs, number, EVERYTHING, [(0.0, 0.0, float(size[0]), float(size[1]))])
+                    self.notes.append(
+                        f"{source.path.name} has no labels: nothing is scored on its tiles"
+                    )
+                    self._add_regions(
+                        plane, crs, number, EVERYTHING, [(0.0, 0.0, float(size[0]), float(size[1]))]
+                    )
                     continue
                 if labels.sizes_px.get(stem, size) != size:
                     raise ImageryError(
@@ -168,7 +192,9 @@ class PlacedLabels:
                 own = labels.images[stem]
                 kept = [label for label in own if _inside_picture(_middle(label), size)]
                 outside += len(own) - len(kept)
-                self._add(plane, (_Placed(self._to_plane(label, number, crs), number) for label in kept))
+                self._add(
+                    plane, (_Placed(self._to_plane(label, number, crs), number) for label in kept)
+                )
         if total and outside == total:
             raise ImageryError(
                 f"None of the {total} labels of {path} lies in its image; check whether they are given in pixels of "
@@ -179,20 +205,33 @@ class PlacedLabels:
     def _to_plane(self, label: Label, number: int, crs: CRS | None) -> Label:
         georeference = self._sources[number].georeference
         own = [georeference.transform * corner for corner in label.corners]
-        return dataclasses.replace(label, corners=tuple(to_reference_system(georeference.crs, crs, own)))
+        return dataclasses.replace(
+            label, corners=tuple(to_reference_system(georeference.crs, crs, own))
+        )
 
     def _add_regions(
-        self, plane: str, crs: CRS | None, number: int, name: str, boxes: Iterable[tuple[float, float, float, float]]
+        self,
+        plane: str,
+        crs: CRS | None,
+        number: int,
+        name: str,
+        boxes: Iterable[tuple[float, float, float, float]],
     ) -> None:
-        labels = [Label(name, ((x0, y0), (x1, y0), (x1, y1), (x0, y1)), True) for x0, y0, x1, y1 in boxes]
+        labels = [
+            Label(name, ((x0, y0), (x1, y0), (x1, y1), (x0, y1)), True) for x0, y0, x1, y1 in boxes
+        ]
         self._add(plane, (_Placed(self._to_plane(label, number, crs), number) for label in labels))
 
     def _add(self, plane: str, placed: Iterable[_Placed]) -> None:
         reach = self._settings.point_box_m / 2
         for one in placed:
             xs, ys = zip(*one.label.corners, strict=True)
-            for column in range(math.floor((min(xs) - reach) / BIN_M), math.floor((max(xs) + reach) / BIN_M) + 1):
-                for row in range(math.floor((min(ys) - reach) / BIN_M), math.floor((max(ys) + reach) / BIN_M) + 1):
+            for column in range(
+                math.floor((min(xs) - reach) / BIN_M), math.floor((max(xs) + reach) / BIN_M) + 1
+            ):
+                for row in range(
+                    math.floor((min(ys) - reach) / BIN_M), math.floor((max(ys) + reach) / BIN_M) + 1
+                ):
                     self._bins[plane, column, row].append(one)
 
     def on(self, cell: Cell, owner: Int[NDArray[np.int32], "S S"]) -> list[Annotation]:
@@ -210,7 +249,9 @@ class PlacedLabels:
         inverse = ~cell.transform
         annotations = []
         for one in near.values():
-            label = dataclasses.replace(one.label, corners=tuple(inverse * corner for corner in one.label.corners))
+            label = dataclasses.replace(
+                one.label, corners=tuple(inverse * corner for corner in one.label.corners)
+            )
             annotations += self._annotate(label, one.source, cell, owner)
         return annotations
 
@@ -237,20 +278,36 @@ class PlacedLabels:
             point_box_px=self._settings.point_box_m / cell.gsd_m,
         )
         found = []
-        for box, ignore in [*((b, False) for b in truths.tolist()), *((b, True) for b in ignored.tolist())]:
+        for box, ignore in [
+            *((b, False) for b in truths.tolist()),
+            *((b, True) for b in ignored.tolist()),
+        ]:
             fraction = 1.0
             if not ignore:
-                fraction = (box[2] - box[0]) * (box[3] - box[1]) / max(_area(label, self._settings, cell), 1e-9)
+                fraction = (
+                    (box[2] - box[0])
+                    * (box[3] - box[1])
+                    / max(_area(label, self._settings, cell), 1e-9)
+                )
             centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2) if ignore else (x, y)
-            found.append(Annotation((box[0], box[1], box[2], box[3]), centre, min(fraction, 1.0), ignore=ignore))
+            found.append(
+                Annotation(
+                    (box[0], box[1], box[2], box[3]), centre, min(fraction, 1.0), ignore=ignore
+                )
+            )
         return found
 
     def _in_border(self, place: Point, crs: CRS | None, number: int) -> bool:
         border, source = self._settings.border_px, self._sources[number]
         if not border:
             return False
-        x, y = ~source.georeference.transform * to_reference_system(crs, source.georeference.crs, [place])[0]
-        return not (border <= x <= source.width_px - border and border <= y <= source.height_px - border)
+        x, y = (
+            ~source.georeference.transform
+            * to_reference_system(crs, source.georeference.crs, [place])[0]
+        )
+        return not (
+            border <= x <= source.width_px - border and border <= y <= source.height_px - border
+        )
 
 
 def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:

@@ -24,7 +24,15 @@ from rasterio.windows import Window
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
-__all__ = ["Source", "SourceReader", "SourceSettings", "find_images", "gdal_limits", "inspect_source", "read_mask"]
+__all__ = [
+    "Source",
+    "SourceReader",
+    "SourceSettings",
+    "find_images",
+    "gdal_limits",
+    "inspect_source",
+    "read_mask",
+]
 
 SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".vrt")
 GDAL_CACHE_MB = 256
@@ -32,7 +40,13 @@ OPEN_AT_ONCE = 8
 
 _PROBES, _PROBE_PX = 12, 128
 _COLOURS = ("red", "green", "blue")
-_INFRARED = (ColorInterp.nir, ColorInterp.rededge, ColorInterp.swir, ColorInterp.mwir, ColorInterp.lwir)
+_INFRARED = (
+    ColorInterp.nir,
+    ColorInterp.rededge,
+    ColorInterp.swir,
+    ColorInterp.mwir,
+    ColorInterp.lwir,
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +73,9 @@ class SourceSettings:
             try:
                 CRS.from_user_input(self.crs)
             except (RasterioError, ValueError) as error:
-                raise ConfigurationError(f"--crs expects a system such as EPSG:2193, got {self.crs!r}.") from error
+                raise ConfigurationError(
+                    f"--crs expects a system such as EPSG:2193, got {self.crs!r}."
+                ) from error
 
 
 @dataclass(frozen=True)
@@ -92,7 +108,9 @@ class Source:
 
 def gdal_limits() -> rasterio.Env:
     """The settings to read with: a small block cache, and damaged JPEGs are errors instead of grey areas."""
-    return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1")
+    return rasterio.Env(
+        GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1"
+    )
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
@@ -106,7 +124,9 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             found = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
             if not found:
-                raise ImageryError(f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file.")
+                raise ImageryError(
+                    f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
+                )
             files += found
         elif path.is_file():
             files.append(path)
@@ -173,9 +193,13 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
     """
     with reader.reading(path) as dataset:
         if dataset.count == 0:
-            raise ImageryError(f"{path} holds several images or none; name one of its images in a .vrt file.")
+            raise ImageryError(
+                f"{path} holds several images or none; name one of its images in a .vrt file."
+            )
         if ColorInterp.palette in dataset.colorinterp:
-            raise ImageryError(f"{path} has a colour palette; convert it to RGB (gdal_translate -expand rgb).")
+            raise ImageryError(
+                f"{path} has a colour palette; convert it to RGB (gdal_translate -expand rgb)."
+            )
         if any(kind.startswith("complex") for kind in dataset.dtypes):
             raise ImageryError(f"{path} has complex values; give imagery with 8 or 16 bits a band.")
         notes: list[str] = []
@@ -198,7 +222,9 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         if all(dataset.dtypes[band - 1] == "uint8" for band in bands):
             return source
         low, high = _value_range(dataset, source)
-        notes.append(f"{dataset.dtypes[bands[0] - 1]} values from {low:.6g} to {high:.6g} become 0 to 255")
+        notes.append(
+            f"{dataset.dtypes[bands[0] - 1]} values from {low:.6g} to {high:.6g} become 0 to 255"
+        )
     return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
 
 
@@ -211,17 +237,27 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
             red, green, blue = (tags.index(colour) + 1 for colour in _COLOURS)
             others = [kind for band, kind in enumerate(kinds, 1) if band not in (red, green, blue)]
             if any(kind != "alpha" for kind in others):
-                notes.append(f"of {dataset.count} bands red, green and blue are taken ({red}, {green}, {blue})")
+                notes.append(
+                    f"of {dataset.count} bands red, green and blue are taken ({red}, {green}, {blue})"
+                )
             return red, green, blue
-    colours = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind != ColorInterp.alpha]
+    colours = [
+        band for band, kind in enumerate(dataset.colorinterp, 1) if kind != ColorInterp.alpha
+    ]
     if not colours:
         raise ImageryError(f"{dataset.name} holds an alpha band alone; give imagery with colours.")
     if len(colours) < 3:
         if len(colours) == 2:
-            notes.append(f"two bands without red, green and blue: band {colours[0]} is taken as grey")
+            notes.append(
+                f"two bands without red, green and blue: band {colours[0]} is taken as grey"
+            )
         return colours[0], colours[0], colours[0]
     infrared = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind in _INFRARED]
-    told = f"its band {infrared[0]} is infrared and it has no blue" if infrared else "it does not say which are colours"
+    told = (
+        f"its band {infrared[0]} is infrared and it has no blue"
+        if infrared
+        else "it does not say which are colours"
+    )
     notes.append(
         f"of {dataset.count} bands the bands {colours[0]}, {colours[1]}, {colours[2]} are shown as red, green and "
         f"blue, because {told}"
@@ -234,7 +270,9 @@ def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
     if ColorInterp.alpha not in dataset.colorinterp:
         return False
     band = dataset.colorinterp.index(ColorInterp.alpha) + 1
-    values = np.concatenate([dataset.read(band, window=window).ravel() for window in _probes(dataset)])
+    values = np.concatenate(
+        [dataset.read(band, window=window).ravel() for window in _probes(dataset)]
+    )
     full = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else 1
     if np.mean((values != 0) & (values != full) & (values != 255)) < 0.5:
         return False
@@ -248,7 +286,12 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
         yield Window(0, 0, dataset.width, dataset.height)
         return
     columns, rows = (
-        sorted({min(max(0, length - _PROBE_PX), int(length * (i + 0.5) / _PROBES)) for i in range(_PROBES)})
+        sorted(
+            {
+                min(max(0, length - _PROBE_PX), int(length * (i + 0.5) / _PROBES))
+                for i in range(_PROBES)
+            }
+        )
         for length in (dataset.width, dataset.height)
     )
     for row in rows:
@@ -265,7 +308,9 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     for windows, shape in ((_probes(dataset), None), (iter([whole]), shrunken)):
         for window in windows:
             size = shape or (int(window.height), int(window.width))
-            values = dataset.read(bands, window=window, out_shape=(len(bands), *size)).astype(np.float32)
+            values = dataset.read(bands, window=window, out_shape=(len(bands), *size)).astype(
+                np.float32
+            )
             valid = read_mask(dataset, source, window, size) > 0
             found.append(values[:, valid & np.isfinite(values).all(0)].ravel())
         if any(len(values) for values in found):
@@ -284,6 +329,8 @@ def read_mask(
         return np.full(shape, 255, np.uint8)
     if source.alpha_is_colour or MaskFlags.nodata in flags:
         # Empty only where every colour is: one colour alone may well have the value.
-        masks = dataset.read_masks(sorted({*source.bands}), window=window, out_shape=(len({*source.bands}), *shape))
+        masks = dataset.read_masks(
+            sorted({*source.bands}), window=window, out_shape=(len({*source.bands}), *shape)
+        )
         return masks.max(0)
     return dataset.dataset_mask(window=window, out_shape=shape)

@@ -57,7 +57,11 @@ def assign_splits(
         split = min(SPLITS, key=lambda name: (given[name] > 0, given[name] / SPLIT_SHARES[name]))
         split_of[key] = split
         given[split] += sizes[key]
-    widths_m = {cell.block[0]: sides[cell.block[0]] * cell.size_px * cell.gsd_m for cell in cells if cell.block}
+    widths_m = {
+        cell.block[0]: sides[cell.block[0]] * cell.size_px * cell.gsd_m
+        for cell in cells
+        if cell.block
+    }
     return {cell.id: split_of[blocks[cell.id]] for cell in cells}, widths_m
 
 

@@ -18,7 +18,9 @@ from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
 __all__ = ["cells_like", "write_ground_index"]
 
 
-def write_ground_index(folder: Path, tiles: Sequence[BackgroundTile], cells: Mapping[str, Cell]) -> None:
+def write_ground_index(
+    folder: Path, tiles: Sequence[BackgroundTile], cells: Mapping[str, Cell]
+) -> None:
     """Writes `index.geojson`: one polygon per georeferenced tile, WGS 84 longitude and latitude.
 
     Properties: id, file, split, source, licence, crs, bounds (left, bottom, right, top in crs).
@@ -43,7 +45,10 @@ def write_ground_index(folder: Path, tiles: Sequence[BackgroundTile], cells: Map
                     "crs": cell.crs.to_string(),
                     "bounds": list(cell.extent),
                 },
-                "geometry": {"type": "Polygon", "coordinates": [[[round(x, 9), round(y, 9)] for x, y in ring]]},
+                "geometry": {
+                    "type": "Polygon",
+                    "coordinates": [[[round(x, 9), round(y, 9)] for x, y in ring]],
+                },
             }
         )
     write_json(Path(folder) / "index.geojson", {"type": "FeatureCollection", "features": features})
@@ -78,7 +83,9 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
             if name not in extents:
                 extents[name] = {i: extent_of(sources[i], crs) for i in placed}
             touching = tuple(
-                i for i, e in extents[name].items() if e[0] < right and e[2] > left and e[1] < top and e[3] > bottom
+                i
+                for i, e in extents[name].items()
+                if e[0] < right and e[2] > left and e[1] < top and e[3] > bottom
             )
             cells.append(
                 Cell(
@@ -94,9 +101,15 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
                 )
             )
     except (KeyError, TypeError, ValueError) as error:
-        raise StoredFileError(f"{path} is not an index of ours ({error!r}); tile the imagery again.") from error
+        raise StoredFileError(
+            f"{path} is not an index of ours ({error!r}); tile the imagery again."
+        ) from error
     if not cells:
-        raise ImageryError(f"The tiles of {folder} do not say where they lie; --like needs georeferenced ones.")
+        raise ImageryError(
+            f"The tiles of {folder} do not say where they lie; --like needs georeferenced ones."
+        )
     if not any(cell.sources for cell in cells):
-        raise ImageryError(f"None of the imagery shows ground of {folder}; check its place and reference system.")
+        raise ImageryError(
+            f"None of the imagery shows ground of {folder}; check its place and reference system."
+        )
     return cells

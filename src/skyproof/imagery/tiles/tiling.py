@@ -31,7 +31,13 @@ from skyproof.imagery.tiles.sources import (
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import (
+    SPLITS,
+    BackgroundSet,
+    BackgroundTile,
+    save_tile,
+    write_index,
+)
 from skyproof.scenes.coco import Annotation, CocoWriter
 from skyproof.scenes.sensor import Sensor
 
@@ -60,7 +66,11 @@ class TilingSettings:
     like: Path | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.gsd_m < math.inf or self.size_px < 1 or not 0 < (self.block_m or 1) < math.inf:
+        if (
+            not 0 < self.gsd_m < math.inf
+            or self.size_px < 1
+            or not 0 < (self.block_m or 1) < math.inf
+        ):
             raise ConfigurationError(
                 f"--gsd and --block-m expect metres above 0 and --size at least 1 px, got {self.gsd_m}, {self.block_m} "
                 f"and {self.size_px}."
@@ -159,7 +169,9 @@ def tile_imagery(
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
     for split in SPLITS:
         if split not in splits.values():
-            notes.append(f"{split} is empty: there are not enough tiles; give more imagery or a smaller size")
+            notes.append(
+                f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
+            )
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
@@ -169,7 +181,9 @@ def tile_imagery(
         blocks_m=blocks_m,
         counts=_counts(tiles, annotations),
         empty=len(cells) - len(kept),
-        missing=[cell.id for cell in cells if cell.id not in splits] if settings.like is not None else [],
+        missing=[cell.id for cell in cells if cell.id not in splits]
+        if settings.like is not None
+        else [],
         notes=notes,
     )
     write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
@@ -178,17 +192,23 @@ def tile_imagery(
     return record
 
 
-def _sensor(folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]) -> Sensor:
+def _sensor(
+    folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]
+) -> Sensor:
     """As sharp and noisy as some of the tiles; the usual sensor where they show too few edges to tell."""
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     try:
-        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in tiles[:: max(1, len(tiles) // _TILES_MEASURED)])
+        sensor = measure_sensor(
+            backgrounds.pixels(tile.id) for tile in tiles[:: max(1, len(tiles) // _TILES_MEASURED)]
+        )
     except ImageryError:
         notes.append(
             f"too few clear edges to measure the blur; vehicles will be drawn with {Sensor().blur_sigma_px} px"
         )
         return Sensor()
-    notes.append(f"blur measured as {sensor.blur_sigma_px} px, noise as {sensor.noise}; vehicles will be drawn alike")
+    notes.append(
+        f"blur measured as {sensor.blur_sigma_px} px, noise as {sensor.noise}; vehicles will be drawn alike"
+    )
     return sensor
 
 
@@ -220,7 +240,9 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
 
 
 def _splits(
-    kept: Sequence[tuple[Cell, BackgroundTile]], settings: TilingSettings, generator: torch.Generator
+    kept: Sequence[tuple[Cell, BackgroundTile]],
+    settings: TilingSettings,
+    generator: torch.Generator,
 ) -> tuple[dict[str, str], dict[str, float]]:
     cells = [cell for cell, _ in kept]
     if settings.like is not None:
@@ -228,7 +250,9 @@ def _splits(
     return assign_splits(cells, block_m=settings.block_m, generator=generator)
 
 
-def _sort_into_splits(folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, str]) -> list[BackgroundTile]:
+def _sort_into_splits(
+    folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, str]
+) -> list[BackgroundTile]:
     """Moves the pictures, whose splits are known only when all cells have been read."""
     for split in SPLITS:
         (folder / split / "images").mkdir(parents=True, exist_ok=True)
@@ -243,18 +267,26 @@ def _sort_into_splits(folder: Path, tiles: Sequence[BackgroundTile], splits: dic
 
 
 def _write_datasets(
-    folder: Path, tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]], gsd_m: float
+    folder: Path,
+    tiles: Sequence[BackgroundTile],
+    annotations: dict[str, list[Annotation]],
+    gsd_m: float,
 ) -> None:
     with ExitStack() as stack:
         source = {"description": "skyproof tiles"}
         writers = {
-            split: stack.enter_context(CocoWriter(folder / split, gsd_m=gsd_m, source=source)) for split in SPLITS
+            split: stack.enter_context(CocoWriter(folder / split, gsd_m=gsd_m, source=source))
+            for split in SPLITS
         }
         for tile in tiles:
-            writers[tile.split].add_written(tile.id, (tile.width_px, tile.height_px), annotations[tile.id])
+            writers[tile.split].add_written(
+                tile.id, (tile.width_px, tile.height_px), annotations[tile.id]
+            )
 
 
-def _counts(tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]]) -> dict[str, dict[str, int]]:
+def _counts(
+    tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]]
+) -> dict[str, dict[str, int]]:
     counts = {split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS}
     for tile in tiles:
         own = annotations.get(tile.id, [])

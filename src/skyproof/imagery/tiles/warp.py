@@ -78,7 +78,9 @@ def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.u
     return pixels[:, rows, columns]
 
 
-def _read_from(source: Source, cell: Cell, reader: SourceReader) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+def _read_from(
+    source: Source, cell: Cell, reader: SourceReader
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """A cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
     size = cell.size_px
     pixels, valid = np.zeros((3, size, size), np.uint8), np.zeros((size, size), np.bool_)
@@ -90,7 +92,12 @@ def _read_from(source: Source, cell: Cell, reader: SourceReader) -> tuple[NDArra
             for left in range(0, size, step):
                 place = np.s_[..., top : top + step, left : left + step]
                 _fill_piece(
-                    dataset, source, cell, cell.transform * Affine.translation(left, top), pixels[place], valid[place]
+                    dataset,
+                    source,
+                    cell,
+                    cell.transform * Affine.translation(left, top),
+                    pixels[place],
+                    valid[place],
                 )
     return pixels, valid
 
@@ -105,7 +112,9 @@ def _fill_piece(
 ) -> None:
     """Fills a piece of a cell, whose pixels `transform` takes to coordinates, from a window of the source."""
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
-    window, inside = _window(source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2)
+    window, inside = _window(
+        source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2
+    )
     if window is None:
         return
     bands = sorted({*source.bands})
@@ -115,16 +124,21 @@ def _fill_piece(
     values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
-        values = np.nan_to_num((values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0)
+        values = np.nan_to_num(
+            (values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0
+        )
     there = {
-        "src_transform": source.georeference.transform * Affine.translation(window.col_off, window.row_off),
+        "src_transform": source.georeference.transform
+        * Affine.translation(window.col_off, window.row_off),
         "src_crs": source.georeference.crs or _NO_SYSTEM,
         "dst_transform": transform,
         "dst_crs": cell.crs or _NO_SYSTEM,
     }
     shrinking = shrink > SHRINKING_FROM
     warped = np.zeros((len(bands), *pixels.shape[1:]), values.dtype)
-    reproject(values, warped, resampling=Resampling.average if shrinking else Resampling.cubic, **there)
+    reproject(
+        values, warped, resampling=Resampling.average if shrinking else Resampling.cubic, **there
+    )
     if warped.dtype != np.uint8:
         warped = (np.clip(warped, 0, 255) + 0.5).astype(np.uint8)
     pixels[:] = warped[[bands.index(band) for band in source.bands]]
@@ -132,7 +146,9 @@ def _fill_piece(
         valid[:] = True
         return
     shares = np.zeros(valid.shape, np.uint8)
-    reproject(mask, shares, resampling=Resampling.average if shrinking else Resampling.nearest, **there)
+    reproject(
+        mask, shares, resampling=Resampling.average if shrinking else Resampling.nearest, **there
+    )
     valid[:] = shares >= 128
 
 
@@ -149,8 +165,16 @@ def _window(
     left, right = min(x for x, _ in pixels), max(x for x, _ in pixels)
     top, bottom = min(y for _, y in pixels), max(y for _, y in pixels)
     tiny = 1e-3
-    inside = left >= -tiny and top >= -tiny and right <= source.width_px + tiny and bottom <= source.height_px + tiny
-    first_column, first_row = max(0, math.floor(left) - margin_px), max(0, math.floor(top) - margin_px)
+    inside = (
+        left >= -tiny
+        and top >= -tiny
+        and right <= source.width_px + tiny
+        and bottom <= source.height_px + tiny
+    )
+    first_column, first_row = (
+        max(0, math.floor(left) - margin_px),
+        max(0, math.floor(top) - margin_px),
+    )
     last_column = min(source.width_px, math.ceil(right) + margin_px)
     last_row = min(source.height_px, math.ceil(bottom) + margin_px)
     if first_column >= last_column or first_row >= last_row:

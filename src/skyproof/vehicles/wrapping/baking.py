@@ -44,7 +44,9 @@ class Texels:
     colour: Float[np.ndarray, "512 512 3"]
 
 
-def bake(mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None) -> Texels:
+def bake(
+    mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None
+) -> Texels:
     """Gives every texel the colour of the mesh's outer surface nearest to it that faces alike.
 
     Args:
@@ -56,7 +58,9 @@ def bake(mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndar
     points, normals = _texel_places(wrapping)
     kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
     tree = cKDTree(
-        np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]), balanced_tree=False, compact_nodes=False
+        np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]),
+        balanced_tree=False,
+        compact_nodes=False,
     )
     wanted = np.concatenate([points, _TURN_M / 2 * normals], axis=-1).reshape(-1, 6)
     distance, found = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
@@ -76,7 +80,9 @@ def bake(mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndar
     )
 
 
-def _texel_places(wrapping: Wrapping) -> tuple[Float[np.ndarray, "512 512 3"], Float[np.ndarray, "512 512 3"]]:
+def _texel_places(
+    wrapping: Wrapping,
+) -> tuple[Float[np.ndarray, "512 512 3"], Float[np.ndarray, "512 512 3"]]:
     """Where on the wrapped template each texel's centre lies, and the surface's direction there."""
     template = make_template()
     uv = template.uvs[template.face_uvs].double().numpy()
@@ -102,4 +108,8 @@ def _fill(known: Bool[np.ndarray, "H W"], *maps: np.ndarray) -> tuple[np.ndarray
 
 def to_bytes(colour: Float[np.ndarray, "512 512 3"]) -> UInt8[torch.Tensor, "3 512 512"]:
     """As `Fleet` stores textures."""
-    return torch.from_numpy((colour.clip(0.0, 1.0) * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
+    return (
+        torch.from_numpy((colour.clip(0.0, 1.0) * 255).round().astype(np.uint8))
+        .permute(2, 0, 1)
+        .contiguous()
+    )

@@ -32,10 +32,18 @@ class _Document:
     def numbers(self, reference: str | None) -> Float[np.ndarray, "K D"]:
         """The rows of a source."""
         source = self.linked(reference)
-        array, accessor = (None, None) if source is None else (source.find("float_array"), source.find(".//accessor"))
+        array, accessor = (
+            (None, None)
+            if source is None
+            else (source.find("float_array"), source.find(".//accessor"))
+        )
         if array is None or accessor is None:
-            raise ConfigurationError(f"{self.path} names the source {reference}, which it does not hold.")
-        return np.array((array.text or "").split(), float).reshape(-1, int(accessor.get("stride", "1")))
+            raise ConfigurationError(
+                f"{self.path} names the source {reference}, which it does not hold."
+            )
+        return np.array((array.text or "").split(), float).reshape(
+            -1, int(accessor.get("stride", "1"))
+        )
 
 
 def read_collada(path: Path) -> SourceMesh:
@@ -50,7 +58,9 @@ def read_collada(path: Path) -> SourceMesh:
     document = _Document(path)
     materials: list[Material] = []
     pieces: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    scene = document.linked(getattr(document.root.find("scene/instance_visual_scene"), "attrib", {}).get("url"))
+    scene = document.linked(
+        getattr(document.root.find("scene/instance_visual_scene"), "attrib", {}).get("url")
+    )
     for node in [] if scene is None else scene.findall("node"):
         _walk(document, node, np.eye(4), materials, pieces)
     if not pieces:
@@ -72,20 +82,28 @@ def read_collada(path: Path) -> SourceMesh:
     )
 
 
-def _walk(document: _Document, node: Element, above: np.ndarray, materials: list[Material], pieces: list) -> None:
+def _walk(
+    document: _Document, node: Element, above: np.ndarray, materials: list[Material], pieces: list
+) -> None:
     transform = above @ _transform(node)
     for instance in node.findall("instance_geometry"):
         geometry = document.linked(instance.get("url"))
         bound = {i.get("symbol"): i.get("target") for i in instance.iter("instance_material")}
         for kind in ("triangles", "polylist", "polygons"):
             for group in [] if geometry is None else geometry.findall(f"mesh/{kind}"):
-                name = f"{geometry.get('name', '')} {node.get('name', '')}" if geometry is not None else ""
+                name = (
+                    f"{geometry.get('name', '')} {node.get('name', '')}"
+                    if geometry is not None
+                    else ""
+                )
                 corners, uvs = _triangles(document, group)
                 if not len(corners):
                     continue
                 corners = corners @ transform[:3, :3].T + transform[:3, 3]
                 symbol = group.get("material")
-                materials.append(_material(document, bound.get(symbol, f"#{symbol}"), name, symbol or ""))
+                materials.append(
+                    _material(document, bound.get(symbol, f"#{symbol}"), name, symbol or "")
+                )
                 pieces.append((corners, uvs, np.full(len(corners), len(materials) - 1)))
     for child in node.findall("node"):
         _walk(document, child, transform, materials, pieces)
@@ -116,18 +134,26 @@ def _transform(node: Element) -> Float[np.ndarray, "4 4"]:
     return out
 
 
-def _triangles(document: _Document, group: Element) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 2"]]:
+def _triangles(
+    document: _Document, group: Element
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 2"]]:
     """Corners and UVs of one group; polygons are cut into fans."""
     inputs = {i.get("semantic"): i for i in reversed(group.findall("input"))}
     stride = 1 + max(int(i.get("offset", "0")) for i in group.findall("input"))
-    lists = [np.array((p.text or "").split(), np.int64).reshape(-1, stride) for p in group.findall("p")]
+    lists = [
+        np.array((p.text or "").split(), np.int64).reshape(-1, stride) for p in group.findall("p")
+    ]
     if group.tag == "triangles":
         fans = [index.reshape(-1, 3, stride) for index in lists]
     else:
         if group.tag == "polylist" and lists:
             counts = np.array((group.findtext("vcount") or "").split(), np.int64)
             lists = np.split(lists[0], counts.cumsum()[:-1])
-        fans = [np.stack([np.repeat(p[:1], len(p) - 2, 0), p[1:-1], p[2:]], axis=1) for p in lists if len(p) > 2]
+        fans = [
+            np.stack([np.repeat(p[:1], len(p) - 2, 0), p[1:-1], p[2:]], axis=1)
+            for p in lists
+            if len(p) > 2
+        ]
     if not fans:
         return np.zeros((0, 3, 3)), np.zeros((0, 3, 2))
     index = np.concatenate(fans)
@@ -137,7 +163,9 @@ def _triangles(document: _Document, group: Element) -> tuple[Float[np.ndarray, "
     corners = points[index[..., int(inputs["VERTEX"].get("offset", "0"))], :3]
     uvs = np.zeros((*corners.shape[:2], 2))
     if (texture := inputs.get("TEXCOORD")) is not None:
-        uvs = document.numbers(texture.get("source"))[index[..., int(texture.get("offset", "0"))], :2]
+        uvs = document.numbers(texture.get("source"))[
+            index[..., int(texture.get("offset", "0"))], :2
+        ]
     return corners, uvs
 
 
@@ -154,7 +182,9 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
         file = _picture_name(document, effect, texture.get("texture", ""))
         path = find_texture(document.path, file)
         if path is None:
-            document.notes.append(f"texture {file} was not found beside {document.path}; a plain colour was taken.")
+            document.notes.append(
+                f"texture {file} was not found beside {document.path}; a plain colour was taken."
+            )
             return Material(name, plain=True)
         if path != document.path.parent / file:
             document.notes.append(f"{file} was not there; {path} was taken.")
@@ -163,7 +193,9 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
     if len(colour) < 3:
         return Material(name, GREY, plain=True)
     opacity = (
-        float(effect.findtext(".//transparency/float") or 1.0) if effect.find(".//transparent") is not None else 1.0
+        float(effect.findtext(".//transparency/float") or 1.0)
+        if effect.find(".//transparent") is not None
+        else 1.0
     )
     r, g, b = colour[:3].clip(0.0, 1.0).tolist()
     return Material(name, (r, g, b), opacity=min(max(opacity, 0.0), 1.0))
@@ -177,4 +209,8 @@ def _picture_name(document: _Document, effect: Element, name: str) -> str:
                 name = found.strip()
                 break
     image = document.linked(name)
-    return name if image is None else (image.findtext("init_from") or image.findtext(".//ref") or name).strip()
+    return (
+        name
+        if image is None
+        else (image.findtext("init_from") or image.findtext(".//ref") or name).strip()
+    )

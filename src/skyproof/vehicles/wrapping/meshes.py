@@ -85,15 +85,22 @@ class SourceMesh:
             colours[missing] = material.colour
             if material.picture is not None and own.any():
                 texels = _sample(material.picture, uv[own]) / 255
-                colours[own], alpha[own] = texels[:, :3], texels[:, 3] if texels.shape[1] == 4 else 1.0
+                colours[own], alpha[own] = (
+                    texels[:, :3],
+                    texels[:, 3] if texels.shape[1] == 4 else 1.0,
+                )
             if material.opacity < 1:
-                colours[own] = material.opacity * colours[own] + (1 - material.opacity) * _DARK_CABIN
+                colours[own] = (
+                    material.opacity * colours[own] + (1 - material.opacity) * _DARK_CABIN
+                )
         if mask is not None:
             alpha = _sample(mask[..., None], uv)[:, 0] / 255
         return colours, alpha
 
 
-def _sample(picture: UInt8[np.ndarray, "H W C"], uv: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N C"]:
+def _sample(
+    picture: UInt8[np.ndarray, "H W C"], uv: Float[np.ndarray, "N 2"]
+) -> Float[np.ndarray, "N C"]:
     """Bilinear between texel centres; the picture repeats."""
     height, width = picture.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
@@ -137,7 +144,9 @@ def open_texture(path: Path) -> UInt8[np.ndarray, "H W C"]:
         with Image.open(path) as image:
             return picture_bytes(image)
     except (OSError, UnidentifiedImageError) as error:
-        raise ConfigurationError(f"{path} cannot be read as a picture; give a PNG or JPEG.") from error
+        raise ConfigurationError(
+            f"{path} cannot be read as a picture; give a PNG or JPEG."
+        ) from error
 
 
 def picture_bytes(image: Image.Image) -> UInt8[np.ndarray, "H W C"]:

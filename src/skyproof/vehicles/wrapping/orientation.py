@@ -21,7 +21,11 @@ _USUAL_LENGTH_M = 4.5
 
 
 def orient(
-    mesh: SourceMesh, *, scale: float | None = None, up: str | None = None, forward: str | None = None
+    mesh: SourceMesh,
+    *,
+    scale: float | None = None,
+    up: str | None = None,
+    forward: str | None = None,
 ) -> tuple[SourceMesh, dict[str, str | float]]:
     """Turns, scales and moves a mesh, and says how.
 
@@ -49,7 +53,9 @@ def orient(
     if forward is None:
         forward = "xyz"[max(across, key=lambda axis: extent[axis])]
     if _axis(up)[0] == _axis(forward)[0]:
-        raise ConfigurationError(f"--up {up} and --forward {forward} lie along one axis; give two different ones.")
+        raise ConfigurationError(
+            f"--up {up} and --forward {forward} lie along one axis; give two different ones."
+        )
     unit_m = scale if scale is not None else mesh.unit_m or 1.0
     turned = _turn(mesh.corners, up, forward) * unit_m
     _check_size(np.ptp(turned.reshape(-1, 3), axis=0), unit_m)
@@ -87,7 +93,9 @@ def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
     middle = (sample[:, 1].min() + sample[:, 1].max()) / 2
     shifts = middle + np.linspace(-0.12, 0.12, 49)
     tree = cKDTree(sample)
-    costs = [np.minimum(tree.query(sample * [1, -1, 1] + [0, 2 * y, 0])[0], 0.1).mean() for y in shifts]
+    costs = [
+        np.minimum(tree.query(sample * [1, -1, 1] + [0, 2 * y, 0])[0], 0.1).mean() for y in shifts
+    ]
     best = int(np.argmin(costs))
     return float(shifts[best] if costs[best] < costs[24] - 1e-4 else middle)
 
@@ -115,10 +123,15 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
     fitting = [
         unit
         for unit in _USUAL_UNITS
-        if all(low <= s * unit / unit_m <= high for s, (low, high) in zip(extent_m, limits, strict=True))
+        if all(
+            low <= s * unit / unit_m <= high
+            for s, (low, high) in zip(extent_m, limits, strict=True)
+        )
     ]
     if fitting:
-        scale = min(fitting, key=lambda unit: abs(np.log(extent_m[0] * unit / unit_m / _USUAL_LENGTH_M)))
+        scale = min(
+            fitting, key=lambda unit: abs(np.log(extent_m[0] * unit / unit_m / _USUAL_LENGTH_M))
+        )
     else:
         scale = unit_m * _USUAL_LENGTH_M / extent_m[0]
     raise ConfigurationError(

@@ -73,8 +73,18 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
         signs.append(np.where(towards < 0, -1.0, 1.0))
         below.append(np.full(len(face), number == _BELOW))
         # Edge-on pixels say nothing about the side.
-        np.add.at(votes, face, np.where(np.abs(towards) > 0.1, np.sign(towards), 0).astype(np.int64))
+        np.add.at(
+            votes, face, np.where(np.abs(towards) > 0.1, np.sign(towards), 0).astype(np.int64)
+        )
     face, weight = np.concatenate(faces), np.concatenate(weights)
     points = np.einsum("nk,nkc->nc", weight, corners[face])
     normals = normal[face] * np.concatenate(signs)[:, None]
-    return Outer(points, normals, face, weight, np.concatenate(below), int((votes < 0).sum()), int((votes != 0).sum()))
+    return Outer(
+        points,
+        normals,
+        face,
+        weight,
+        np.concatenate(below),
+        int((votes < 0).sum()),
+        int((votes != 0).sum()),
+    )

@@ -42,11 +42,19 @@ _MODE_PX = 7
 
 def name_part(name: str) -> Part | None:
     """What a material's or object's name says it is; None for nothing, which is mostly paint."""
-    return next((part for part, pattern in _NAMES if re.search(pattern, name.lower().replace("_", " "))), None)
+    return next(
+        (part for part, pattern in _NAMES if re.search(pattern, name.lower().replace("_", " "))),
+        None,
+    )
 
 
 def label_parts(
-    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, plain: Bool[np.ndarray, "512 512"], *, masked: bool
+    mesh: SourceMesh,
+    texels: Texels,
+    wrapping: Wrapping,
+    plain: Bool[np.ndarray, "512 512"],
+    *,
+    masked: bool,
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
@@ -65,7 +73,9 @@ def label_parts(
     Returns:
         labels, the share of texels that each rule decided, and notes.
     """
-    names = np.array([int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials])
+    names = np.array(
+        [int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials]
+    )
     clear = np.array([m.opacity < 0.5 for m in mesh.materials])
     material = mesh.material[texels.face]
     named = np.where(clear[material], int(Part.GLASS), names[material])
@@ -78,7 +88,9 @@ def label_parts(
     paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
     open_ = ~decided
     if not masked and paint[open_].mean() < 0.4:
-        notes.append("most of the surface is dark: colour does not tell glass from paint, which is left as paint")
+        notes.append(
+            "most of the surface is dark: colour does not tell glass from paint, which is left as paint"
+        )
         paint = np.ones_like(paint)
     height = float(z.max())
     window_z = min(wrapping.belt_m - 0.05, (0.57 if height < 2.5 else 0.5) * height)
@@ -129,7 +141,9 @@ def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarr
     return (_column() <= TOPOLOGY_SILL)[None] & ~(end_face & (z > clearance + 0.12))
 
 
-def _wheels(wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Bool[np.ndarray, "512 512"]:
+def _wheels(
+    wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray
+) -> Bool[np.ndarray, "512 512"]:
     """Discs on the sides where the lower edge comes down to the ground."""
     hull = wrapping.hull
     low, at = hull.low, hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
@@ -150,5 +164,7 @@ def _wheels(wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> 
 
 def _mode(parts: np.ndarray) -> np.ndarray:
     """The most frequent label around each texel: takes specks away."""
-    counts = np.stack([uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part])
+    counts = np.stack(
+        [uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part]
+    )
     return counts.argmax(0)

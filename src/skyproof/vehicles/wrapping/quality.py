@@ -19,7 +19,11 @@ _EVERY = 5  # points are dense enough for one in five
 
 
 def outline_iou(
-    first: Float[np.ndarray, "F 3 3"], second: Float[np.ndarray, "G 3 3"], *, azimuth_deg: float, elevation_deg: float
+    first: Float[np.ndarray, "F 3 3"],
+    second: Float[np.ndarray, "G 3 3"],
+    *,
+    azimuth_deg: float,
+    elevation_deg: float,
 ) -> float:
     """Intersection over union of two meshes' outlines at 1 cm per pixel."""
     axes = view_axes(np.radians(azimuth_deg), np.radians(elevation_deg))
@@ -27,11 +31,15 @@ def outline_iou(
     points = np.concatenate([view.reshape(-1, 3) for view in views])[:, :2]
     low, high = points.min(0) - _PIXEL_M, points.max(0) + _PIXEL_M
     columns, rows = np.ceil((high - low) / _PIXEL_M).astype(int)
-    one, other = (z_buffer(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views)
+    one, other = (
+        z_buffer(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views
+    )
     return float((one & other).sum() / (one | other).sum())
 
 
-def measure_wrapping(corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping: Wrapping) -> dict[str, float | int]:
+def measure_wrapping(
+    corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping: Wrapping
+) -> dict[str, float | int]:
     """Compares the wrapped template with the mesh.
 
     Distances run from points about 3 cm apart on each outer surface (what is seen from the sides and from above, so

@@ -30,7 +30,10 @@ def view_axes(azimuth_rad: float, elevation_rad: float) -> Float[np.ndarray, "3 
 
 
 def z_buffer(
-    corners: Float[np.ndarray, "F 3 3"], origin: Float[np.ndarray, " 2"], pixel: float, size: tuple[int, int]
+    corners: Float[np.ndarray, "F 3 3"],
+    origin: Float[np.ndarray, " 2"],
+    pixel: float,
+    size: tuple[int, int],
 ) -> View:
     """Finds the nearest triangle at every pixel's centre, whichever way it faces.
 
@@ -62,7 +65,9 @@ def z_buffer(
     face = np.full(height * width, -1, np.int64)
     for group in _groups(counts):
         index = np.repeat(group, counts[group])
-        step = np.arange(len(index)) - np.repeat(counts[group].cumsum() - counts[group], counts[group])
+        step = np.arange(len(index)) - np.repeat(
+            counts[group].cumsum() - counts[group], counts[group]
+        )
         columns = high[index, 0] - low[index, 0] + 1
         down = step // columns
         x, y = low[index, 0] + step - down * columns, low[index, 1] + down
@@ -76,13 +81,19 @@ def z_buffer(
     weights = np.zeros((height * width, 3))
     hit = np.flatnonzero(face >= 0)
     y, x = np.divmod(hit, width)
-    weights[hit, 1], weights[hit, 2] = _plane(second, face[hit], x, y), _plane(third, face[hit], x, y)
+    weights[hit, 1], weights[hit, 2] = (
+        _plane(second, face[hit], x, y),
+        _plane(third, face[hit], x, y),
+    )
     weights[hit, 0] = 1 - weights[hit, 1] - weights[hit, 2]
     return View(face.reshape(size), weights.reshape(*size, 3))
 
 
 def _plane(
-    planes: Float[np.ndarray, "F 3"], index: Int[np.ndarray, " N"], x: Int[np.ndarray, " N"], y: Int[np.ndarray, " N"]
+    planes: Float[np.ndarray, "F 3"],
+    index: Int[np.ndarray, " N"],
+    x: Int[np.ndarray, " N"],
+    y: Int[np.ndarray, " N"],
 ) -> Float[np.ndarray, " N"]:
     return planes[index, 0] * x + planes[index, 1] * y + planes[index, 2]
 

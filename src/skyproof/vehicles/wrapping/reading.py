@@ -14,7 +14,13 @@ from trimesh.resolvers import Resolver
 
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.collada import read_collada
-from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, picture_bytes
+from skyproof.vehicles.wrapping.meshes import (
+    GREY,
+    Material,
+    SourceMesh,
+    find_texture,
+    picture_bytes,
+)
 
 __all__ = ["read_mesh"]
 
@@ -123,10 +129,16 @@ def _look_of(
     else:
         image = None
     name = f"{name} {material.name or ''}".strip()
-    return Material(name, colour or GREY, image, opacity, plain=image is None and colour is None), uvs, colours
+    return (
+        Material(name, colour or GREY, image, opacity, plain=image is None and colour is None),
+        uvs,
+        colours,
+    )
 
 
-def _picture_and_colour(material: Any) -> tuple[np.ndarray | None, float, tuple[float, float, float] | None]:
+def _picture_and_colour(
+    material: Any,
+) -> tuple[np.ndarray | None, float, tuple[float, float, float] | None]:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
     raw = getattr(material, "baseColorFactor", None)
@@ -148,7 +160,9 @@ def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
     """Drops triangles without area or with coordinates that are no numbers, and says so."""
     a, b, c = mesh.corners.transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    size = np.ptp(mesh.corners[np.isfinite(mesh.corners).all((1, 2))].reshape(-1, 3), axis=0).max(initial=0.0)
+    size = np.ptp(mesh.corners[np.isfinite(mesh.corners).all((1, 2))].reshape(-1, 3), axis=0).max(
+        initial=0.0
+    )
     good = np.isfinite(area) & (area > 1e-12 * size**2)
     if not good.any():
         raise ConfigurationError(f"{path} holds no triangle with an area; give a mesh with faces.")

@@ -45,14 +45,19 @@ class Hull:
     low: Float[np.ndarray, " X"]
     floor: Float[np.ndarray, " X"]
 
-    def index(self, values: Float[np.ndarray, "*N"], axis: int, count: int) -> Int[np.ndarray, "*N"]:
+    def index(
+        self, values: Float[np.ndarray, "*N"], axis: int, count: int
+    ) -> Int[np.ndarray, "*N"]:
         """Cell along one axis, held inside the grid."""
         return np.floor((values - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
 
     def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Points within a cell of the surface moved onto it, up or down or sideways, whichever is nearer."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
-        top = _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5) - points[:, 2]
+        top = (
+            _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5)
+            - points[:, 2]
+        )
         own = self.sides[(points[:, 1] < 0).astype(np.int64), column]
         out = _between(own, (points[:, 2] - self.start[2]) / self.cell - 0.5) - np.abs(points[:, 1])
         up = np.abs(top) <= np.abs(out)
@@ -65,7 +70,11 @@ class Hull:
     def inside(self, points: Float[np.ndarray, "N 3"], slack_m: float) -> np.ndarray:
         """Which points lie inside the outline from above and the sides, or at most `slack_m` outside."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
-        own = self.sides[(points[:, 1] < 0).astype(np.int64), column, self.index(points[:, 2], 2, self.sides.shape[2])]
+        own = self.sides[
+            (points[:, 1] < 0).astype(np.int64),
+            column,
+            self.index(points[:, 2], 2, self.sides.shape[2]),
+        ]
         ends = np.flatnonzero(np.isfinite(self.top).any(1))[[0, -1]] * self.cell + self.start[0]
         along = (points[:, 0] > ends[0] - slack_m) & (points[:, 0] < ends[1] + self.cell + slack_m)
         return along & (np.abs(points[:, 1]) < own + slack_m)
@@ -73,7 +82,9 @@ class Hull:
     def face(self, points: Float[np.ndarray, "N 3"], *, nose: bool) -> Float[np.ndarray, " N"]:
         """x of the surface in front of (or behind) points; NaN where nothing is."""
         seen = self.front if nose else self.rear
-        return seen[self.index(points[:, 1], 1, seen.shape[0]), self.index(points[:, 2], 2, seen.shape[1])]
+        return seen[
+            self.index(points[:, 1], 1, seen.shape[0]), self.index(points[:, 2], 2, seen.shape[1])
+        ]
 
 
 def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
@@ -95,7 +106,9 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     def look(first: int, second: int, depth: int, sign: float) -> np.ndarray:
         """The largest `sign * depth` over cells of two axes; -inf where nothing is."""
         view = corners[..., [second, first, depth]] * [1.0, 1.0, -sign]
-        seen = z_buffer(view, start[[second, first]], cell, (int(counts[first]), int(counts[second])))
+        seen = z_buffer(
+            view, start[[second, first]], cell, (int(counts[first]), int(counts[second]))
+        )
         value = np.einsum("xyk,xyk->xy", seen.weights, corners[seen.face][..., depth]) * sign
         return np.where(seen.face >= 0, value, -np.inf)
 
@@ -116,7 +129,12 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     for side in sides:
         side[:, upper] = grey_opening(side[:, upper], (round(_THIN_M / cell), 1), mode="constant")
     close = round(_WHEEL_GAP_M / cell)
-    sides = np.stack([grey_closing(np.minimum(side, r[:, None]), close) for side, r in zip(sides, reach, strict=True)])
+    sides = np.stack(
+        [
+            grey_closing(np.minimum(side, r[:, None]), close)
+            for side, r in zip(sides, reach, strict=True)
+        ]
+    )
     sides = np.minimum(sides, reach[:, :, None])
 
     solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
@@ -137,7 +155,9 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     return Hull(cell, start, top, sides, front, rear, low, floor)
 
 
-def _between(rows: Float[np.ndarray, "N C"], at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+def _between(
+    rows: Float[np.ndarray, "N C"], at: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
     """One value of each row, linear between two cells; not finite where one of them is not."""
     left = np.floor(at).astype(np.int64).clip(0, rows.shape[1] - 2)
     each = np.arange(len(rows))
@@ -214,7 +234,11 @@ def cut_sections(hull: Hull) -> Sections:
     for index, row in enumerate(rows):
         z = axis_z[index] + direction[:, 1:] * steps
         up = hull.index(z, 2, count_z)
-        inside = (np.abs(y) <= hull.sides[right, row, up]) & (z <= hull.top[row, across]) & (z >= hull.low[row])
+        inside = (
+            (np.abs(y) <= hull.sides[right, row, up])
+            & (z <= hull.top[row, across])
+            & (z >= hull.low[row])
+        )
         last = np.where(inside.any(1), len(steps) - 1 - inside[:, ::-1].argmax(1), 0)
         radius[index] = steps[last] + hull.cell / 2
     station = hull.start[0] + (rows + 0.5) * hull.cell

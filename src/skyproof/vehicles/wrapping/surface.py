@@ -10,7 +10,14 @@ from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
-from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_RAIL, TOPOLOGY_SILL, column_u
+from skyproof.vehicles.template import (
+    COLUMNS,
+    RINGS,
+    TOPOLOGY_BELT,
+    TOPOLOGY_RAIL,
+    TOPOLOGY_SILL,
+    column_u,
+)
 from skyproof.vehicles.wrapping.sections import DIRECTIONS, Hull, Sections, cut_sections, find_hull
 
 __all__ = ["Wrapping", "wrap_surface"]
@@ -74,9 +81,14 @@ def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
     y, z = sections.points()
     up = DIRECTIONS // 2
     roof = [z[:, up], (z[:, up - 30] + z[:, up + 30]) / 2, z.max(1)]
-    sides = [(sections.radius[:, up - turn] + sections.radius[:, up + turn]) / 2 for turn in (50, 65)]
+    sides = [
+        (sections.radius[:, up - turn] + sections.radius[:, up + turn]) / 2 for turn in (50, 65)
+    ]
     # The outline counts most: it is what an overhead view shows.
-    return np.stack([3 * y.max(1), -3 * y.min(1), *roof, 0.6 * sections.low, *(0.4 * side for side in sides)], axis=1)
+    return np.stack(
+        [3 * y.max(1), -3 * y.min(1), *roof, 0.6 * sections.low, *(0.4 * side for side in sides)],
+        axis=1,
+    )
 
 
 def _end(sections: Sections, step: int) -> int:
@@ -145,7 +157,9 @@ def _half_outlines(sections: Sections, side: int) -> Float[np.ndarray, "S 181"]:
 _ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))
 
 
-def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -> Float[np.ndarray, "S 17"]:
+def _places(
+    sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float
+) -> Float[np.ndarray, "S 17"]:
     """For every plane where on the half outline columns 7 to 16 lie: (fractional) directions, both sides alike.
 
     Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the columns run evenly.
@@ -155,13 +169,15 @@ def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -
     split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
     y = mean * np.cos(_ANGLE)
     z = sections.axis_z[:, None] + mean * np.sin(_ANGLE)
-    shoulder = np.array([_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))])
+    shoulder = np.array(
+        [_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))]
+    )
     arcs, rails = [], np.empty(len(z))
     for row in range(len(z)):
         s = shoulder[row]
-        along = np.r_[0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()] + 1e-7 * np.arange(
-            len(y[row, s:])
-        )
+        along = np.r_[
+            0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()
+        ] + 1e-7 * np.arange(len(y[row, s:]))
         # The rail is the corner of the outline above the shoulder: farthest from the straight line over it.
         run, rise = y[row, -1] - y[row, s], z[row, -1] - z[row, s]
         off = np.abs((y[row, s:] - y[row, s]) * rise - (z[row, s:] - z[row, s]) * run)
@@ -174,8 +190,12 @@ def _places(sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float) -
     places = np.zeros((len(z), _HALF + 1))
     for row, along in enumerate(arcs):
         rail = rails[row]
-        share = rail * (upper / split).clip(0, 1) + (1 - rail) * ((upper - split) / (1 - split)).clip(0, 1)
-        places[row, TOPOLOGY_BELT:] = shoulder[row] + np.interp(share * along[-1], along, np.arange(len(along)))
+        share = rail * (upper / split).clip(0, 1) + (1 - rail) * (
+            (upper - split) / (1 - split)
+        ).clip(0, 1)
+        places[row, TOPOLOGY_BELT:] = shoulder[row] + np.interp(
+            share * along[-1], along, np.arange(len(along))
+        )
     return places
 
 
@@ -187,7 +207,10 @@ def _shoulder(z: Float[np.ndarray, " 181"], axis_z: float, belt: float) -> int:
 
 
 def _ring(
-    sections: Sections, halves: Float[np.ndarray, "2 181"], place: Float[np.ndarray, " 17"], row: int
+    sections: Sections,
+    halves: Float[np.ndarray, "2 181"],
+    place: Float[np.ndarray, " 17"],
+    row: int,
 ) -> Float[np.ndarray, "32 3"]:
     """The 32 points of one ring."""
     points = np.zeros((COLUMNS, 3))
@@ -204,7 +227,10 @@ def _ring(
         lower = lower[int(np.argmax(np.where(z[lower] < low + 0.03, y[lower], 0.0))) :]
         order = np.argsort(z[lower], kind="stable")
         widths = np.interp(heights, z[lower][order], y[lower][order])
-        along_y[TOPOLOGY_SILL : TOPOLOGY_BELT + 1], along_z[TOPOLOGY_SILL : TOPOLOGY_BELT + 1] = widths, heights
+        along_y[TOPOLOGY_SILL : TOPOLOGY_BELT + 1], along_z[TOPOLOGY_SILL : TOPOLOGY_BELT + 1] = (
+            widths,
+            heights,
+        )
         along_y[:2] = 0.0, max(widths[0] - _TYRE_M, 0.4 * widths[0])
         along_z[:2] = min(max(sections.floor[row], low + 0.01), low + 0.5 * (top - low))
         columns = np.arange(_HALF + 1) if sign > 0 else (COLUMNS - np.arange(_HALF + 1)) % COLUMNS

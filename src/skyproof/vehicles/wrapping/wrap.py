@@ -70,7 +70,9 @@ def wrap_mesh(
     notes = list(mesh.notes)
     outer = look_around(mesh.corners)
     if outer.inverted:
-        notes.append(f"{outer.inverted} of {outer.seen} visible triangles face inwards; they were turned round.")
+        notes.append(
+            f"{outer.inverted} of {outer.seen} visible triangles face inwards; they were turned round."
+        )
     if not any(m.picture is not None for m in mesh.materials) and np.isnan(mesh.colours).any():
         notes.append("no texture: plain colours of materials or parts are used.")
     wrapping = wrap_surface(mesh.corners)
@@ -82,7 +84,9 @@ def wrap_mesh(
     plain = np.array([m.plain for m in mesh.materials])[mesh.material[texels.face]]
     plain &= np.isnan(mesh.colours[texels.face, 0, 0])
     parts, shares, doubts = label_parts(mesh, texels, wrapping, plain, masked=masked)
-    colour = np.where(plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour)
+    colour = np.where(
+        plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour
+    )
     low, high = wrapping.vertices.amin(0), wrapping.vertices.amax(0)
     report = {
         "mesh": str(path),
@@ -94,7 +98,11 @@ def wrap_mesh(
         "notes": notes + doubts,
     }
     return WrappedVehicle(
-        replace(mesh, notes=tuple(notes)), wrapping.vertices, to_bytes(colour), torch.from_numpy(parts), report
+        replace(mesh, notes=tuple(notes)),
+        wrapping.vertices,
+        to_bytes(colour),
+        torch.from_numpy(parts),
+        report,
     )
 
 
@@ -103,4 +111,6 @@ def _read_mask(path: Path) -> UInt8[np.ndarray, "H W"]:
         with Image.open(path) as image:
             return np.asarray(image.convert("L"))
     except OSError as error:
-        raise ConfigurationError(f"{path} cannot be read as a picture; --paintable expects a PNG mask.") from error
+        raise ConfigurationError(
+            f"{path} cannot be read as a picture; --paintable expects a PNG mask."
+        ) from error
