@@ -12,9 +12,10 @@ FLOORS = [
     {"files"},
     {"geometry"},
     {"scenes", "vehicles"},
+    {"datasets", "ground"},
     {"camouflage", "render", "detectors"},
-    {"attacks", "cycles", "evaluate", "imagery"},
-    {"report", "workflow"},
+    {"attacks", "cycles", "results", "imagery"},
+    {"report", "plans"},
     {"api", "cli", "__init__"},
     {"__main__"},
 ]
@@ -187,10 +188,10 @@ def test_these_rules_can_fail():
         "detectors.detector": "def later():\n    from skyproof.attacks import attack",
         "vehicles.fleet": "import skyproof.scenes.scene",
         "render.shade": "from skyproof.errors import SkyproofError\nfrom skyproof.render import settings",
-        "evaluate.fine": "from skyproof.errors import SkyproofError\ndef f():\n    import torch",
-        "evaluate.heavy": "class Row:\n    from torch import Tensor",
-        "report.page": "from skyproof.evaluate.fine import f\nprint('done')",
-        "report.slow": "from skyproof.evaluate import heavy",
+        "results.fine": "from skyproof.errors import SkyproofError\ndef f():\n    import torch",
+        "results.heavy": "class Row:\n    from torch import Tensor",
+        "report.page": "from skyproof.results.fine import f\nprint('done')",
+        "report.slow": "from skyproof.results import heavy",
         "cli": "print('hello')",
     }
     assert upward_imports(modules) == [
@@ -199,6 +200,6 @@ def test_these_rules_can_fail():
         "vehicles.fleet imports scenes",
     ]
     assert reaches("report.page", modules, "torch") == []
-    assert reaches("report.slow", modules, "torch") == ["evaluate.heavy"]
-    assert importers(modules, "torch") == ["evaluate.fine", "evaluate.heavy"]
+    assert reaches("report.slow", modules, "torch") == ["results.heavy"]
+    assert importers(modules, "torch") == ["results.fine", "results.heavy"]
     assert printers(modules) == ["report.page"]

@@ -18,9 +18,10 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
+from skyproof.datasets.coco import read_coco
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.folder import load_detector
-from skyproof.detectors.training import detect_all
+from skyproof.detectors.inference import detect_all
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_beside, write_json
 from skyproof.geometry.colour import srgb_to_linear
@@ -30,7 +31,6 @@ from skyproof.render.placed import label, place, visible_samples
 from skyproof.render.renderer import photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.coco import read_coco
 from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.vehicles.fleet import Fleet
 

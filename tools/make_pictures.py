@@ -23,6 +23,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.dataset import placed_vehicles
@@ -31,9 +32,9 @@ from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.report.pairs import make_pairs
 from skyproof.report.run import read_run
-from skyproof.scenes.backgrounds import write_procedural_backgrounds
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

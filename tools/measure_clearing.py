@@ -18,13 +18,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.folder import load_detector
-from skyproof.detectors.training import detect_all
-from skyproof.evaluate.clean import Judge
+from skyproof.detectors.inference import detect_all
 from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.renderer import TorchRenderer
+from skyproof.results.clean import Judge
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 SIZE_PX, MARGIN_M = 272, 0.4

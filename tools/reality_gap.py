@@ -25,18 +25,23 @@ import tyro
 
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import generator_of
+from skyproof.datasets.coco import read_coco
+from skyproof.datasets.labelled import LabelledImages, join
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import DetectorCard, build_detector, load_detector
-from skyproof.detectors.training import TrainingSettings, detect_all, train
-from skyproof.evaluate.clean import CleanSet, Judge, check_clean
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.settings import TrainingSettings
+from skyproof.detectors.training import train
 from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, write_procedural_backgrounds
-from skyproof.scenes.coco import read_coco
-from skyproof.scenes.labelled import LabelledImages, join
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.results.clean import CleanSet, Judge, check_clean
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 GSD_M, IMAGE_PX = 0.125, 192
@@ -238,7 +243,7 @@ def _ground(run: Path, name: str) -> BackgroundSet:
     folder = run / name
     if name in ("procedural", "without-clutter") and not folder.exists():
         spared = (
-            patch("skyproof.scenes.ground.add_clutter")
+            patch("skyproof.ground.ground.add_clutter")
             if name == "without-clutter"
             else nullcontext()
         )

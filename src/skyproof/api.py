@@ -1,6 +1,7 @@
 """The names that programs need, in one place: `import skyproof.api as sp`."""
 
-from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.attack import attack
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.account import practicality_account
@@ -16,19 +17,20 @@ from skyproof.cycles.blender import find_blender
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
+from skyproof.datasets.coco import read_coco
 from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
 from skyproof.detectors.folder import load_detector
 from skyproof.detectors.training import validate
-from skyproof.evaluate.clean import CleanSet, Judge
-from skyproof.evaluate.evaluation import evaluate_pairs
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.report.report import write_report
+from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.evaluation import evaluate_pairs
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.coco import read_coco
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import read_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = [

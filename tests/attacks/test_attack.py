@@ -7,18 +7,19 @@ import pytest
 import torch
 from torch import nn
 
-from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.attack import attack
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
-from skyproof.scenes.backgrounds import write_procedural_backgrounds
-from skyproof.scenes.sampling import SceneSettings
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES = SceneSettings(size_px=96, vehicles_maximum=1)

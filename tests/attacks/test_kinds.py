@@ -6,19 +6,20 @@ import json
 import pytest
 import torch
 
-from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.attack import attack
 from skyproof.attacks.objective import paper_weights
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test, target_scores
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.errors import ConfigurationError
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames
 from skyproof.render.renderer import TorchRenderer
-from skyproof.scenes.backgrounds import write_procedural_backgrounds
-from skyproof.scenes.sampling import SceneSettings
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 PALETTE = (

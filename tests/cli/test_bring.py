@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
+from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.folder import read_card
-from skyproof.scenes.coco import Annotation, CocoWriter
 from tests.cli.conftest import Skyproof
 
 CPU = ["--device", "cpu"]

@@ -7,9 +7,9 @@ import torch
 from PIL import Image
 
 from skyproof.cli.frames import read_frames
+from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.scenes.backgrounds import BackgroundTile, save_tile, write_index
-from skyproof.scenes.coco import Annotation, CocoWriter
 
 CLASSES = ["car"]
 

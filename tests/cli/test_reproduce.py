@@ -1,4 +1,4 @@
-"""`skyproof reproduce`: refusals, dry run, a failing job, interruption; the whole of it is in tests/workflow."""
+"""`skyproof reproduce`: refusals, dry run, a failing job, interruption; the whole of it is in tests/plans."""
 
 import fcntl
 import json
@@ -18,7 +18,7 @@ from skyproof.cycles.blender import Blender
 from skyproof.errors import ConfigurationError
 from tests.cli.conftest import Skyproof
 
-TINY = Path(__file__).parents[1] / "workflow" / "tiny.json"
+TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
 
 
 def test_dry_run_says_what_would_be_done_and_writes_nothing(

@@ -7,7 +7,8 @@ import torch
 from PIL import Image
 
 from skyproof.cli.main import run
-from skyproof.scenes.backgrounds import BackgroundSet, write_procedural_backgrounds
+from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 
 

@@ -13,13 +13,13 @@ from skyproof.cycles.jobs import crop_windows
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
+from skyproof.datasets.coco import read_rendering
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.placed import place
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.weather import finish_images
-from skyproof.scenes.coco import read_rendering
 from skyproof.scenes.scene import Placement
 from skyproof.scenes.weather import Weather
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

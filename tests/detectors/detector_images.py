@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from skyproof.scenes.labelled import LabelledImages
+from skyproof.datasets.labelled import LabelledImages
 
 YOLO = pytest.param(
     "yolov5",

@@ -6,6 +6,7 @@ import pytest
 import torch
 from detector_images import labelled_images
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.average_precision import (
     PrecisionRecall,
     average_precision,
@@ -13,7 +14,6 @@ from skyproof.detectors.average_precision import (
 )
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
-from skyproof.scenes.labelled import LabelledImages
 
 
 def labelled(boxes: list[torch.Tensor], ignore: list[torch.Tensor] | None = None) -> LabelledImages:

@@ -13,7 +13,8 @@ from detector_images import bar_images, labelled_images
 
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.folder import build_detector, load_detector, weights_digest
-from skyproof.detectors.training import TRAINING_PRESETS, TrainingSettings, train
+from skyproof.detectors.settings import TRAINING_PRESETS, TrainingSettings
+from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 
 SETTINGS = TrainingSettings(

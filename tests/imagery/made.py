@@ -9,7 +9,8 @@ from rasterio.transform import Affine
 
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.splits import SPLITS
 
 
 def write_image(path, array, *, crs=None, transform=None, colours=None, tags=None, **options):

@@ -6,13 +6,14 @@ import pytest
 import torch
 from PIL import Image
 
+from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet, BackgroundTile, write_index
-from skyproof.scenes.coco import Annotation, CocoWriter
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, write_index
+from skyproof.scenes.splits import SPLITS
 
 SIZE_PX = 120
 GROUND, RED = (100, 110, 120), (250, 0, 0)

@@ -8,8 +8,9 @@ from rasterio.transform import from_origin
 from rasterio.warp import transform as transform_places
 
 from skyproof.cli.main import run
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
-from skyproof.scenes.coco import read_coco
+from skyproof.datasets.coco import read_coco
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, smooth_noise, write_image
 
 EAST, NORTH = 1_554_000.0, 5_176_800.0

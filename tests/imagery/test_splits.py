@@ -4,7 +4,7 @@ import torch
 
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.splits import SPLIT_SHARES, assign_splits
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 
 def cells(rows, columns, frame="f"):

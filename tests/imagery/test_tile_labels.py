@@ -8,10 +8,10 @@ import pytest
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
+from skyproof.datasets.coco import read_coco
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.tiles.placed_labels import LabelSettings
-from skyproof.scenes.coco import read_coco
 from tests.imagery.made import all_tiles, noise, tile, write_image
 
 NZTM = "EPSG:2193"

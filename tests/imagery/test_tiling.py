@@ -14,7 +14,7 @@ from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
 from skyproof.errors import ImageryError
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
 
 NZTM = "EPSG:2193"

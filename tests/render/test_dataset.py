@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.datasets.coco import read_coco
 from skyproof.errors import RunFolderError
 from skyproof.render.dataset import ground_corners, placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.scenes.coco import read_coco
 from skyproof.scenes.scene import Placement, read_scenes
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.render.bodies import PlainGround, scene

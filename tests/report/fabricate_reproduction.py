@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from skyproof.evaluate.sets import SetScore, write_sets
-from skyproof.evaluate.tiles import Series, TileCounts, write_tiles
 from skyproof.files import write_json
+from skyproof.results.sets import SetScore, write_sets
+from skyproof.results.tiles import Series, TileCounts, write_tiles
 
 DETECTORS = ("retinanet", "yolov5")
 TILES = tuple(f"tile-{index:02d}" for index in range(20))

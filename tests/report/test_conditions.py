@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from skyproof.evaluate.outcomes import Outcome
 from skyproof.report.conditions import condition_panels
+from skyproof.results.outcomes import Outcome
 
 
 def outcomes(conditions):

@@ -13,12 +13,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fabricate import fabricate
 
 from skyproof.errors import StoredFileError
-from skyproof.evaluate.intervals import Interval
 from skyproof.files import read_json, write_json
 from skyproof.report.conditions import Bin, Panel
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, number, percent, probability
+from skyproof.results.intervals import Interval
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,8 @@ import pytest
 import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.scenes.backgrounds import (
-    BackgroundSet,
-    BackgroundTile,
-    save_tile,
-    write_index,
-    write_procedural_backgrounds,
-)
+from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.scene import BackgroundWindow
 
 

@@ -8,7 +8,8 @@ import torch
 
 from skyproof.imagery.frames import read_frames_folder
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import SPLITS, BackgroundSet
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.splits import SPLITS
 
 FOLDER = Path(os.environ.get("SKYPROOF_DATA", ""))
 pytestmark = [

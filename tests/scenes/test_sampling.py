@@ -8,7 +8,8 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
-from skyproof.scenes.sampling import SceneSettings, rectangles_overlap, sample_scenes
+from skyproof.scenes.sampling import rectangles_overlap, sample_scenes
+from skyproof.scenes.settings import SceneSettings
 
 SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}
 

@@ -9,8 +9,9 @@ import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import read_scenes, write_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CLEAR, CONDITIONS, Weather, draw_weather
 
 SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}

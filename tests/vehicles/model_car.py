@@ -98,7 +98,6 @@ def write_obj(folder: Path, scene: trimesh.Scene | None = None) -> Path:
     return path
 
 
-# ruff: noqa: E501
 COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit name="centimetre" meter="0.01"/><up_axis>{up}_UP</up_axis></asset>

@@ -8,9 +8,9 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import UInt8
@@ -20,6 +20,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen, paper_weights
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
@@ -37,55 +38,9 @@ from skyproof.files import (
     write_jsonl,
 )
 
-__all__ = ["AttackSettings", "attack", "make_optimiser"]
+__all__ = ["attack", "make_optimiser"]
 
 _CHECKPOINT = "checkpoint.safetensors"
-
-
-@dataclass(frozen=True)
-class AttackSettings:
-    """How a camouflage is optimised; the paper gives none of these numbers (PAPER 25).
-
-    Attributes:
-        steps: optimiser steps.
-        batch_size: images, and so vehicles, a step.
-        learning_rate: Adam's at the start; half a cosine takes it to a tenth.
-        balance_batches: batches, seen by no step, whose mean losses set the detectors' weights (PAPER 24), and
-            measure what the last rounding costs (PAPER 32).
-        weights: of the detectors' losses: "balanced" by their first values, or the paper's own numbers.
-        keep_at: steps after which a finished copy is kept in `snapshots/`, to see an attack grow stronger; then also
-            one from before the last rounding, "relaxed" (PAPER 32).
-        preview_every: steps between pictures of the batch.
-        checkpoint_every: steps between checkpoints.
-        seed: of all scenes; the demo adds its own seed to it.
-    """
-
-    steps: int = 300
-    batch_size: int = 8
-    learning_rate: float = 0.05
-    balance_batches: int = 4
-    weights: Literal["balanced", "paper"] = "balanced"
-    keep_at: tuple[int, ...] = ()
-    preview_every: int = 100
-    checkpoint_every: int = 25
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if (
-            min(
-                self.steps,
-                self.batch_size,
-                self.balance_batches,
-                self.preview_every,
-                self.checkpoint_every,
-            )
-            < 1
-        ):
-            raise ConfigurationError(f"An attack expects counts of at least 1, but got {self}.")
-        if not self.learning_rate > 0:
-            raise ConfigurationError(
-                f"An attack expects a learning rate above 0, but got {self.learning_rate}."
-            )
 
 
 def attack(

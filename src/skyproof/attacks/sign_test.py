@@ -11,8 +11,9 @@ from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
-from skyproof.attacks.attack import AttackSettings, make_optimiser
+from skyproof.attacks.attack import make_optimiser
 from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector

@@ -14,8 +14,9 @@ from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["AttackWorld"]

@@ -26,11 +26,13 @@ from skyproof.cli.rendering import Rendering, cycles_settings, open_workers
 from skyproof.cli.stages import choose_device, generator_of
 from skyproof.detectors.folder import build_detector
 from skyproof.files import write_json
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
-from skyproof.scenes.backgrounds import BackgroundSet, write_procedural_backgrounds
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 __all__ = ["Bench"]

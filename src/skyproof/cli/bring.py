@@ -10,9 +10,9 @@ import tyro
 
 from skyproof.cli.console import say
 from skyproof.cli.stages import choose_device
+from skyproof.datasets.coco import read_coco
 from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.files import refuse_existing
-from skyproof.scenes.coco import read_coco
 
 __all__ = ["Bring"]
 

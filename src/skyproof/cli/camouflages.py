@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from skyproof.attacks.attack import AttackSettings
+from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.palette import load_palette
 from skyproof.camouflage.recipe import Materials
@@ -23,7 +23,7 @@ from skyproof.detectors.folder import read_card
 from skyproof.errors import ConfigurationError
 from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings
+from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["Attack", "Control", "Measure", "Palette", "Score"]
 

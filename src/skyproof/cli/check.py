@@ -11,11 +11,11 @@ from skyproof.cli.console import progress_bar, say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import choose_device
 from skyproof.detectors.folder import load_detector
-from skyproof.detectors.training import detect_all
+from skyproof.detectors.inference import detect_all
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.clean import Judge, check_clean
 from skyproof.files import refuse_existing, write_json
 from skyproof.report.words import interval, percent
+from skyproof.results.clean import Judge, check_clean
 
 __all__ = ["Check"]
 

@@ -17,14 +17,15 @@ from skyproof.cli.stages import (
     train_detector,
 )
 from skyproof.detectors.folder import read_card
-from skyproof.detectors.training import TRAINING_PRESETS
+from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import write_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["Evaluate", "Render", "Report", "Scenes", "Train"]

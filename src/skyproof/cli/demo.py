@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from skyproof.attacks.attack import AttackSettings
+from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.rendering import Rendering
@@ -33,12 +33,12 @@ from skyproof.cli.world import (
 )
 from skyproof.cycles.blender import find_blender
 from skyproof.detectors.folder import build_detector
-from skyproof.detectors.training import TrainingSettings
+from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, write_bytes
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Demo", "check_detectors", "run_demo"]
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyproof.datasets.labelled import join
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.clean import CleanSet
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
+from skyproof.results.clean import CleanSet
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.labelled import join
 
 __all__ = ["read_frames"]
 

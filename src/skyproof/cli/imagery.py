@@ -15,7 +15,7 @@ from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.tiles.placed_labels import LabelSettings
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Tile"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.planning import SMALLEST, Assumptions, assume_from_pilot, vehicles_needed
-from skyproof.evaluate.tiles import read_tiles
+from skyproof.results.planning import SMALLEST, Assumptions, assume_from_pilot, vehicles_needed
+from skyproof.results.tiles import read_tiles
 
 __all__ = ["Plan"]
 

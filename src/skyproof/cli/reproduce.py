@@ -24,8 +24,8 @@ from skyproof.cli.stages import choose_device
 from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import read_json
-from skyproof.workflow.plan import SNAKEFILE, Plan, Preset, read_preset
-from skyproof.workflow.progress import (
+from skyproof.plans.plan import SNAKEFILE, Plan, Preset, read_preset
+from skyproof.plans.progress import (
     FinishedJob,
     failed_log,
     finished_jobs,

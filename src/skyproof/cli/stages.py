@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from PIL import Image
 
-from skyproof.attacks.attack import AttackSettings, attack
+from skyproof.attacks.attack import attack
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.account import practicality_account
@@ -21,22 +22,23 @@ from skyproof.camouflage.palette import fit_palette, save_palette
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.cli.console import progress_bar
 from skyproof.cli.rendering import Rendering, open_renderer
+from skyproof.datasets.coco import read_coco, read_rendering
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.folder import build_detector, load_detector
-from skyproof.detectors.training import TrainingSettings, train
+from skyproof.detectors.settings import TrainingSettings
+from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.clean import CleanSet, Judge
-from skyproof.evaluate.evaluation import evaluate_pairs
 from skyproof.files import read_json, refuse_existing, write_beside, write_json
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
+from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.evaluation import evaluate_pairs
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.coco import read_coco, read_rendering
-from skyproof.scenes.sampling import SceneSettings
 from skyproof.scenes.scene import Scene, read_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = [

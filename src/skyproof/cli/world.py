@@ -11,16 +11,14 @@ from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import generator_of
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
-from skyproof.scenes.backgrounds import (
-    SPLITS,
-    BackgroundSet,
-    write_procedural_backgrounds,
-    write_sensor,
-)
-from skyproof.scenes.sampling import SceneSettings, sample_scenes
+from skyproof.scenes.backgrounds import BackgroundSet, write_sensor
+from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import write_scenes
+from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 __all__ = [

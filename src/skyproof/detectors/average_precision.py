@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.common import LOWEST_SCORE
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import Criterion, match_detections
 from skyproof.errors import ConfigurationError
-from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["PrecisionRecall", "average_precision", "best_f1_threshold"]
 

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.common import PADDING_GREY
-from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["WINDOW_PX", "training_batch", "window"]
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torchvision.models import detection
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.brought import Blueprint, BroughtDetector
 from skyproof.detectors.brought_torchvision import count_classes
 from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
@@ -21,7 +22,6 @@ from skyproof.detectors.folder import DetectorCard, installed_version, save_dete
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
-from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["Checkpoint", "bring_detector"]
 

@@ -6,8 +6,8 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.average_precision import average_precision, best_f1_threshold
 from skyproof.detectors.batches import WINDOW_PX, training_batch
-from skyproof.detectors.detector import Detections, Detector, TrainableDetector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.folder import (
     DetectorCard,
     installed_version,
@@ -26,79 +27,18 @@ from skyproof.detectors.folder import (
     plain_state,
     save_detector,
 )
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_jsonl, refuse_foreign, write_bytes, write_jsonl
-from skyproof.scenes.labelled import LabelledImages
 
 __all__ = [
-    "TRAINING_PRESETS",
-    "TrainingSettings",
     "check_validation",
-    "detect_all",
     "train",
     "validate",
 ]
 
 CHECKPOINT = "checkpoint.safetensors"
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """How long and how fast.
-
-    Attributes:
-        steps: optimiser steps.
-        batch_size: images a step.
-        learning_rate: its peak; linear rise over the first `warm_up` of the steps, then half a cosine down to 0.
-        weight_decay: AdamW's, on matrices and kernels only.
-        warm_up: fraction of the steps.
-        largest_gradient_norm: gradients are scaled down to it.
-        average_decay: of the running average of the weights, which is what is validated and stored.
-        jitter: strength of the photometric augmentation; 0 is none, 1 is mild.
-        validate_every: steps between validations; the last step is always validated.
-        checkpoint_every: steps between checkpoints.
-    """
-
-    steps: int = 1000
-    batch_size: int = 16
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.02
-    warm_up: float = 0.1
-    largest_gradient_norm: float = 10.0
-    average_decay: float = 0.99
-    jitter: float = 1.0
-    validate_every: int = 250
-    checkpoint_every: int = 100
-
-    def __post_init__(self) -> None:
-        counts = min(self.steps, self.batch_size, self.validate_every, self.checkpoint_every)
-        if counts < 1 or not self.learning_rate > 0:
-            raise ConfigurationError(
-                f"Training expects counts of at least 1 and a learning rate above 0, but got {self}."
-            )
-
-
-# 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds, for a centre AP of 0.96 to 0.98.
-_CPU = TrainingSettings(steps=600, batch_size=8, validate_every=200)
-# The paper trains 10,000 iterations (PAPER 16) with batch 640 or 128; its learning rates are not given.
-_GPU = TrainingSettings(
-    steps=10_000,
-    batch_size=64,
-    learning_rate=5e-4,
-    weight_decay=0.05,
-    average_decay=0.999,
-    validate_every=1000,
-    checkpoint_every=500,
-)
-TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
-    # Focal loss starts slowly: 800 steps for what the others reach in 600.
-    ("retinanet", "slim"): replace(_CPU, steps=800),
-    ("faster_rcnn", "slim"): _CPU,
-    ("yolov5", "slim"): _CPU,
-    ("retinanet", "full"): _GPU,
-    ("faster_rcnn", "full"): _GPU,
-    ("yolov5", "full"): _GPU,
-}
 
 
 def train(
@@ -183,30 +123,6 @@ def validate(detector: Detector, validation: LabelledImages) -> dict[str, float]
     overlap = average_precision(found, validation, criterion="iou_50")
     threshold, f1 = best_f1_threshold(centre)
     return {"ap_centre_1m": centre.ap, "ap_iou_50": overlap.ap, "f1": f1, "threshold": threshold}
-
-
-def detect_all(
-    detector: Detector, images: Sequence[Tensor], *, batch_size: int = 16
-) -> list[Detections]:
-    """Runs `detect` over images of bytes, in batches of equal size, on the detector's own device."""
-    parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
-    device = parameter.device if parameter is not None else torch.device("cpu")
-    found: list[Detections] = []
-    start = 0
-    while start < len(images):
-        stop = start + 1
-        while (
-            stop < len(images)
-            and stop - start < batch_size
-            and images[stop].shape == images[start].shape
-        ):
-            stop += 1
-        batch = (
-            torch.stack([images[index] for index in range(start, stop)]).to(device).float() / 255
-        )
-        found.extend(detector.detect(batch.contiguous(memory_format=torch.channels_last)))
-        start = stop
-    return found
 
 
 class _Run:

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from PIL import Image
 
+from skyproof.datasets.labelled import LabelledImages
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
 from skyproof.imagery.labels.text import IMAGE_SUFFIXES
-from skyproof.scenes.labelled import LabelledImages
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
 

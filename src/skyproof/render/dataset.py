@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Renderer
-from skyproof.scenes.coco import Annotation, CocoWriter
 from skyproof.scenes.scene import Scene, write_scenes
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyproof.evaluate.intervals import Interval, mean_interval, resample
-from skyproof.evaluate.outcomes import Outcome
-from skyproof.evaluate.rates import overall_attack_success_rate
-from skyproof.evaluate.tiles import cluster_counts
 from skyproof.report.words import body_name
+from skyproof.results.intervals import Interval, mean_interval, resample
+from skyproof.results.outcomes import Outcome
+from skyproof.results.rates import overall_attack_success_rate
+from skyproof.results.tiles import cluster_counts
 
 __all__ = ["Bin", "Panel", "condition_panels"]
 

@@ -10,10 +10,6 @@ import numpy as np
 
 from skyproof.camouflage.names import is_control, pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.agreement import Agreement, rank_agreement, renderer_agreement
-from skyproof.evaluate.differences import difference_interval
-from skyproof.evaluate.paper_results import PAPER_RESULTS
-from skyproof.evaluate.rates import overall_attack_success_rate
 from skyproof.report.reproduction_cells import (
     Table,
     bracket,
@@ -24,6 +20,10 @@ from skyproof.report.reproduction_cells import (
 )
 from skyproof.report.reproduction_run import CYCLES, MATCH, RENDERER, Reproduction
 from skyproof.report.words import detector_name
+from skyproof.results.agreement import Agreement, rank_agreement, renderer_agreement
+from skyproof.results.differences import difference_interval
+from skyproof.results.paper_results import PAPER_RESULTS
+from skyproof.results.rates import overall_attack_success_rate
 
 __all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
 

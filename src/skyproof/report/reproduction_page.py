@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.evaluate.paper_results import PAPER_RESULTS
 from skyproof.report.reproduction_cells import Table, bracket, markdown, number, sign, span, word
 from skyproof.report.reproduction_cycles import cycles_section
 from skyproof.report.reproduction_run import MATCH, Reproduction
 from skyproof.report.reproduction_tables import comparison
 from skyproof.report.words import detector_name, probability
+from skyproof.results.paper_results import PAPER_RESULTS
 
 __all__ = ["reproduction_page", "shape_table", "texture_table"]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from skyproof.camouflage.names import base_name
 from skyproof.errors import ConfigurationError
-from skyproof.evaluate.agreement import rank_agreement
-from skyproof.evaluate.paper_results import PAPER_RESULTS, PaperResult
-from skyproof.evaluate.transfer import transfer_matrix
 from skyproof.report.reproduction_cells import Table, in_percent, interval_cells
 from skyproof.report.reproduction_cycles import cycles_columns, cycles_tables
 from skyproof.report.reproduction_run import MATCH, Reproduction, point_name
+from skyproof.results.agreement import rank_agreement
+from skyproof.results.paper_results import PAPER_RESULTS, PaperResult
+from skyproof.results.transfer import transfer_matrix
 
 __all__ = ["comparison", "reproduction_tables"]
 

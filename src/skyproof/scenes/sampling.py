@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
-from skyproof.scenes.weather import CONDITIONS, LOW_SUN_ELEVATION_RAD, draw_weather
+from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
-__all__ = ["SceneSettings", "rectangles_overlap", "sample_scenes"]
+__all__ = ["rectangles_overlap", "sample_scenes"]
 
 Rectangle = tuple[float, float, float, float, float]
 """Centre x, centre y, heading, length, width; metres and radians."""
@@ -23,73 +23,6 @@ TRIES = 2000
 WIDEST_GAP_M = (0.6, 1.5)
 """Between parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
 LARGEST_SKEW_RAD = math.radians(3)
-
-
-@dataclass(frozen=True)
-class SceneSettings:
-    """How scenes are drawn; the defaults are the paper's test set (PAPER 5, 6).
-
-    Attributes:
-        size_px: the image is size_px x size_px.
-        gsd_m: metres per pixel, the background set's.
-        vehicles_minimum, vehicles_maximum: per image, every number equally likely; 1 and 1 in the attack.
-        tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
-        sun_elevation_minimum_rad, sun_elevation_maximum_rad: uniform between; the sun's azimuth is uniform.
-        gap_m: the least free room between two vehicles.
-        margin_m: the least distance of a vehicle's centre from the image's edge.
-        parked_share: share of the scenes whose vehicles stand in a row, bumper to bumper or side by side, as parked
-            ones do; 0 is the paper's.
-        conditions: of weather, light and sensor, each equally likely in every scene (PAPER 56); see
-            `skyproof.scenes.weather.CONDITIONS`. The same seed gives the same scenes under every choice of
-            conditions, but for the weather and the elevation of a low sun.
-    """
-
-    size_px: int = 384
-    gsd_m: float = 0.125
-    vehicles_minimum: int = 1
-    vehicles_maximum: int = 5
-    tilt_maximum_rad: float = math.radians(20)
-    sun_elevation_minimum_rad: float = math.radians(25)
-    sun_elevation_maximum_rad: float = math.radians(65)
-    gap_m: float = 0.4
-    margin_m: float = 2.0
-    parked_share: float = 0.0
-    conditions: tuple[str, ...] = ("clear",)
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.vehicles_minimum <= self.vehicles_maximum:
-            raise ConfigurationError(
-                f"vehicles_minimum {self.vehicles_minimum} and vehicles_maximum {self.vehicles_maximum} do not fit; "
-                "give 0 <= minimum <= maximum."
-            )
-        if not 0 <= self.tilt_maximum_rad < math.pi / 2:
-            raise ConfigurationError(
-                f"tilt_maximum_rad is {self.tilt_maximum_rad}; give 0 to below half of pi."
-            )
-        if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
-            raise ConfigurationError(
-                "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
-            )
-        if not 0 <= self.parked_share <= 1:
-            raise ConfigurationError(
-                f"parked_share is {self.parked_share}; give a share from 0 to 1."
-            )
-        unknown = sorted(set(self.conditions) - set(CONDITIONS))
-        if unknown or not self.conditions:
-            raise ConfigurationError(
-                f"Scenes cannot be drawn under conditions {', '.join(unknown) or '(none)'}; "
-                f"give one or more of {', '.join(CONDITIONS)}."
-            )
-        if self.half_m <= 0:
-            raise ConfigurationError(
-                f"An image of {self.size_px} px of {self.gsd_m} m has no room inside a margin of {self.margin_m} m; "
-                "choose a larger image or a smaller margin."
-            )
-
-    @property
-    def half_m(self) -> float:
-        """Vehicle centres lie within plus or minus this on both axes."""
-        return self.size_px * self.gsd_m / 2 - self.margin_m
 
 
 def sample_scenes(

@@ -28,13 +28,8 @@ from skyproof.imagery.clearing.vehicle_masks import (
     estimate_shadow,
     vehicle_mask,
 )
-from skyproof.scenes.backgrounds import (
-    SPLITS,
-    BackgroundSet,
-    BackgroundTile,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]
 

@@ -11,10 +11,10 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.training import detect_all
+from skyproof.detectors.inference import detect_all
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["VehicleFinder", "check_resolution", "other_vehicles", "read_boxes"]
 

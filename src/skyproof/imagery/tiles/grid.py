@@ -12,7 +12,7 @@ from rasterio.crs import CRS
 from skyproof.errors import ImageryError
 from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
 from skyproof.imagery.tiles.sources import Source
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cell", "Extent", "Frame", "cells_of", "extent_of", "lay_frames", "plane_of"]
 

@@ -14,6 +14,7 @@ from jaxtyping import Int
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from skyproof.datasets.coco import Annotation
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.labels.label import (
     GroundLabels,
@@ -27,7 +28,6 @@ from skyproof.imagery.labels.label import (
 from skyproof.imagery.tiles.georeference import Point, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
-from skyproof.scenes.coco import Annotation
 
 __all__ = ["LabelSettings", "PlacedLabels"]
 

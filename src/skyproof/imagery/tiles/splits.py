@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from skyproof.imagery.tiles.grid import Cell
-from skyproof.scenes.backgrounds import SPLITS
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["SPLIT_SHARES", "assign_splits"]
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.labels.label import Labels
@@ -31,15 +32,9 @@ from skyproof.imagery.tiles.sources import (
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
-from skyproof.scenes.backgrounds import (
-    SPLITS,
-    BackgroundSet,
-    BackgroundTile,
-    save_tile,
-    write_index,
-)
-from skyproof.scenes.coco import Annotation, CocoWriter
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.sensor import Sensor
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["TilingRecord", "TilingSettings", "tile_imagery"]
 

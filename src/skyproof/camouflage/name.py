@@ -1,0 +1,166 @@
+"""A camouflage's name as a value: parsed once, from then on asked for its parts."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.errors import ConfigurationError
+
+__all__ = ["CamouflageName"]
+
+Kind = Literal["texture", "shape", "combination", "other"]
+Order = Literal["seq", "par"]
+
+_WHOLE = re.compile(r"(?P<base>[^_]*?)(?:_(?P<variant>.*?))?(?:-(?P<repeat>\d+))?", re.DOTALL)
+_TEXTURE = re.compile(r"(?P<kind>[TR])-(?P<constraints>[A-Za-z]+)")
+_SHAPE = re.compile(r"(?P<random>R-)?S-O@(?P<magnitude>[-+.\w]+)")
+_LEARNT = re.compile(r"C-(?P<constraints>[A-Za-z]+)-(?P<order>seq|par)@(?P<magnitude>[-+.\w]+)")
+_DRAWN = re.compile(r"R-C-(?P<constraints>[A-Za-z]+)@(?P<magnitude>[-+.\w]+)")
+
+
+@dataclass(frozen=True)
+class CamouflageName:
+    """What a name such as "C-PixFc-seq@0.2_on_retinanet-1" says.
+
+    `str` gives the name back. Names that skyproof did not give (a user's "mine-2") are of kind "other": they have a
+    label, and like all names a variant and a repeat.
+
+    Attributes:
+        kind: texture ("T-U"), shape ("S-O@0.4"), combination ("C-Fc-par@0.2"), or other.
+        constraints: those of the texture; None where vehicles keep their own paint.
+        magnitude: the shape's perturbation magnitude PM in [0, 1]; None where the shape stays.
+        order: whether a combined attack works in sequence or in parallel; None for its random control.
+        random: whether it is a random control, drawn and not learnt.
+        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed"; empty for none.
+        repeat: digits that number the attack's seed or the random draw; empty where the name has none.
+        label: the base of a name of kind "other".
+    """
+
+    kind: Kind
+    constraints: TextureConstraints | None = None
+    magnitude: float | None = None
+    order: Order | None = None
+    random: bool = False
+    variant: str = ""
+    repeat: str = ""
+    label: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> CamouflageName:
+        """Reads the name of a camouflage that skyproof can make.
+
+        Raises:
+            ConfigurationError: no such camouflage, contradictory constraints, or PM outside [0, 1].
+        """
+        base, variant, repeat = _parts(text)
+        if match := _TEXTURE.fullmatch(base):
+            constraints = TextureConstraints.parse(match["constraints"])
+            name = cls("texture", constraints, random=match["kind"] == "R")
+        elif match := _SHAPE.fullmatch(base):
+            magnitude = _magnitude(match["magnitude"], text)
+            name = cls("shape", magnitude=magnitude, random=bool(match["random"]))
+        elif match := _LEARNT.fullmatch(base):
+            constraints = TextureConstraints.parse(match["constraints"])
+            order: Order = "seq" if match["order"] == "seq" else "par"
+            name = cls("combination", constraints, _magnitude(match["magnitude"], text), order)
+        elif match := _DRAWN.fullmatch(base):
+            constraints = TextureConstraints.parse(match["constraints"])
+            magnitude = _magnitude(match["magnitude"], text)
+            name = cls("combination", constraints, magnitude, random=True)
+        else:
+            raise ConfigurationError(
+                f"{text!r} names no camouflage; expected for instance T-U, T-PixFcMa, S-O@0.4, "
+                "C-Fc-seq@0.2 or C-Fc-par@0.2, or a random control such as R-PixFc, R-S-O@0.4 or "
+                "R-C-Fc@0.2."
+            )
+        return replace(name, variant=variant, repeat=repeat)
+
+    @classmethod
+    def read(cls, text: str) -> CamouflageName:
+        """Reads any name, as tables and folders hold it; one that `parse` refuses is of kind "other"."""
+        base, variant, repeat = _parts(text)
+        try:
+            name = cls.parse(text)
+        except ConfigurationError:
+            name = None
+        if name is None or str(name) != text:
+            random = base.startswith("R-")
+            name = cls("other", random=random, variant=variant, repeat=repeat, label=base)
+        # A name that cannot be put together again ("T-U_") is all label.
+        return name if str(name) == text else cls("other", random=name.random, label=text)
+
+    def __str__(self) -> str:
+        """The name as tables show it and folders bear it."""
+        variant = f"_{self.variant}" if self.variant else ""
+        repeat = f"-{self.repeat}" if self.repeat else ""
+        return f"{self._base}{variant}{repeat}"
+
+    @property
+    def _base(self) -> str:
+        at = "" if self.magnitude is None else f"@{self.magnitude:g}"
+        return f"{self.family}{at}"
+
+    @property
+    def family(self) -> str:
+        """The name without magnitude, variant and repeat: "S-O", "C-Fc-seq", "R-C-Fc", "T-U"."""
+        if self.kind == "other":
+            return self.label
+        drawn = "R-" if self.random else ""
+        if self.kind == "shape":
+            return f"{drawn}S-O"
+        assert self.constraints is not None
+        if self.kind == "texture":
+            return f"{'R' if self.random else 'T'}-{self.constraints.name}"
+        order = "" if self.order is None else f"-{self.order}"
+        return f"{drawn}C-{self.constraints.name}{order}"
+
+    @property
+    def pooled(self) -> CamouflageName:
+        """The row it belongs to: the name without its repeat, "T-U-1" to "T-U"."""
+        return replace(self, repeat="")
+
+    @property
+    def base(self) -> CamouflageName:
+        """The name without variant and repeat, "T-U_on_retinanet-1" to "T-U"."""
+        return replace(self, variant="", repeat="")
+
+    def with_variant(self, variant: str) -> CamouflageName:
+        """The name with one more variant, "T-U-0" and "step10" to "T-U_step10-0"."""
+        return replace(self, variant=f"{self.variant}_{variant}" if self.variant else variant)
+
+    def with_repeat(self, repeat: int) -> CamouflageName:
+        """The name of one repeat of the same camouflage, "T-U" and 1 to "T-U-1"."""
+        return replace(self, repeat=str(repeat))
+
+    @property
+    def control(self) -> CamouflageName:
+        """The random control: the same constraints without learning, variants and repeats dropped.
+
+        "T-PixMa" to "R-PixMa", "S-O@0.4" to "R-S-O@0.4", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to "R-C-Fc@0.2".
+        """
+        if self.kind == "other":
+            rest = self.label.partition("-")[2]
+            return CamouflageName.read(f"R-{rest}")
+        return replace(self.base, random=True, order=None)
+
+
+def _parts(text: str) -> tuple[str, str, str]:
+    """Base, variant and repeat."""
+    match = _WHOLE.fullmatch(text)
+    assert match is not None
+    return match["base"], match["variant"] or "", match["repeat"] or ""
+
+
+def _magnitude(text: str, name: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 <= value <= 1:
+        raise ConfigurationError(
+            f"{name} expects a perturbation magnitude (PM) from 0 to 1 after the @, got {text}."
+        )
+    return value

@@ -1,0 +1,72 @@
+"""How a detector is trained. Imports no torch, so that the command line answers at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from skyproof.errors import ConfigurationError
+
+__all__ = ["TRAINING_PRESETS", "TrainingSettings"]
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How long and how fast.
+
+    Attributes:
+        steps: optimiser steps.
+        batch_size: images a step.
+        learning_rate: its peak; linear rise over the first `warm_up` of the steps, then half a cosine down to 0.
+        weight_decay: AdamW's, on matrices and kernels only.
+        warm_up: fraction of the steps.
+        largest_gradient_norm: gradients are scaled down to it.
+        average_decay: of the running average of the weights, which is what is validated and stored.
+        jitter: strength of the photometric augmentation; 0 is none, 1 is mild.
+        validate_every: steps between validations; the last step is always validated.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    steps: int = 1000
+    batch_size: int = 16
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.02
+    warm_up: float = 0.1
+    largest_gradient_norm: float = 10.0
+    average_decay: float = 0.99
+    jitter: float = 1.0
+    validate_every: int = 250
+    checkpoint_every: int = 100
+
+    def __post_init__(self) -> None:
+        counts = min(self.steps, self.batch_size, self.validate_every, self.checkpoint_every)
+        if counts < 1 or not self.learning_rate > 0:
+            raise ConfigurationError(
+                f"Training expects counts of at least 1 and a learning rate above 0, but got {self}."
+            )
+
+
+# 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds, for a centre AP of 0.96 to 0.98.
+_CPU = TrainingSettings(steps=600, batch_size=8, validate_every=200)
+
+
+# The paper trains 10,000 iterations (PAPER 16) with batch 640 or 128; its learning rates are not given.
+_GPU = TrainingSettings(
+    steps=10_000,
+    batch_size=64,
+    learning_rate=5e-4,
+    weight_decay=0.05,
+    average_decay=0.999,
+    validate_every=1000,
+    checkpoint_every=500,
+)
+
+
+TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
+    # Focal loss starts slowly: 800 steps for what the others reach in 600.
+    ("retinanet", "slim"): replace(_CPU, steps=800),
+    ("faster_rcnn", "slim"): _CPU,
+    ("yolov5", "slim"): _CPU,
+    ("retinanet", "full"): _GPU,
+    ("faster_rcnn", "full"): _GPU,
+    ("yolov5", "full"): _GPU,
+}

@@ -1,0 +1,80 @@
+"""Procedural ground as a background set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from skyproof.errors import ConfigurationError
+from skyproof.ground.ground import draw_ground_and_sun
+from skyproof.scenes.backgrounds import (
+    SPLITS,
+    BackgroundSet,
+    BackgroundTile,
+    save_tile,
+    write_index,
+)
+from skyproof.scenes.sensor import Sensor
+
+__all__ = ["write_procedural_backgrounds"]
+
+
+def write_procedural_backgrounds(
+    folder: Path,
+    counts: Mapping[str, int],
+    size_px: int,
+    *,
+    seed: int,
+    gsd_m: float = 0.125,
+    sensor: Sensor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> BackgroundSet:
+    """Draws a background set.
+
+    Args:
+        folder: where to; use `finished_folder` around it where a half-written folder must not stay.
+        counts: tiles per split.
+        size_px: tiles are size_px x size_px.
+        seed: every tile has its own generator, so that its bytes do not depend on how many others are drawn.
+        gsd_m: metres per pixel.
+        sensor: how vehicles are to be drawn on it; the ground itself stays as sharp as it is.
+        progress: called with (tiles done, tiles in all).
+
+    Raises:
+        ConfigurationError: a split of another name.
+        RunFolderError: the disk cannot take it.
+    """
+    unknown = set(counts) - set(SPLITS)
+    if unknown:
+        raise ConfigurationError(
+            f"Unknown split {sorted(unknown)[0]!r}; the splits are {', '.join(SPLITS)}."
+        )
+    total, tiles = sum(counts.values()), []
+    for split in SPLITS:
+        for number in range(counts.get(split, 0)):
+            state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(
+                1, np.uint64
+            )
+            generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+            ground = draw_ground_and_sun(size_px, gsd_m, generator=generator)
+            tile_id = f"{split}-{number:05d}"
+            tile = BackgroundTile(
+                id=tile_id,
+                file=f"tiles/{tile_id}.png",
+                split=split,
+                width_px=size_px,
+                height_px=size_px,
+                source="procedural",
+                kind=ground.kind,
+                sun_azimuth_rad=ground.sun_azimuth_rad,
+                sun_elevation_rad=ground.sun_elevation_rad,
+            )
+            save_tile(folder, tile, ground.image)
+            tiles.append(tile)
+            if progress is not None:
+                progress(len(tiles), total)
+    write_index(folder, gsd_m, tiles, sensor)
+    return BackgroundSet.open(folder)

@@ -1,0 +1,204 @@
+"""Do our results and the paper's, or two renderers', order the attacks alike? Rank correlations (PAPER 35)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import stats
+
+from skyproof.camouflage.names import pooled_name
+from skyproof.errors import ConfigurationError
+from skyproof.results.intervals import Interval, resample, resampled
+from skyproof.results.rates import overall_attack_success_rate
+from skyproof.results.tiles import TileCounts
+
+__all__ = ["Agreement", "rank_agreement", "renderer_agreement"]
+
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How alike two orders of the same attacks are.
+
+    Attributes:
+        attacks: names, in the second order of falling success.
+        ours, theirs: EASR per attack in either: ours as fractions, the paper's in percent.
+        spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the reverse, with the 95 %
+            percentile interval over resampled tiles.
+    """
+
+    attacks: Sequence[str]
+    ours: Sequence[float]
+    theirs: Sequence[float]
+    spearman: Interval
+    kendall: Interval
+
+
+def rank_agreement(
+    tiles: TileCounts,
+    paper: Mapping[str, float],
+    *,
+    rows: Mapping[str, str] | None = None,
+    generator: np.random.Generator,
+    renderer: str = "torch",
+    match: str = "centre_1m",
+) -> Agreement:
+    """Rank correlation between our EASRs and the paper's over the attacks both have.
+
+    Ours are means over repeats and detectors. The interval says how far the test scenes alone could move the
+    correlation: ours vary over resampled tiles, the paper's numbers, which come without intervals, stay fixed.
+
+    Args:
+        tiles: our counts.
+        paper: EASR by attack, e.g. {name: result.easr for name, result in PAPER_RESULTS.items()}.
+        rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude to compare.
+        generator: of the bootstrap.
+        renderer, match: which of the counts.
+
+    Raises:
+        ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
+    """
+    rows = rows or {}
+    series = _pooled(tiles, renderer, match)
+    shared = [
+        name
+        for name in sorted(paper, key=lambda name: -paper[name])
+        if rows.get(name, name) in series
+    ]
+    if len(shared) < _FEWEST:
+        raise ConfigurationError(
+            f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has too, got {len(shared)}."
+        )
+    weights = resample(len(tiles.tiles), generator=generator)
+    ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, weights)
+    theirs = np.array([paper[name] for name in shared])
+    return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
+
+
+def renderer_agreement(
+    tiles: TileCounts,
+    names: Iterable[str],
+    *,
+    generator: np.random.Generator,
+    renderers: tuple[str, str] = ("torch", "cycles"),
+    match: str = "centre_1m",
+) -> Agreement:
+    """Rank correlation between the EASRs under two renderers, over the attacks scored under both.
+
+    Repeats that only one renderer has are left out. Both vary over the same resampled tiles: they show the same scenes.
+
+    Args:
+        tiles: counts under both.
+        names: of the attacks to compare, without repeats.
+        generator: of the bootstrap.
+        renderers: whose EASRs are `ours` and `theirs`.
+        match: which of the counts.
+
+    Raises:
+        ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
+    """
+    both = [
+        all(key._replace(renderer=renderer) in tiles.series for renderer in renderers)
+        for key in tiles.series
+    ]
+    paired = TileCounts(tiles.tiles, dict(itertools.compress(tiles.series.items(), both)))
+    one, other = (_pooled(paired, renderer, match) for renderer in renderers)
+    shared = [name for name in names if name in one and name in other]
+    if len(shared) < _FEWEST:
+        raise ConfigurationError(
+            f"A rank correlation of two renderers expects at least {_FEWEST} attacks scored under both, "
+            f"got {len(shared)}."
+        )
+    weights = resample(len(tiles.tiles), generator=generator)
+    (ours, drawn_ours), (theirs, drawn_theirs) = (
+        _easr({name: series[name] for name in shared}, weights) for series in (one, other)
+    )
+    order = np.argsort(-theirs, kind="stable")
+    return _agreement(
+        [shared[place] for place in order],
+        ours[order],
+        theirs[order],
+        drawn_ours[:, order],
+        drawn_theirs[:, order],
+    )
+
+
+def _pooled(
+    tiles: TileCounts, renderer: str, match: str
+) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
+    """Pair counts of every repeat and detector by attack."""
+    series: dict[str, list[np.ndarray]] = {}
+    for key, counts in tiles.series.items():
+        if (key.renderer, key.match) == (renderer, match):
+            series.setdefault(pooled_name(key.camouflage), []).append(counts[:, 1:])
+    return series
+
+
+def _easr(
+    series: Mapping[str, Sequence[Int[np.ndarray, "C 3"]]], weights: Int[np.ndarray, "R C"]
+) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
+    """Mean EASR of every attack, as it is and on the resampled tiles.
+
+    Raises:
+        ConfigurationError: one is undefined.
+    """
+    stacks = [np.stack(counts) for counts in series.values()]
+    easr = np.array([overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks])
+    undefined = next(
+        (name for name, rate in zip(series, easr, strict=True) if math.isnan(rate)), None
+    )
+    if undefined is not None:
+        raise ConfigurationError(
+            f"The EASR of {undefined} is undefined; a detector found no vehicle before it."
+        )
+    drawn = [
+        overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in stacks
+    ]
+    return easr, np.stack(drawn, axis=1)
+
+
+def _agreement(
+    names: Sequence[str],
+    ours: Float[np.ndarray, " A"],
+    theirs: Float[np.ndarray, " A"],
+    drawn_ours: Float[np.ndarray, "R A"],
+    drawn_theirs: Float[np.ndarray, "R A"],
+) -> Agreement:
+    defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
+    drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
+    spearman, kendall = (
+        _interval(
+            correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn])
+        )
+        for correlation in (_spearman, _kendall)
+    )
+    return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)
+
+
+def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
+    """Pearson's correlation of the ranks; nan where all of one are equal."""
+    ranks = stats.rankdata(np.stack([one, other]), axis=1)
+    if np.ptp(ranks, axis=1).min() == 0:
+        return math.nan
+    return float(np.corrcoef(ranks)[0, 1])
+
+
+def _kendall(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
+    """Tau-b; nan where all of one are equal."""
+    first, second = (np.sign(values[:, None] - values) for values in (one, other))
+    pairs = np.sqrt(np.sum(first**2) * np.sum(second**2))
+    return float(np.sum(first * second) / pairs) if pairs else math.nan
+
+
+def _interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:
+    drawn = drawn[~np.isnan(drawn)]
+    if len(drawn) == 0:
+        return Interval(estimate, math.nan, math.nan)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return Interval(estimate, min(float(low), estimate), max(float(high), estimate))

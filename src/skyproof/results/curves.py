@@ -1,0 +1,178 @@
+"""Success against practicality: how much shape an attack needs, and where the two balance best (PAPER 42, 52)."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from skyproof.camouflage.names import is_control, pooled_name
+from skyproof.errors import ConfigurationError
+from skyproof.results.intervals import Interval, mean_interval, resample, resampled
+from skyproof.results.rates import overall_attack_success_rate
+from skyproof.results.tiles import TileCounts
+
+__all__ = ["Curve", "Point", "curve_families", "p1_score", "practicality_curve"]
+
+_AT = re.compile(r"([^_]+)@(\d+(?:\.\d+)?)")
+_COMBINED = re.compile(r"C-(.+)-(?:seq|par)")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One perturbation magnitude of a family.
+
+    Attributes:
+        perturbation_magnitude: PM in [0, 1]; 0 is the family without its shape change.
+        easr: mean over repeats and detectors with its interval.
+        p1: of `easr` and practicality Pr = 1 − PM.
+        share_best: in how many of the bootstrap replicates this magnitude has the largest P1.
+    """
+
+    perturbation_magnitude: float
+    easr: Interval
+    p1: float
+    share_best: float
+
+    @property
+    def practicality(self) -> float:
+        """Pr = 1 − PM (PAPER 42)."""
+        return 1 - self.perturbation_magnitude
+
+
+@dataclass(frozen=True)
+class Curve:
+    """EASR against practicality of one family.
+
+    Attributes:
+        family: "S-O", "C-Fc-seq", ...
+        points: by rising magnitude.
+        best: PM*, the magnitude of the largest P1; the smallest of equals.
+    """
+
+    family: str
+    points: Sequence[Point]
+    best: float
+
+
+def p1_score(
+    easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
+) -> Float[np.ndarray, "*shape"]:
+    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0 (PAPER 42). nan stays nan."""
+    easr, practicality = (
+        np.asarray(easr, dtype=np.float64),
+        np.asarray(practicality, dtype=np.float64),
+    )
+    positive = np.where(easr > 0, easr, 0.0)
+    total = positive + practicality
+    score = np.divide(2 * positive * practicality, total, out=np.zeros_like(total), where=total > 0)
+    return np.where(np.isnan(easr), np.nan, score)
+
+
+def curve_families(tiles: TileCounts) -> list[str]:
+    """The families that have a curve: names with a magnitude ("S-O@0.4"), controls and variants ("_") left out."""
+    names = [_AT.fullmatch(pooled_name(key.camouflage)) for key in tiles.series]
+    return list(
+        dict.fromkeys(found.group(1) for found in names if found and not is_control(found.group(1)))
+    )
+
+
+def practicality_curve(
+    tiles: TileCounts,
+    family: str,
+    *,
+    generator: np.random.Generator,
+    renderer: str = "torch",
+    match: str = "centre_1m",
+    detector: str | None = None,
+) -> Curve:
+    """The curve of one family over the magnitudes that were scored (PAPER 42, 52).
+
+    Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is the texture by
+    itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR is 0 by definition.
+
+    Args:
+        tiles: counts of the magnitudes, and of the texture where the family has one.
+        family: name before "@".
+        generator: of the bootstrap.
+        renderer, match: which of the counts.
+        detector: one alone; default the mean over all.
+
+    Raises:
+        ConfigurationError: nothing of the family was scored, or a detector judged only some of its magnitudes.
+    """
+    groups = _magnitudes(tiles, family, renderer, match, detector)
+    if not groups or set(groups) == {0.0}:
+        raise ConfigurationError(
+            f"Nothing of {family} was scored by {match} under {renderer}; score {family}@0.1, {family}@0.2, ..."
+        )
+    judged = {magnitude: {name for name, _ in group} for magnitude, group in groups.items()}
+    if len({frozenset(names) for names in judged.values()}) > 1:
+        raise ConfigurationError(
+            f"The magnitudes of {family} were judged by different detectors; score all of them with the same."
+        )
+    shown = np.any([counts[:, 0] > 0 for group in groups.values() for _, counts in group], axis=0)
+    stacks = {
+        pm: np.stack([counts[shown, 1:] for _, counts in groups[pm]]) for pm in sorted(groups)
+    }
+    weights = resample(int(shown.sum()), generator=generator)
+    easr = {
+        pm: mean_interval(stack, overall_attack_success_rate, weights, (-math.inf, 1.0))
+        for pm, stack in stacks.items()
+    }
+    replicates = {
+        pm: overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1)
+        for pm, stack in stacks.items()
+    }
+    if family == "S-O":
+        # Without any change every vehicle is found exactly when it was found before.
+        easr[0.0], replicates[0.0] = Interval(0.0, 0.0, 0.0), np.zeros(len(weights))
+    magnitudes = sorted(easr)
+    p1 = [float(p1_score(np.array(easr[pm].estimate), 1 - pm)) for pm in magnitudes]
+    shares = _shares_best(np.stack([p1_score(replicates[pm], 1 - pm) for pm in magnitudes]))
+    points = [
+        Point(pm, easr[pm], score, share)
+        for pm, score, share in zip(magnitudes, p1, shares, strict=True)
+    ]
+    best = max(
+        points,
+        key=lambda point: (
+            -1.0 if math.isnan(point.p1) else point.p1,
+            -point.perturbation_magnitude,
+        ),
+    )
+    return Curve(family, points, best.perturbation_magnitude)
+
+
+def _magnitudes(
+    tiles: TileCounts, family: str, renderer: str, match: str, detector: str | None
+) -> Mapping[float, list[tuple[str, Int[np.ndarray, "C 4"]]]]:
+    """By magnitude: detector and counts of every repeat."""
+    combined = _COMBINED.fullmatch(family)
+    texture = f"T-{combined.group(1)}" if combined else None
+    groups: dict[float, list[tuple[str, Int[np.ndarray, "C 4"]]]] = {}
+    for key, counts in tiles.series.items():
+        if (key.renderer, key.match) != (renderer, match) or detector not in (None, key.detector):
+            continue
+        name = pooled_name(key.camouflage)
+        found = _AT.fullmatch(name)
+        if name == texture:
+            groups.setdefault(0.0, []).append((key.detector, counts))
+        elif found and found.group(1) == family:
+            groups.setdefault(float(found.group(2)), []).append((key.detector, counts))
+    return groups
+
+
+def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
+    """Per magnitude the share of replicates in which its score is the largest; of equals the first wins."""
+    scores = scores[:, ~np.isnan(scores).any(axis=0)]
+    if scores.shape[1] == 0:
+        return [math.nan] * len(scores)
+    return [
+        float(share)
+        for share in np.bincount(scores.argmax(axis=0), minlength=len(scores)) / scores.shape[1]
+    ]

@@ -1,0 +1,84 @@
+"""Several evaluation folders as one: what many small jobs scored becomes one table of results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from skyproof.errors import ConfigurationError
+from skyproof.results.sets import ORIGINAL, SetScore, read_sets
+from skyproof.results.tiles import Series, TileCounts, read_tiles
+
+__all__ = ["merge_evaluations"]
+
+
+def merge_evaluations(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
+    """Reads `tiles.parquet` and `sets.json` of several evaluation folders that share scenes and detectors.
+
+    What is in more than one folder (the set without camouflage always is) must be the same in all of them.
+
+    Raises:
+        ConfigurationError: no folder; one camouflage with different results; the folders show other scenes or judge
+            with other detectors.
+        StoredFileError: a file is missing or damaged.
+    """
+    if not folders:
+        raise ConfigurationError("Merging expects at least one evaluation folder, got none.")
+    read = [(Path(folder), read_tiles(Path(folder) / "tiles.parquet")) for folder in folders]
+    names = sorted({tile for _, tiles in read for tile in tiles.tiles})
+    place = {name: index for index, name in enumerate(names)}
+    series: dict[Series, np.ndarray] = {}
+    source: dict[Series, Path] = {}
+    shown: dict[str, tuple[Path, np.ndarray]] = {}
+    for folder, tiles in read:
+        rows = [place[name] for name in tiles.tiles]
+        for key, counts in tiles.series.items():
+            spread = np.zeros((len(names), 4), dtype=np.int64)
+            spread[rows] = counts
+            if key in series and not np.array_equal(series[key], spread):
+                raise _contradiction(
+                    source[key], folder, f"{key.camouflage} as seen by {key.detector}"
+                )
+            first, vehicles = shown.setdefault(key.renderer, (folder, spread[:, 0]))
+            if not np.array_equal(vehicles, spread[:, 0]):
+                raise ConfigurationError(
+                    f"{first} and {folder} do not show the same vehicles on the same tiles; "
+                    "merge only evaluations of one scene file."
+                )
+            series.setdefault(key, spread)
+            source.setdefault(key, folder)
+    return TileCounts(tuple(names), series), _merge_sets([folder for folder, _ in read])
+
+
+def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:
+    kept: dict[Series, tuple[Path, SetScore]] = {}
+    for folder in folders:
+        for score in read_sets(folder / "sets.json"):
+            key = Series(score.camouflage, score.renderer, score.detector, score.match)
+            first, other = kept.setdefault(key, (folder, score))
+            if not _same(score.average_precision, other.average_precision) or not _same(
+                score.false_alarms_per_km2, other.false_alarms_per_km2
+            ):
+                what = (
+                    "the images without camouflage"
+                    if key.camouflage == ORIGINAL
+                    else key.camouflage
+                )
+                raise _contradiction(first, folder, f"{what} as seen by {key.detector}")
+    return [score for _, score in kept.values()]
+
+
+def _same(one: float, other: float) -> bool:
+    return (math.isnan(one) and math.isnan(other)) or math.isclose(
+        one, other, rel_tol=1e-9, abs_tol=1e-12
+    )
+
+
+def _contradiction(first: Path, second: Path, what: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"{first} and {second} hold different results for {what}; leave one of the folders out, or score both again "
+        "with the same scenes and detectors."
+    )

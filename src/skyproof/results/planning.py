@@ -1,0 +1,158 @@
+"""How many test vehicles a wanted precision needs, from assumptions or from a pilot evaluation (PAPER 40)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from skyproof.camouflage.names import is_control
+from skyproof.errors import ConfigurationError
+from skyproof.results.intervals import effective_limits, unanimous_margin
+from skyproof.results.tiles import TileCounts
+
+__all__ = ["Assumptions", "Need", "assume_from_pilot", "expected_half_width", "vehicles_needed"]
+
+SMALLEST = 0.001
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What is assumed of the test to come, for one detector.
+
+    Attributes:
+        easr: overall attack success rate, in [-1, 1].
+        enhancement_rate: ER, vehicles found only with the camouflage over those found before.
+        vehicles_per_tile: in sight, per background tile.
+        found_before: share of them that the detector finds without camouflage, in (0, 1].
+        design_effect: how many times larger the variance is than with independent vehicles; 1 + (m − 1)ρ for m found
+            vehicles a tile with intra-tile correlation ρ. At least 1.
+    """
+
+    easr: float
+    enhancement_rate: float = 0.0
+    vehicles_per_tile: float = 9.0
+    found_before: float = 1.0
+    design_effect: float = 1.8
+
+    def __post_init__(self) -> None:
+        rate = self.easr + self.enhancement_rate
+        if not (-1 <= self.easr <= 1 and self.enhancement_rate >= 0 and -1e-9 <= rate <= 1 + 1e-9):
+            raise ConfigurationError(
+                "EASR expects a fraction of at most 1 whose sum with ER (the attack success rate) lies between 0 and "
+                f"1, got EASR {self.easr:g} and ER {self.enhancement_rate:g}."
+            )
+        if not (
+            math.isfinite(self.vehicles_per_tile)
+            and self.vehicles_per_tile > 0
+            and 0 < self.found_before <= 1
+        ):
+            raise ConfigurationError(
+                "Planning expects vehicles on a tile, and some found before (a fraction of at most 1), got "
+                f"{self.vehicles_per_tile:g} and {self.found_before:g}."
+            )
+        if not (math.isfinite(self.design_effect) and self.design_effect >= 1):
+            raise ConfigurationError(
+                f"The design effect expects a number of at least 1, got {self.design_effect:g}."
+            )
+
+
+@dataclass(frozen=True)
+class Need:
+    """The test that gives a half-width: so many background tiles with so many vehicles in sight altogether."""
+
+    half_width: float
+    tiles: int
+    vehicles: int
+
+
+def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
+    """The smallest test whose 95 % interval of EASR is expected to be at most ± `half_width`.
+
+    Raises:
+        ConfigurationError: the half-width is not in [0.001, 1).
+    """
+    if not SMALLEST <= half_width < 1:
+        raise ConfigurationError(
+            f"The half-width expects a fraction from {SMALLEST} to below 1, got {half_width:g}."
+        )
+    enough = 2
+    while expected_half_width(enough, assumptions) > half_width:
+        enough *= 2
+    few = enough // 2
+    while enough - few > 1:
+        middle = (few + enough) // 2
+        if middle >= 2 and expected_half_width(middle, assumptions) <= half_width:
+            enough = middle
+        else:
+            few = middle
+    return Need(half_width, enough, math.ceil(enough * assumptions.vehicles_per_tile))
+
+
+def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
+    """Half the width of the interval that `cluster_interval` gives for one detector with so many tiles, about.
+
+    The variance of EASR is that of a ratio, linearised: of the vehicles found before, a share ASR is lost (influence
+    1 − EASR) and the rest kept (−EASR), and ER as many are gained (−1); times the design effect.
+    """
+    easr, gained = assumptions.easr, assumptions.enhancement_rate
+    variance = _unit_variance(easr, gained) * assumptions.design_effect
+    variance /= tiles * assumptions.vehicles_per_tile * assumptions.found_before
+    if variance < 1e-15:
+        margin = unanimous_margin(tiles)
+        return (min(easr + margin, 1.0) - (easr - margin)) / 2
+    low, high = effective_limits(easr, variance, tiles - 1.0)
+    return (high - low) / 2
+
+
+def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[Assumptions, str]:
+    """Assumptions for the least certain learnt camouflage and detector of a pilot evaluation, and their names.
+
+    Rates, vehicles a tile and the share found before are that series' own. The design effect, which a pilot tells only
+    roughly, is the median over all series (jackknife variance over tiles against that of independent vehicles).
+
+    Raises:
+        ConfigurationError: the pilot has no learnt camouflage, fewer than three tiles, or nothing changed in it.
+    """
+    effects: list[float] = []
+    series: list[tuple[float, str, Int[np.ndarray, "C 4"]]] = []
+    for key, counts in tiles.series.items():
+        shown = counts[counts[:, 0] > 0]
+        total = shown.sum(axis=0)
+        found = int(total[1] + total[2])
+        if is_control(key.camouflage) or key.match != match or len(shown) < 3 or not found:
+            continue
+        easr, gained = float((total[2] - total[3]) / found), float(total[3] / found)
+        independent = _unit_variance(easr, gained) / found
+        if independent <= 1e-15:
+            continue
+        influence = (shown[:, 2] - shown[:, 3]) - easr * (shown[:, 1] + shown[:, 2])
+        clustered = len(shown) / (len(shown) - 1) * float(np.sum(influence**2)) / found**2
+        effects.append(max(clustered / independent, 1.0))
+        series.append((independent * found, f"{key.camouflage} before {key.detector}", shown))
+    if not series:
+        raise ConfigurationError(
+            "The pilot tells nothing about precision: expected is a learnt camouflage on at least three tiles that "
+            "hides some vehicles and not all; give --easr and the rest yourself."
+        )
+    _, name, shown = max(series, key=lambda each: each[0])
+    vehicles, both, lost, gone = (int(value) for value in shown.sum(axis=0))
+    found = both + lost
+    return (
+        Assumptions(
+            easr=(lost - gone) / found,
+            enhancement_rate=gone / found,
+            vehicles_per_tile=vehicles / len(shown),
+            found_before=found / vehicles,
+            design_effect=float(np.median(effects)),
+        ),
+        name,
+    )
+
+
+def _unit_variance(easr: float, gained: float) -> float:
+    """The variance of EASR times the number of vehicles found before, were they independent."""
+    lost = easr + gained
+    return (1 - lost) * easr**2 + lost * (1 - easr) ** 2 + gained

@@ -1,0 +1,141 @@
+"""Counts per background tile: all that success rates and their intervals need of any number of vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Int
+
+from skyproof.errors import StoredFileError
+from skyproof.files import write_beside
+from skyproof.results.outcomes import Outcome
+from skyproof.results.parquet import read_table
+
+__all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
+
+_COUNTS = ("vehicles", "both", "lost", "gained")
+
+
+class Series(NamedTuple):
+    """What was compared: one camouflage as one detector sees it, by one match criterion, under one renderer."""
+
+    camouflage: str
+    renderer: str
+    detector: str
+    match: str
+
+
+_NAMES = (*Series._fields, "background")
+_SCHEMA = pa.schema(
+    [(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS]
+)
+
+
+@dataclass(frozen=True)
+class TileCounts:
+    """Vehicles per series and background tile (PAPER 38, 40).
+
+    Attributes:
+        tiles: names of the C background tiles.
+        series: per series `[C, 4]`: vehicles in sight, detected in both images, lost (in the original only), gained (in
+            the adversarial only). Vehicles missed in both count in the first column alone.
+    """
+
+    tiles: tuple[str, ...]
+    series: Mapping[Series, Int[np.ndarray, "C 4"]]
+
+
+def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
+    """Counts outcomes per series and tile; series keep the order in which they first occur."""
+    counted: dict[Series, dict[str, list[int]]] = {}
+    for outcome in outcomes:
+        key = Series(outcome.camouflage, outcome.renderer, outcome.detector, outcome.match)
+        counts = counted.setdefault(key, {}).setdefault(outcome.background, [0, 0, 0, 0])
+        counts[0] += 1
+        column = _column(outcome)
+        if column is not None:
+            counts[1 + column] += 1
+    tiles = sorted({tile for found in counted.values() for tile in found})
+    blank = [0, 0, 0, 0]
+    return TileCounts(
+        tuple(tiles),
+        {
+            key: np.array([found.get(tile, blank) for tile in tiles])
+            for key, found in counted.items()
+        },
+    )
+
+
+def cluster_counts(
+    outcomes: Sequence[Outcome], clusters: Mapping[str, int]
+) -> Int[np.ndarray, "C 3"]:
+    """Pair counts (both, lost, gained) per background tile; `clusters` maps each tile to its row."""
+    counts = np.zeros((len(clusters), 3), dtype=np.int64)
+    for outcome in outcomes:
+        column = _column(outcome)
+        if column is not None:
+            counts[clusters[outcome.background], column] += 1
+    return counts
+
+
+def write_tiles(path: Path, tiles: TileCounts) -> None:
+    """Writes one row per series and tile that shows vehicles, as Parquet, whole or not at all."""
+    stacked = (
+        np.stack(list(tiles.series.values()))
+        if tiles.series
+        else np.zeros((0, len(tiles.tiles), 4), np.int64)
+    )
+    which, tile = np.nonzero(stacked[..., 0])
+    names = [
+        pa.array([key[field] for key in tiles.series], pa.string()).take(pa.array(which))
+        for field in range(4)
+    ]
+    names.append(pa.array(tiles.tiles, pa.string()).take(pa.array(tile)))
+    counts = [pa.array(column, pa.int64()) for column in stacked[which, tile].T]
+    with write_beside(path) as temporary:
+        pq.write_table(pa.Table.from_arrays([*names, *counts], schema=_SCHEMA), temporary)
+
+
+def read_tiles(path: Path) -> TileCounts:
+    """Reads what `write_tiles` wrote.
+
+    Raises:
+        StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot be.
+    """
+    table = read_table(path, _SCHEMA)
+    names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
+    counts = np.stack([table[name].to_numpy() for name in _COUNTS], axis=1)
+    keys, first, which = np.unique(
+        np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    which, tiles = which.reshape(-1), sorted(names[4])
+    place = np.array([tiles.index(name) for name in names[4]], dtype=np.int64)[codes[4]]
+    repeated = len(np.unique(which * len(tiles) + place)) < len(which)
+    if repeated or (counts < 0).any() or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
+        raise StoredFileError(
+            f"{path} holds counts that contradict each other; run the evaluation again."
+        )
+    dense = np.zeros((len(keys), len(tiles), 4), dtype=np.int64)
+    dense[which, place] = counts
+    order = np.argsort(first)
+    named = [Series(*(names[field][code] for field, code in enumerate(keys[row]))) for row in order]
+    return TileCounts(tuple(tiles), dict(zip(named, dense[order], strict=True)))
+
+
+def _column(outcome: Outcome) -> int | None:
+    """Of (both, lost, gained), the one an outcome counts in; None where the vehicle was missed in both images."""
+    if outcome.detected_original:
+        return 0 if outcome.detected_adversarial else 1
+    return 2 if outcome.detected_adversarial else None
+
+
+def _coded(table: pa.Table, name: str) -> tuple[list[str], Int[np.ndarray, " rows"]]:
+    """A column's different strings, and per row the index of its own."""
+    coded = table[name].combine_chunks().dictionary_encode()
+    return coded.dictionary.to_pylist(), coded.indices.to_numpy()

@@ -1,0 +1,104 @@
+"""Transfer: camouflages optimised against some detectors, judged by all (PAPER 20, 39)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from skyproof.camouflage.names import base_name, is_control, pooled_name
+from skyproof.errors import ConfigurationError
+from skyproof.results.summary import MEAN
+
+__all__ = ["Cell", "transfer_matrix"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One camouflage before one detector.
+
+    Attributes:
+        camouflage: row of the table of results; repeats are pooled.
+        attacked: the detectors it was optimised against, sorted.
+        detector: the one that judges.
+        white_box: whether the judge was among the attacked; if not, the attack had to transfer.
+        easr, net_easr: (estimate, low, high), fractions; None where undefined.
+    """
+
+    camouflage: str
+    attacked: tuple[str, ...]
+    detector: str
+    white_box: bool
+    easr: tuple[float | None, float | None, float | None]
+    net_easr: tuple[float | None, float | None, float | None]
+
+
+def transfer_matrix(
+    rows: Sequence[Mapping[str, Any]],
+    attacked: Mapping[str, Sequence[str]],
+    *,
+    base: str,
+    renderer: str = "torch",
+    match: str = "centre_1m",
+) -> list[list[Cell]]:
+    """The matrix of attacked-on by evaluated-on for one kind of camouflage and its variants.
+
+    Args:
+        rows: of `summarise`.
+        attacked: by camouflage name (with or without repeat), the detectors it was optimised against.
+        base: the kind: "T-U" takes "T-U" and its variants "T-U_on_...", "T-U_without_...".
+        renderer, match: which of the rows.
+
+    Returns:
+        One list per camouflage, single detectors first, then larger sets; in each one cell per judging detector, in the
+        order of `rows`.
+
+    Raises:
+        ConfigurationError: no row of that kind, unknown attacked detectors, repeats that attacked different ones, or a
+            judge that has not judged all.
+    """
+    of_row: dict[str, tuple[str, ...]] = {}
+    for name, detectors in attacked.items():
+        known = of_row.setdefault(pooled_name(name), tuple(sorted(detectors)))
+        if known != tuple(sorted(detectors)):
+            raise ConfigurationError(
+                f"Repeats of {pooled_name(name)} attacked different detectors; give them different names."
+            )
+    chosen = [
+        row
+        for row in rows
+        if (row["renderer"], row["match"]) == (renderer, match)
+        and base_name(row["camouflage"]) == base
+        and not is_control(row["camouflage"])
+        and row["detector"] != MEAN
+    ]
+    if not chosen:
+        raise ConfigurationError(
+            f"The table of results has no row of {base} by {match} under {renderer}; score it."
+        )
+    judges = list(dict.fromkeys(row["detector"] for row in chosen))
+    by_place = {(row["camouflage"], row["detector"]): row for row in chosen}
+    names = list(dict.fromkeys(row["camouflage"] for row in chosen))
+    for name in names:
+        if not of_row.get(name):
+            raise ConfigurationError(
+                f"It is not known which detectors {name} attacked; give its camouflage folder."
+            )
+        missing = next((judge for judge in judges if (name, judge) not in by_place), None)
+        if missing:
+            raise ConfigurationError(
+                f"{missing} has not judged {name}; score every camouflage by the same detectors."
+            )
+    names.sort(key=lambda name: (len(of_row[name]), of_row[name]))
+    return [[_cell(by_place[name, judge], of_row[name]) for judge in judges] for name in names]
+
+
+def _cell(row: Mapping[str, Any], attacked: tuple[str, ...]) -> Cell:
+    return Cell(
+        camouflage=row["camouflage"],
+        attacked=attacked,
+        detector=row["detector"],
+        white_box=row["detector"] in attacked,
+        easr=(row["easr"], row["easr_low"], row["easr_high"]),
+        net_easr=(row["net_easr"], row["net_easr_low"], row["net_easr_high"]),
+    )

@@ -1,0 +1,207 @@
+"""Matched datasets to an evaluation folder, with a detector whose answers are known."""
+
+import json
+
+import pytest
+import torch
+
+from skyproof.datasets.coco import Annotation, CocoWriter, read_coco
+from skyproof.datasets.labelled import LabelledImages
+from skyproof.detectors.detector import Detections
+from skyproof.errors import ConfigurationError
+from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.evaluation import evaluate_pairs
+from skyproof.results.merge import merge_evaluations
+from skyproof.results.outcomes import read_outcomes
+from skyproof.results.tiles import Series, count_tiles
+from skyproof.scenes.scene import write_scenes
+
+
+class Brightest:
+    """Finds the vehicle in the middle with the brightness of the image as its score."""
+
+    def __init__(self, name="brightest"):
+        self.name = name
+        self.images = 0
+
+    def detect(self, images):
+        self.images += len(images)
+        box = torch.tensor([[22.0, 22.0, 42.0, 42.0]])
+        return [Detections(box, image.mean().reshape(1)) for image in images]
+
+
+@pytest.fixture
+def make_dataset(tmp_path, make_scene):
+    def make(name, brightness, vehicles=1, source=None):
+        """One 64 px image per value of `brightness`, each on a tile of its own."""
+        scenes = [make_scene(f"s{i}", f"tile-{i}", vehicles) for i in range(len(brightness))]
+        mask = torch.zeros(64, 64, dtype=torch.bool)
+        mask[22:42, 22:42] = True
+        with CocoWriter(tmp_path / name, gsd_m=0.125, source=source) as writer:
+            for scene, value in zip(scenes, brightness, strict=True):
+                vehicle = Annotation(
+                    (22.0, 22.0, 42.0, 42.0), (32.0, 32.0), 1.0, mask, "pick-up-0000", 0
+                )
+                image = torch.full((3, 64, 64), value, dtype=torch.uint8)
+                writer.add(image, scene.id, [vehicle] * vehicles)
+        write_scenes(tmp_path / name / "scenes.jsonl", scenes)
+        return tmp_path / name
+
+    return make
+
+
+def test_all_that_was_found_is_written(make_dataset, tmp_path):
+    original, hidden = (
+        make_dataset("test", [200, 200, 200, 50]),
+        make_dataset("test-T-U-0", [50, 50, 200, 200]),
+    )
+    judge = Judge(Brightest(), 0.5)
+    rows = evaluate_pairs([judge], original, {"T-U-0": hidden}, tmp_path / "evaluation")
+    row = next(row for row in rows if row["match"] == "centre_1m")
+    assert (row["camouflage"], row["asr"], row["er"]) == (
+        "T-U",
+        pytest.approx(2 / 3),
+        pytest.approx(1 / 3),
+    )
+    tiles, sets = merge_evaluations([tmp_path / "evaluation"])
+    counted = count_tiles(read_outcomes(tmp_path / "evaluation" / "outcomes.parquet"))
+    key = Series("T-U-0", "torch", "brightest", "centre_1m")
+    expected = [[1, 0, 1, 0], [1, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 1]]
+    assert tiles.series[key].tolist() == counted.series[key].tolist() == expected
+    assert [score.camouflage for score in sets if score.match == "centre_1m"] == [
+        "original",
+        "T-U-0",
+    ]
+    assert json.loads((tmp_path / "evaluation" / "results.json").read_text())["rows"] == rows
+
+
+def test_a_detector_that_finds_nothing_is_refused_before_the_long_part(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
+    good, silent = Brightest("good"), Brightest("silent")
+    with pytest.raises(
+        ConfigurationError, match=r"silent finds none of the 2 vehicles .* threshold of 0\.9.*EASR"
+    ):
+        evaluate_pairs(
+            [Judge(good, 0.5), Judge(silent, 0.9)],
+            original,
+            {"T-U": hidden},
+            tmp_path / "evaluation",
+        )
+    assert (good.images, silent.images) == (2, 2)
+    assert not (tmp_path / "evaluation").exists()
+
+
+def test_a_set_without_vehicles_is_refused(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200], 0), make_dataset("test-T-U", [50, 50], 0)
+    with pytest.raises(ConfigurationError, match="shows no vehicles to hide"):
+        evaluate_pairs(
+            [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+        )
+
+
+def test_the_renderer_is_the_datasets_own(make_dataset, tmp_path):
+    cycles = {"renderer": "cycles"}
+    original = make_dataset("test", [200, 200, 200, 50], source=cycles)
+    hidden = make_dataset("test-T-U", [50, 50, 200, 200], source=cycles)
+    rows = evaluate_pairs(
+        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+    )
+    assert {row["renderer"] for row in rows} == {"cycles"}
+    tiles, sets = merge_evaluations([tmp_path / "evaluation"])
+    assert (
+        {key.renderer for key in tiles.series} == {score.renderer for score in sets} == {"cycles"}
+    )
+    assert {
+        outcome.renderer for outcome in read_outcomes(tmp_path / "evaluation" / "outcomes.parquet")
+    } == {"cycles"}
+
+
+@pytest.mark.parametrize("first", ["torch", "cycles"])
+def test_datasets_of_two_renderers_are_no_pairs(make_dataset, tmp_path, first):
+    second = {"torch": "cycles", "cycles": "torch"}[first]
+    # One that does not say it is of before there was a choice.
+    sources = {"torch": None, "cycles": {"renderer": "cycles"}}
+    original = make_dataset("test", [200, 200], source=sources[first])
+    hidden = make_dataset("test-T-U", [50, 50], source=sources[second])
+    judge = Brightest()
+    with pytest.raises(
+        ConfigurationError, match=rf"by {first} and .*test-T-U by {second}, .* same --renderer"
+    ):
+        evaluate_pairs([Judge(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+    assert judge.images == 0
+    assert not (tmp_path / "evaluation").exists()
+
+
+def test_datasets_of_one_renderer_under_other_settings_are_no_pairs(make_dataset, tmp_path):
+    sources = [
+        {"renderer": "cycles", "rendering": {"samples": samples, "finish": "matt"}}
+        for samples in (32, 64)
+    ]
+    original = make_dataset("test", [200, 200], source=sources[0])
+    hidden = make_dataset("test-T-U", [50, 50], source=sources[1])
+    with pytest.raises(
+        ConfigurationError, match=r"by cycles and .* by cycles with other settings \(samples\)"
+    ):
+        evaluate_pairs(
+            [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+        )
+
+
+def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
+    original, hidden = (
+        make_dataset("test", [200, 200, 200, 50]),
+        make_dataset("test-T-U", [50, 50, 200, 200]),
+    )
+    images = read_coco(original)
+    # A second vehicle that is never found halves recall on the real images.
+    twice = [torch.cat([boxes, boxes + 40]) for boxes in images.boxes]
+    real = LabelledImages(images.images, twice, images.ignore, images.ids, images.gsd_m)
+    clean = [
+        CleanSet("two places", real, "note", places=["a", "a", "b", "b"]),
+        CleanSet("one place", real, places=["a"] * 4),
+        CleanSet("unknown", real),
+    ]
+    evaluate_pairs(
+        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=clean
+    )
+    rows = {
+        row["dataset"]: row
+        for row in json.loads((tmp_path / "evaluation" / "clean.json").read_text())
+    }
+    assert list(rows) == ["rendered test", "two places", "one place", "unknown"]
+    assert {name: row["real"] for name, row in rows.items()} == {
+        name: name != "rendered test" for name in rows
+    }
+    rests = {name: (row["clustered_by"], row["clusters"]) for name, row in rows.items()}
+    assert rests == {
+        "rendered test": ("places", 4),
+        "two places": ("places", 2),
+        "one place": ("images", 4),
+        "unknown": ("images", 4),
+    }
+    row = rows["two places"]
+    # Four of eight vehicles, three of these above the threshold; precision 1 up to a recall of 0.5.
+    assert (row["vehicles"], row["recall"], row["precision"], row["note"]) == (
+        8,
+        3 / 8,
+        1.0,
+        "note",
+    )
+    assert row["ap_centre_1m"] == pytest.approx(51 / 101)
+    assert row["ap_centre_1m_low"] < 51 / 101 < row["ap_centre_1m_high"]
+    # Two places leave Student's t one degree of freedom.
+    assert row["ap_centre_1m_high"] - row["ap_centre_1m_low"] > 0.3
+
+
+def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp_path):
+    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
+    empty = CleanSet("empty", read_coco(make_dataset("empty", [10, 10], vehicles=0)))
+    evaluate_pairs(
+        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=[empty]
+    )
+    text = (tmp_path / "evaluation" / "clean.json").read_text()
+    assert "NaN" not in text
+    row = json.loads(text)[1]
+    assert [row[key] for key in ("ap_centre_1m", "ap_centre_1m_low", "ap_iou_50", "recall")] == [
+        None
+    ] * 4

@@ -1,0 +1,94 @@
+"""Planned tests, simulated."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import special
+
+from skyproof.errors import ConfigurationError
+from skyproof.results.intervals import cluster_interval, resample
+from skyproof.results.planning import (
+    Assumptions,
+    assume_from_pilot,
+    expected_half_width,
+    vehicles_needed,
+)
+from skyproof.results.rates import overall_attack_success_rate
+from skyproof.results.tiles import Series, TileCounts
+
+
+def easr(counts):
+    return overall_attack_success_rate(counts).mean(axis=-1)
+
+
+def simulate(rng, tiles, vehicles, asr, er, correlation):
+    """`[C, 4]` counts of tiles of `vehicles` each; nine in ten are found before; their fate is alike within a tile."""
+    spread = (1 - correlation) / correlation
+    found = rng.binomial(vehicles, 0.9, tiles)
+    lost = rng.binomial(
+        found, special.betaincinv(asr * spread, (1 - asr) * spread, rng.random(tiles))
+    )
+    gained = rng.binomial(vehicles - found, er * 9)
+    return np.stack([np.full(tiles, vehicles), found - lost, lost, gained], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("half_width", "rate", "er", "correlation"),
+    [(0.05, 0.8, 0.0, 0.1), (0.03, 0.5, 0.05, 0.2), (0.1, 0.3, 0.02, 0.05), (0.04, 0.93, 0.0, 0.1)],
+)
+def test_the_planned_test_gives_the_wanted_half_width(half_width, rate, er, correlation, rng):
+    assumed = Assumptions(rate, er, 9.0, 0.9, 1 + (9 * 0.9 - 1) * correlation)
+    need = vehicles_needed(half_width, assumed)
+    weights, obtained = resample(need.tiles, generator=rng, replicates=1000), []
+    for _ in range(60):
+        counts = simulate(rng, need.tiles, 9, rate + er, er, correlation)[None, :, 1:]
+        interval = cluster_interval(counts, easr, weights, limits=(-math.inf, 1.0))
+        obtained.append((interval.high - interval.low) / 2)
+    assert np.median(obtained) == pytest.approx(half_width, rel=0.15)
+    assert need.vehicles == 9 * need.tiles
+
+
+def test_it_is_the_smallest_such_test():
+    assumed = Assumptions(0.8, design_effect=1.5)
+    need = vehicles_needed(0.05, assumed)
+    assert (
+        expected_half_width(need.tiles, assumed)
+        <= 0.05
+        < expected_half_width(need.tiles - 1, assumed)
+    )
+
+
+def test_by_hand():
+    # 1.96² · 0.8 · 0.2 · 1.8 / 0.01² independent vehicles, and about 1 % for the limits being exact.
+    assert vehicles_needed(0.01, Assumptions(0.8, design_effect=1.8)).vehicles == pytest.approx(
+        11063, rel=0.03
+    )
+    # Where every vehicle is hidden: the lower limit 0.025 ** (1 / tiles) is 0.9 at 36 tiles.
+    assert vehicles_needed(0.05, Assumptions(1.0)).tiles == 36
+
+
+def test_gained_vehicles_count():
+    # One in ten lost and as many gained: per vehicle found before a variance of 0.1 + 0.1, over 500 x 10 of them.
+    assumed = Assumptions(0.0, 0.1, 10.0, 1.0, 1.0)
+    assert expected_half_width(500, assumed) == pytest.approx(1.96 * (0.2 / 5000) ** 0.5, rel=0.02)
+
+
+def test_a_pilot_tells_rates_and_design_effect(rng):
+    counts = simulate(rng, 400, 9, 0.75, 0.05, 0.3)
+    control = simulate(rng, 400, 9, 0.5, 0.0, 0.3)
+    surer = simulate(rng, 400, 9, 0.95, 0.0, 0.3)
+    names = {"T-U-0": counts, "R-U-0": control, "T-Pix-0": surer}
+    series = {Series(name, "torch", "yolov5", "centre_1m"): each for name, each in names.items()}
+    assumed, name = assume_from_pilot(TileCounts(tuple(f"t{i:03d}" for i in range(400)), series))
+    assert name == "T-U-0 before yolov5"
+    assert assumed.easr == pytest.approx(0.70, abs=0.05)
+    assert assumed.enhancement_rate == pytest.approx(0.05, abs=0.02)
+    assert (assumed.vehicles_per_tile, assumed.found_before) == (9, pytest.approx(0.9, abs=0.02))
+    assert assumed.design_effect == pytest.approx(1 + (8.1 - 1) * 0.3, rel=0.2)
+
+
+def test_a_pilot_that_tells_nothing_is_refused():
+    all_hidden = {Series("T-U", "torch", "a", "centre_1m"): np.tile([5, 0, 5, 0], (4, 1))}
+    with pytest.raises(ConfigurationError, match="pilot tells nothing"):
+        assume_from_pilot(TileCounts(("a", "b", "c", "d"), all_hidden))

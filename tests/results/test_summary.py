@@ -1,0 +1,226 @@
+"""The table of results, counted by hand."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from skyproof.results.intervals import mcnemar_p
+from skyproof.results.outcomes import Outcome
+from skyproof.results.sets import SetScore
+from skyproof.results.summary import summarise
+from skyproof.results.tiles import count_tiles
+
+REQUIRED = [
+    "camouflage",
+    "renderer",
+    "detector",
+    "vehicles",
+    "easr",
+    "easr_low",
+    "easr_high",
+    "net_easr",
+    "net_easr_low",
+    "net_easr_high",
+    "asr",
+    "er",
+    "ap_original",
+    "ap_adversarial",
+    "apd",
+    "match",
+]
+
+
+def outcomes(camouflage, detector, detected, match="centre_1m"):
+    """Vehicles as (original, adversarial), two on each tile."""
+    blank = {
+        field.name: {"str": "", "int": 0, "bool": False, "float": 0.0}[field.type]
+        for field in dataclasses.fields(Outcome)
+    }
+    return [
+        Outcome(
+            **(
+                blank
+                | {
+                    "scene": f"s{i // 2}",
+                    "background": f"tile-{i // 2}",
+                    "placement": i % 2,
+                    "camouflage": camouflage,
+                    "renderer": "torch",
+                    "detector": detector,
+                    "match": match,
+                    "detected_original": bool(before),
+                    "detected_adversarial": bool(after),
+                }
+            )
+        )
+        for i, (before, after) in enumerate(detected)
+    ]
+
+
+@pytest.fixture
+def rows(rng):
+    attack_a = [(1, 0)] * 14 + [(1, 1)] * 4 + [(0, 1)] * 1 + [(0, 0)] * 1
+    attack_b = [(1, 0)] * 8 + [(1, 1)] * 8 + [(0, 0)] * 4
+    random_a0 = [(1, 0)] * 2 + [(1, 1)] * 16 + [(0, 0)] * 2
+    random_a1 = [(1, 0)] * 1 + [(1, 1)] * 17 + [(0, 1)] * 1 + [(0, 0)] * 1
+    random_b = [(1, 0)] * 4 + [(1, 1)] * 12 + [(0, 0)] * 4
+    found = outcomes("T-U", "retinanet", attack_a) + outcomes("T-U", "yolov5", attack_b)
+    found += outcomes("R-U-0", "retinanet", random_a0) + outcomes("R-U-1", "retinanet", random_a1)
+    found += outcomes("R-U-0", "yolov5", random_b) + outcomes("R-U-1", "yolov5", random_b)
+    found += outcomes("T-U", "retinanet", attack_b, "iou_50")
+    sets = [
+        SetScore("original", "torch", "retinanet", "centre_1m", 0.9, 10.0),
+        SetScore("T-U", "torch", "retinanet", "centre_1m", 0.3, 30.0),
+        SetScore("R-U-0", "torch", "retinanet", "centre_1m", 0.8, 12.0),
+        SetScore("R-U-1", "torch", "retinanet", "centre_1m", 0.7, 14.0),
+    ]
+    made = summarise(count_tiles(found), sets, generator=rng)
+    return {(row["camouflage"], row["detector"], row["match"]): row for row in made}
+
+
+def test_rates(rows):
+    row = rows["T-U", "retinanet", "centre_1m"]
+    assert row["vehicles"] == 20
+    assert row["clusters"] == 10
+    assert row["asr"] == pytest.approx(14 / 18)
+    assert row["er"] == pytest.approx(1 / 18)
+    assert row["easr"] == pytest.approx(13 / 18)
+    assert row["easr_low"] < row["easr"] < row["easr_high"] <= 1
+    assert row["random_easr"] == pytest.approx((2 / 18 + 0 / 18) / 2)
+    assert row["net_easr"] == pytest.approx(13 / 18 - 1 / 18)
+    assert row["net_easr_low"] < row["net_easr"] < row["net_easr_high"]
+
+
+def test_mean_is_unweighted_over_detectors(rows):
+    row = rows["T-U", "mean", "centre_1m"]
+    assert row["easr"] == pytest.approx((13 / 18 + 8 / 16) / 2)
+    assert row["net_easr"] == pytest.approx((13 / 18 + 8 / 16) / 2 - (1 / 18 + 4 / 16) / 2)
+    # One detector without scores leaves the mean AP undefined, not the mean of the others.
+    assert row["ap_original"] is None
+    assert row["mcnemar_p"] is None
+
+
+def test_random_draws_share_a_row(rows):
+    row = rows["R-U", "retinanet", "centre_1m"]
+    assert row["repeats"] == 2
+    assert row["easr"] == pytest.approx((2 / 18 + 0) / 2)
+    assert row["ap_adversarial"] == pytest.approx(0.75)
+    assert row["net_easr"] is None
+    assert not any(camouflage == "R-U-0" for camouflage, _, _ in rows)
+
+
+def test_average_precision_difference_and_false_alarms(rows):
+    row = rows["T-U", "retinanet", "centre_1m"]
+    assert row["apd"] == pytest.approx(0.6)
+    assert (row["false_alarms_per_km2_original"], row["false_alarms_per_km2_adversarial"]) == (
+        10.0,
+        30.0,
+    )
+
+
+def test_mcnemar_and_holm(rows):
+    first, second = rows["T-U", "retinanet", "centre_1m"], rows["T-U", "yolov5", "centre_1m"]
+    assert first["mcnemar_p"] == pytest.approx(mcnemar_p(14, 1))
+    assert first["mcnemar_p_holm"] == pytest.approx(2 * first["mcnemar_p"])
+    assert second["mcnemar_p_holm"] == pytest.approx(second["mcnemar_p"])
+
+
+def test_both_matches_and_the_order_of_keys(rows):
+    row = rows["T-U", "retinanet", "iou_50"]
+    assert row["net_easr"] is None
+    for row in rows.values():
+        assert list(row)[: len(REQUIRED)] == REQUIRED
+        json.dumps(row, allow_nan=False)
+
+
+def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
+    # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 - 0.025 ** (1 / 20).
+    found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
+    found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
+    row = next(
+        row
+        for row in summarise(count_tiles(found), [], generator=rng)
+        if row["camouflage"] == "T-U"
+    )
+    margin = 1 - 0.025 ** (1 / 20)
+    assert row["easr_low"] == pytest.approx(1 - margin)
+    assert row["net_easr"] == pytest.approx(0.75)
+    assert row["net_easr_low"] < 0.75 - margin
+
+
+def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
+    # One detector loses everything on all 20 tiles, the other all but one vehicle.
+    found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes(
+        "T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)]
+    )
+    rows = {row["detector"]: row for row in summarise(count_tiles(found), [], generator=rng)}
+    margins = [rows[name]["easr"] - rows[name]["easr_low"] for name in ("retinanet", "yolov5")]
+    assert margins[0] == pytest.approx(1 - 0.025 ** (1 / 20))
+    assert rows["mean"]["easr_low"] == pytest.approx(rows["mean"]["easr"] - sum(margins) / 2)
+
+
+def test_undefined_becomes_null(rng):
+    row = summarise(
+        count_tiles(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)), [], generator=rng
+    )[0]
+    assert row["easr"] is None
+    assert row["easr_low"] is None
+    json.dumps(row, allow_nan=False)
+
+
+def test_same_seed_same_rows():
+    found = outcomes("T-U", "retinanet", [(1, 0), (1, 1), (1, 1), (0, 1)] * 5)
+    assert summarise(count_tiles(found), [], generator=np.random.default_rng(2)) == summarise(
+        count_tiles(found), [], generator=np.random.default_rng(2)
+    )
+
+
+@pytest.fixture
+def repeated(rng):
+    """Two seeds of one attack before two detectors; the second seed gains vehicles before yolov5."""
+    seeds = {
+        ("T-Pix-0", "retinanet"): [(1, 0)] * 12 + [(1, 1)] * 8,
+        ("T-Pix-1", "retinanet"): [(1, 0)] * 8 + [(1, 1)] * 12,
+        ("T-Pix-0", "yolov5"): [(1, 0)] * 5 + [(1, 1)] * 5 + [(0, 0)] * 10,
+        ("T-Pix-1", "yolov5"): [(1, 1)] * 10 + [(0, 1)] * 5 + [(0, 0)] * 5,
+        ("R-Pix-0", "retinanet"): [(1, 0)] * 2 + [(1, 1)] * 18,
+        ("R-Pix-0", "yolov5"): [(1, 1)] * 10 + [(0, 0)] * 10,
+    }
+    found = [
+        o
+        for (name, detector), detected in seeds.items()
+        for o in outcomes(name, detector, detected)
+    ]
+    return {
+        (row["camouflage"], row["detector"]): row
+        for row in summarise(count_tiles(found), [], generator=rng)
+    }
+
+
+def test_repeats_share_a_row_and_their_spread_is_said(repeated):
+    row = repeated["T-Pix", "retinanet"]
+    assert row["repeats"] == 2
+    assert row["easr"] == pytest.approx((12 / 20 + 8 / 20) / 2)
+    assert (row["easr_repeat_min"], row["easr_repeat_max"]) == (
+        pytest.approx(0.4),
+        pytest.approx(0.6),
+    )
+    assert row["easr_repeat_sd"] == pytest.approx(0.2 / 2**0.5)
+    assert row["net_easr"] == pytest.approx(0.5 - 0.1)
+    mean = repeated["T-Pix", "mean"]
+    # Per seed the mean over detectors: (0.6 + 0.5) / 2 and (0.4 - 0.5) / 2.
+    assert mean["easr"] == pytest.approx((0.55 - 0.05) / 2)
+    assert (mean["easr_repeat_min"], mean["easr_repeat_max"]) == (
+        pytest.approx(-0.05),
+        pytest.approx(0.55),
+    )
+    assert repeated["R-Pix", "retinanet"]["easr_repeat_sd"] is None
+
+
+def test_mcnemar_holds_for_every_repeat(repeated):
+    assert repeated["T-Pix", "retinanet"]["mcnemar_p"] == pytest.approx(mcnemar_p(8, 0))
+    # One seed loses five, the other gains five: nothing can be claimed of both.
+    assert repeated["T-Pix", "yolov5"]["mcnemar_p"] == 1
+    assert repeated["R-Pix", "retinanet"]["mcnemar_p"] is None

@@ -1,0 +1,177 @@
+"""Counts per tile, on disk and merged."""
+
+import dataclasses
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.results.merge import merge_evaluations
+from skyproof.results.outcomes import Outcome
+from skyproof.results.sets import SetScore, read_sets, write_sets
+from skyproof.results.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
+
+
+def outcome(tile, camouflage, before, after, detector="yolov5"):
+    blank = {
+        f.name: {"str": "x", "int": 0, "bool": False, "float": 0.0}[f.type]
+        for f in dataclasses.fields(Outcome)
+    }
+    blank |= {
+        "background": tile,
+        "camouflage": camouflage,
+        "renderer": "torch",
+        "detector": detector,
+    }
+    return Outcome(
+        **(blank | {"match": "iou_50", "detected_original": before, "detected_adversarial": after})
+    )
+
+
+@pytest.fixture
+def tiles():
+    return count_tiles(
+        [
+            outcome("b", "T-U-1", True, False),
+            outcome("a", "T-U-1", True, True),
+            outcome("a", "T-U-1", True, False),
+            outcome("a", "T-U-1", False, True),
+            outcome("a", "T-U-1", False, False),
+            outcome("b", "T-U-0", True, True),
+        ]
+    )
+
+
+def test_counts_by_hand(tiles):
+    assert tiles.tiles == ("a", "b")
+    assert list(tiles.series) == [
+        Series(name, "torch", "yolov5", "iou_50") for name in ("T-U-1", "T-U-0")
+    ]
+    first, second = tiles.series.values()
+    assert first.tolist() == [[4, 1, 1, 1], [1, 0, 1, 0]]
+    assert second.tolist() == [[0, 0, 0, 0], [1, 1, 0, 0]]
+
+
+def same(one, other):
+    assert one.tiles == other.tiles
+    assert list(one.series) == list(other.series)
+    assert all(np.array_equal(one.series[key], other.series[key]) for key in one.series)
+
+
+def test_round_trip(tmp_path, tiles):
+    write_tiles(tmp_path / "tiles.parquet", tiles)
+    same(read_tiles(tmp_path / "tiles.parquet"), tiles)
+    assert pq.read_table(tmp_path / "tiles.parquet").num_rows == 3
+    write_tiles(tmp_path / "none.parquet", TileCounts((), {}))
+    assert read_tiles(tmp_path / "none.parquet").series == {}
+
+
+def test_bad_files_are_named(tmp_path, tiles):
+    path = tmp_path / "tiles.parquet"
+    with pytest.raises(StoredFileError, match=r"tiles\.parquet is missing"):
+        read_tiles(path)
+    path.write_bytes(b"not parquet")
+    with pytest.raises(StoredFileError, match="not a readable Parquet file"):
+        read_tiles(path)
+    pq.write_table(pa.table({"scene": ["a"]}), path)
+    with pytest.raises(StoredFileError, match="other columns"):
+        read_tiles(path)
+    write_tiles(path, tiles)
+    table = pq.read_table(path)
+    for wrong in (
+        pa.concat_tables([table, table]),
+        table.set_column(5, "vehicles", pa.array([1, 1, 1], pa.int64())),
+    ):
+        pq.write_table(wrong, path)
+        with pytest.raises(StoredFileError, match="contradict each other"):
+            read_tiles(path)
+
+
+def test_set_scores_round_trip(tmp_path):
+    written = [SetScore("original", "torch", "yolov5", "iou_50", 0.5, 3.0)]
+    write_sets(
+        tmp_path / "sets.json",
+        [*written, dataclasses.replace(written[0], average_precision=float("nan"))],
+    )
+    first, second = read_sets(tmp_path / "sets.json")
+    assert first == written[0]
+    assert second.average_precision != second.average_precision
+    (tmp_path / "sets.json").write_text('{"rows": [{"camouflage": "x"}]}')
+    with pytest.raises(StoredFileError, match=r"sets\.json is not of the form"):
+        read_sets(tmp_path / "sets.json")
+
+
+@pytest.fixture
+def make_folder(tmp_path):
+    def make(name, counts, precision=0.9, renderer="torch"):
+        """An evaluation folder with tiles "a" and "b" of two vehicles each: (both, lost, gained) by camouflage."""
+        folder = tmp_path / name
+        folder.mkdir()
+        series = {
+            Series(camouflage, renderer, "yolov5", "iou_50"): np.array([[2, *row] for row in rows])
+            for camouflage, rows in counts.items()
+        }
+        write_tiles(folder / "tiles.parquet", TileCounts(("a", "b"), series))
+        scores = [SetScore("original", renderer, "yolov5", "iou_50", precision, 3.0)]
+        scores += [
+            SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts
+        ]
+        write_sets(folder / "sets.json", scores)
+        return folder
+
+    return make
+
+
+def test_folders_are_merged(make_folder):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
+    two = make_folder("two", {"T-U-1": [[0, 2, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
+    tiles, sets = merge_evaluations([one, two])
+    assert [key.camouflage for key in tiles.series] == ["T-U-0", "R-U-0", "T-U-1"]
+    assert tiles.series[Series("T-U-1", "torch", "yolov5", "iou_50")].tolist() == [
+        [2, 0, 2, 0],
+        [2, 0, 2, 0],
+    ]
+    assert [score.camouflage for score in sets] == ["original", "T-U-0", "R-U-0", "T-U-1"]
+
+
+def test_two_renderers_are_merged(make_folder):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
+    # The same names, other results and another precision: no contradiction.
+    other = make_folder(
+        "cycles", {"T-U-0": [[2, 0, 0], [0, 1, 0]]}, precision=0.7, renderer="cycles"
+    )
+    tiles, sets = merge_evaluations([one, other])
+    assert tiles.tiles == ("a", "b")
+    assert tiles.series[Series("T-U-0", "torch", "yolov5", "iou_50")].tolist() == [
+        [2, 1, 1, 0],
+        [2, 0, 2, 0],
+    ]
+    assert tiles.series[Series("T-U-0", "cycles", "yolov5", "iou_50")].tolist() == [
+        [2, 2, 0, 0],
+        [2, 0, 1, 0],
+    ]
+    precision = {(score.camouflage, score.renderer): score.average_precision for score in sets}
+    assert precision == {
+        ("original", "torch"): 0.9, ("T-U-0", "torch"): 0.2, ("original", "cycles"): 0.7, ("T-U-0", "cycles"): 0.2,
+    }  # fmt: skip
+
+
+def test_contradictions_are_refused(make_folder, tmp_path):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
+    with pytest.raises(ConfigurationError, match="different results for T-U-0 as seen by yolov5"):
+        merge_evaluations([one, make_folder("two", {"T-U-0": [[2, 0, 0], [0, 2, 0]]})])
+    with pytest.raises(
+        ConfigurationError, match="different results for the images without camouflage as seen by"
+    ):
+        merge_evaluations(
+            [one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)]
+        )
+    other = make_folder("four", {"T-U-2": [[1, 1, 0], [0, 2, 0]]})
+    fewer = {Series("T-U-2", "torch", "yolov5", "iou_50"): np.array([[1, 0, 1, 0], [2, 0, 2, 0]])}
+    write_tiles(other / "tiles.parquet", TileCounts(("a", "b"), fewer))
+    with pytest.raises(ConfigurationError, match="same vehicles on the same tiles"):
+        merge_evaluations([one, other])
+    with pytest.raises(ConfigurationError, match="at least one evaluation folder"):
+        merge_evaluations([])
