@@ -10,6 +10,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 FLOORS = [
     {"errors"},
     {"files"},
+    {"storage"},
     {"geometry"},
     {"scenes", "vehicles"},
     {"datasets", "ground"},

@@ -7,8 +7,6 @@ from typing import Any
 
 import torch
 from PIL import Image
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage, NoCamouflage
@@ -17,7 +15,8 @@ from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json, write_beside, write_bytes, write_json
+from skyproof.files import read_json, write_beside, write_json
+from skyproof.storage import read_tensors, write_tensors
 
 __all__ = ["load_camouflage", "save_camouflage"]
 
@@ -38,10 +37,7 @@ def save_camouflage(
         RunFolderError: the disk is full or not writable.
     """
     folder = Path(folder)
-    state = {
-        name: tensor.detach().cpu().contiguous() for name, tensor in camouflage.state_dict().items()
-    }
-    write_bytes(folder / "camouflage.safetensors", save(state))
+    write_tensors(folder / "camouflage.safetensors", camouflage.state_dict())
     parts = (
         [camouflage.texture, camouflage.shape]
         if isinstance(camouflage, Combination)
@@ -74,18 +70,19 @@ def load_camouflage(folder: Path) -> Camouflage:
         raise StoredFileError(
             f"{path} was not written by this version of skyproof; make the camouflage again."
         )
-    weights = Path(folder) / "camouflage.safetensors"
     try:
         camouflage = _build(document["camouflage"])
     except (KeyError, TypeError, AttributeError, ValueError, ConfigurationError) as error:
         raise StoredFileError(
             f"{path} is damaged ({error!r}); make the camouflage again."
         ) from error
+    weights = Path(folder) / "camouflage.safetensors"
+    tensors, _ = read_tensors(weights, "make the camouflage again")
     try:
-        camouflage.load_state_dict(load_file(weights))
-    except (OSError, SafetensorError, RuntimeError) as error:
+        camouflage.load_state_dict(tensors)
+    except RuntimeError as error:
         raise StoredFileError(
-            f"{weights} is missing or damaged ({error}); make the camouflage again."
+            f"{weights} does not fit camouflage.json ({error}); make the camouflage again."
         ) from error
     return camouflage.requires_grad_(False)
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json, write_bytes, write_json
+from skyproof.files import read_json, write_json
+from skyproof.storage import read_tensors, write_tensors
 
 __all__ = [
     "FOLDER_FORMAT",
@@ -120,7 +119,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
         RunFolderError: the disk is full or not writable.
     """
     folder = Path(folder)
-    write_bytes(folder / "weights.safetensors", save(plain_state(detector)))
+    write_tensors(folder / "weights.safetensors", plain_state(detector))
     # The digest ties both files together: a weights file from elsewhere is noticed.
     record = {"format": FOLDER_FORMAT, **asdict(card), "weights_sha256": weights_digest(detector)}
     write_json(folder / "detector.json", record)
@@ -145,10 +144,7 @@ def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
     folder = Path(folder)
     card, stored_digest = _card(folder / "detector.json")
     path = folder / "weights.safetensors"
-    if not path.is_file():
-        raise StoredFileError(
-            f"{path} is missing; train the detector again or copy the whole folder."
-        )
+    tensors, _ = read_tensors(path, "train the detector again or copy the whole folder")
     try:
         detector = _of_card(card)
     except ConfigurationError as error:
@@ -158,13 +154,10 @@ def load_detector(folder: str | Path) -> tuple[TrainableDetector, DetectorCard]:
             f"{folder / 'detector.json'} names an unknown detector: {error}"
         ) from error
     try:
-        tensors = load_file(path)
         # BatchNorm fills in a missing counter silently, even when loaded strictly.
         if tensors.keys() != detector.state_dict().keys():
             raise RuntimeError("other tensor names")
         detector.load_state_dict(tensors)
-    except (SafetensorError, OSError) as error:
-        raise StoredFileError(f"{path} is damaged ({error}); train the detector again.") from error
     except RuntimeError as error:
         raise StoredFileError(
             f"{path} does not fit a {card.size} {card.name} of this version; train the detector, or bring it in, again."

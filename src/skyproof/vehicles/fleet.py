@@ -11,12 +11,11 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float, UInt8
-from safetensors.torch import load as load_tensors
-from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import finished_folder, read_json, write_bytes, write_json
+from skyproof.files import finished_folder, read_json, write_json
+from skyproof.storage import read_tensors, write_tensors
 from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
 from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.surface import build_body
@@ -127,10 +126,7 @@ class Fleet:
     def write_into(self, folder: Path) -> None:
         """Writes the same two files into a folder that is being made."""
         tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
-        write_bytes(
-            folder / "fleet.safetensors",
-            save_tensors({k: v.contiguous() for k, v in tensors.items()}),
-        )
+        write_tensors(folder / "fleet.safetensors", tensors)
         description = {
             "format": _FORMAT_VERSION,
             "ids": list(self.ids),
@@ -154,8 +150,8 @@ class Fleet:
                 f"{folder} holds fleet format {json.dumps(version)}, this version reads {_FORMAT_VERSION}; "
                 "make the fleet again."
             )
+        tensors, _ = read_tensors(folder / "fleet.safetensors", "make the fleet again")
         try:
-            tensors = load_tensors((folder / "fleet.safetensors").read_bytes())
             ids = tuple(str(vehicle_id) for vehicle_id in description["ids"])
             drawn_from = description["settings"]
             fleet = Fleet(
@@ -169,7 +165,7 @@ class Fleet:
                 dict(description.get("sources", {})),
             )
             fleet._check_shapes()
-        except Exception as error:  # safetensors raises its own type, and whatever a damaged file provokes means damage
+        except Exception as error:  # whatever a damaged file provokes means damage
             raise StoredFileError(
                 f"{folder} holds a damaged fleet ({error}); make the fleet again."
             ) from error

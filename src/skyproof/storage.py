@@ -1,0 +1,63 @@
+"""Tensors in files: safetensors, with a record beside the numbers where one is needed, and no pickle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from skyproof.errors import StoredFileError
+from skyproof.files import write_bytes
+
+__all__ = ["read_tensors", "write_tensors"]
+
+
+def write_tensors(
+    path: Path, tensors: Mapping[str, Tensor], record: Mapping[str, Any] | None = None
+) -> None:
+    """Writes tensors, and a record if there is one, to one file, whole or not at all.
+
+    Record and tensors share a file, so that a kill can never leave one of them older than the other.
+
+    Args:
+        path: usually ends in `.safetensors`; its folder is made if missing.
+        tensors: by name, on any device; no two of them may share memory.
+        record: anything that JSON can hold; kept in the file's metadata.
+
+    Raises:
+        RunFolderError: the disk is full or not writable.
+    """
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    metadata = None if record is None else {"record": json.dumps(record)}
+    write_bytes(Path(path), save(plain, metadata=metadata))
+
+
+def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Reads what `write_tensors` wrote; opening a file runs no code.
+
+    Args:
+        path: the file.
+        remedy: what the error advises, such as "make the camouflage again".
+
+    Returns:
+        The tensors by name on the CPU, and the record; the latter is empty where none was written.
+
+    Raises:
+        StoredFileError: the file is missing or damaged; names it and the remedy.
+    """
+    if not Path(path).is_file():
+        raise StoredFileError(f"{path} is missing; {remedy}.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            record = json.loads((file.metadata() or {}).get("record", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise StoredFileError(f"{path} is damaged ({error}); {remedy}.") from error
+    if not isinstance(record, dict):
+        raise StoredFileError(f"{path} is damaged (its record is no mapping); {remedy}.")
+    return tensors, record

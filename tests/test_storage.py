@@ -1,0 +1,58 @@
+"""Tensors in files: what is written comes back, and what is damaged is refused in one sentence."""
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from skyproof.errors import StoredFileError
+from skyproof.storage import read_tensors, write_tensors
+
+TENSORS = {
+    "weights": torch.rand(2, 3, 4, 5, generator=torch.Generator().manual_seed(0)),
+    "count": torch.tensor(7),
+    "mask": torch.tensor([True, False]),
+    "none": torch.zeros(0, 4),
+}
+
+
+def test_tensors_and_record_come_back(tmp_path):
+    path = tmp_path / "new" / "x.safetensors"
+    record = {"step": 3, "identity": {"names": ["T-U", "ä"], "rate": 0.1}, "best": None}
+    write_tensors(path, TENSORS, record)
+    tensors, read = read_tensors(path, "make it again")
+    assert read == record
+    assert tensors.keys() == TENSORS.keys()
+    assert all(torch.equal(tensors[name], TENSORS[name]) for name in TENSORS)
+    assert all(tensors[name].dtype == TENSORS[name].dtype for name in TENSORS)
+
+
+def test_without_a_record_the_bytes_are_those_of_safetensors_alone(tmp_path):
+    write_tensors(tmp_path / "ours.safetensors", TENSORS)
+    save_file(TENSORS, tmp_path / "theirs.safetensors")
+    ours = (tmp_path / "ours.safetensors").read_bytes()
+    assert ours == (tmp_path / "theirs.safetensors").read_bytes()
+    assert read_tensors(tmp_path / "theirs.safetensors", "make it again")[1] == {}
+
+
+def test_a_tensor_in_another_memory_layout_is_stored_plainly(tmp_path):
+    weights = TENSORS["weights"].to(memory_format=torch.channels_last).requires_grad_()
+    write_tensors(tmp_path / "x.safetensors", {"weights": weights})
+    assert torch.equal(load_file(tmp_path / "x.safetensors")["weights"], TENSORS["weights"])
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda path: path.unlink(), "is missing"),
+        (lambda path: path.write_bytes(b""), "is damaged"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-4]), "is damaged"),
+        (lambda path: save_file(TENSORS, path, {"record": "{"}), "is damaged"),
+        (lambda path: save_file(TENSORS, path, {"record": "[1]"}), "is damaged"),
+    ],
+)
+def test_a_missing_or_damaged_file_is_refused_with_the_remedy(tmp_path, damage, said):
+    path = tmp_path / "x.safetensors"
+    write_tensors(path, TENSORS, {"step": 1})
+    damage(path)
+    with pytest.raises(StoredFileError, match=rf"x\.safetensors {said}.*; train it again\.$"):
+        read_tensors(path, "train it again")
