@@ -292,6 +292,7 @@ def score_camouflages(
     original: Path,
     out: Path,
     *,
+    clean: Sequence[CleanSet] = (),
     rendering: Rendering | None = None,
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -325,7 +326,9 @@ def score_camouflages(
             for folder in camouflages:
                 _render(shown, renderer, vehicles, rendered[folder.name], folder, device)
             # Within, so that path-traced crops are kept until their images have been judged.
-            return evaluate_folders(detectors, original, rendered, out, seed=seed, device=device)
+            return evaluate_folders(
+                detectors, original, rendered, out, clean=clean, seed=seed, device=device
+            )
 
 
 def measure_camouflages(
