@@ -7,9 +7,8 @@ import skyproof.api as sp
 network, _ = sp.load_detector("runs/demo/detectors/retinanet")
 
 
-def ask(
-    picture,
-):  # [H, W, 3] bytes; in place of this: requests.post(URL, picture.tobytes()).json(), or your library
+# In place of this ask your library, or a server: requests.post(URL, picture.tobytes()).json().
+def ask(picture):  # [H, W, 3] bytes
     found = network.detect(torch.from_numpy(picture).permute(2, 0, 1)[None] / 255)[0]
     return [
         [*box, score]

@@ -1,0 +1,72 @@
+"""The pages that people read: lines that fit, links that lead somewhere."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+LONGEST = 100
+# Tables that `skyproof report` writes.
+GENERATED = ROOT / "docs" / "results" / "quick"
+
+
+def pages():
+    """Every Markdown page that somebody wrote, and its text."""
+    found = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    return {
+        path: path.read_text(encoding="utf-8")
+        for path in sorted(found)
+        if GENERATED not in path.parents
+    }
+
+
+def long_lines(text):
+    """Lines beyond 100 columns; rows of tables and the addresses of links cannot be broken."""
+    return [
+        line
+        for line in text.split("\n")
+        if not line.startswith("|") and len(re.sub(r"\]\([^)]*\)", "]", line)) > LONGEST
+    ]
+
+
+def prose(text):
+    """A page without its code blocks."""
+    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(text):
+    """The anchors that a page's headings have on GitHub and, with the same rule, on the site."""
+    headings = re.findall(r"^#+ (.+)$", prose(text), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(path, text):
+    """Relative links of a page that lead to no file, or to no heading of it."""
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(text)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = path.parent / name if name else path
+        found = file.exists()
+        if found and anchor:
+            found = anchor in anchors(file.read_text(encoding="utf-8"))
+        if not found:
+            broken.append(target)
+    return broken
+
+
+def test_lines_fit_in_100_columns():
+    assert {path.name: long_lines(text) for path, text in pages().items() if long_lines(text)} == {}
+
+
+def test_relative_links_lead_to_a_file_and_a_heading():
+    broken = {path.name: broken_links(path, text) for path, text in pages().items()}
+    assert {name: links for name, links in broken.items() if links} == {}
+
+
+def test_these_checks_can_fail(tmp_path):
+    assert long_lines("x" * 101 + "\n|" + "x" * 100) == ["x" * 101]
+    assert long_lines("[a](https://" + "x" * 100 + ")") == []
+    page = tmp_path / "page.md"
+    page.write_text("# What is *this*, then?\n[a](#what-is-this-then) [b](#what) [c](nowhere.md)\n")
+    assert broken_links(page, page.read_text()) == ["#what", "nowhere.md"]
