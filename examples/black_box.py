@@ -4,7 +4,7 @@ import torch
 
 import skyproof.api as sp
 
-network, _ = sp.load_detector("runs/demo/detectors/retinanet")
+network = sp.load_detector("runs/demo/detectors/retinanet").detector
 
 
 # In place of this ask your library, or a server: requests.post(URL, picture.tobytes()).json().
@@ -28,7 +28,10 @@ class BlackBox:
 
 data = "runs/demo/datasets"
 validation = sp.read_coco(f"{data}/validation")  # any folder with annotations.json, real tiles too
-judge = sp.Judge(BlackBox(), sp.validate(BlackBox(), validation)["threshold"])
+threshold = sp.validate(BlackBox(), validation)["threshold"]
+judge = sp.LoadedDetector(
+    BlackBox(), sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
+)
 clean = [sp.CleanSet("validation", validation, "the images that froze the threshold")]
 worn = {name: f"{data}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")}
 sp.evaluate_pairs([judge], f"{data}/test", worn, "runs/mine/black_box/evaluation", clean=clean)

@@ -30,7 +30,7 @@ print(
         checkpoint, sp.read_coco("runs/demo/datasets/validation"), "runs/mine/vehicles"
     ).validation
 )
-detector, card = sp.load_detector("runs/mine/vehicles")
+detector = sp.load_detector("runs/mine/vehicles").detector
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.UniversalTexture("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [detector], world, sp.AttackSettings(steps=200), "runs/mine/T-U-on-vehicles")

@@ -8,7 +8,7 @@ import skyproof.api as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 detectors = [
-    sp.load_detector(folder)[0] for folder in sorted(Path("runs/demo/detectors").iterdir())
+    sp.load_detector(folder).detector for folder in sorted(Path("runs/demo/detectors").iterdir())
 ]
 draws = torch.Generator().manual_seed(0)
 palette = sp.fit_palette(world.backgrounds.sample_pixels("attack", 1000, generator=draws), seed=0)

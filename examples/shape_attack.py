@@ -3,7 +3,7 @@
 import skyproof.api as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
-detector, threshold = sp.load_detector("runs/demo/detectors/retinanet")
+detector = sp.load_detector("runs/demo/detectors/retinanet").detector
 camouflage = sp.DisplacementMap("S-O@0.2", magnitude=0.2)
 settings = sp.AttackSettings(steps=100)
 print(sp.sign_test(camouflage, [detector], world, settings))

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from skyproof.datasets.coco import read_coco
 from skyproof.detectors.average_precision import average_precision
-from skyproof.detectors.folder import load_detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_beside, write_json
 from skyproof.geometry.colour import srgb_to_linear
@@ -69,7 +69,7 @@ class Compare:
         )
         figures: dict[str, Any] = {"images": len(scenes), "average_precision": {}}
         for folder in sorted((self.run_folder / "detectors").iterdir()):
-            detector, _ = load_detector(folder)
+            detector = load_detector(folder).detector
             figures["average_precision"][detector.name] = {
                 name: average_precision(
                     detect_all(detector, images.images), images, criterion="centre_1m"

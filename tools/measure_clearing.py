@@ -17,12 +17,12 @@ import tyro
 from torch import Tensor
 from torch.nn import functional
 
-from skyproof.detectors.folder import load_detector
+from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.clean import Judge
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
@@ -50,12 +50,8 @@ class MeasureClearing:
         """Prints one line per way to fill."""
         ground = BackgroundSet.open(self.run_folder / "backgrounds")
         fleet = Fleet.load(self.run_folder / "fleets" / "test")
-        judges = [
-            Judge(detector, card.threshold)
-            for detector, card in map(
-                load_detector, sorted((self.run_folder / "detectors").iterdir())
-            )
-        ]
+        folders = sorted((self.run_folder / "detectors").iterdir())
+        judges = [load_detector(folder) for folder in folders]
         settings = SceneSettings(size_px=SIZE_PX, vehicles_minimum=4, vehicles_maximum=6)
         draws = torch.Generator().manual_seed(11)
         scenes = sample_scenes(
@@ -105,7 +101,9 @@ class MeasureClearing:
             )
 
 
-def _found(judges: Sequence[Judge], images: Sequence[Tensor], masks: Sequence[Tensor]) -> list[int]:
+def _found(
+    judges: Sequence[LoadedDetector[Detector]], images: Sequence[Tensor], masks: Sequence[Tensor]
+) -> list[int]:
     """Per detector its detections whose centre lies in a mask."""
     counts = []
     for judge in judges:

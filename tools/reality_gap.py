@@ -27,9 +27,10 @@ from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import generator_of
 from skyproof.datasets.coco import read_coco
 from skyproof.datasets.labelled import LabelledImages, join
+from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.folder import DetectorCard, build_detector, load_detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
@@ -37,7 +38,7 @@ from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.results.clean import CleanSet, Judge, check_clean
+from skyproof.results.clean import CleanSet, check_clean
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
@@ -166,12 +167,10 @@ class RealityGap:
                 training, validation = (
                     _recoloured(each, frames.images) for each in (training, validation)
                 )
-            detector, card = _train(place, "retinanet", training, validation, TRIALS[name])
-            found = detect_all(detector, frames.images.images)
-            row = check_clean(
-                Judge(detector, card.threshold), frames, found, generator=np.random.default_rng(0)
-            )
-            row["ap_rendered"] = card.validation["ap_centre_1m"]
+            trained = _train(place, "retinanet", training, validation, TRIALS[name])
+            found = detect_all(trained.detector, frames.images.images)
+            row = check_clean(trained, frames, found, generator=np.random.default_rng(0))
+            row["ap_rendered"] = trained.card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
             print(
                 f"{name}: AP {row['ap_centre_1m']:.3f}, {time.time() - started:.0f} s", flush=True
@@ -189,7 +188,7 @@ class RealityGap:
             )
             for detector in DETECTORS:
                 started = time.time()
-                card = _train(folder, detector, training, validation, trial)[1]
+                card = _train(folder, detector, training, validation, trial).card
                 print(
                     f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s",
                     flush=True,
@@ -216,15 +215,13 @@ class RealityGap:
         )
         rows = []
         for folder in folders:
-            detector, card = load_detector(folder)
+            judge = load_detector(folder)
             for each in sets:
-                found = detect_all(detector, each.images.images)
-                row = check_clean(
-                    Judge(detector, card.threshold), each, found, generator=np.random.default_rng(0)
-                )
+                found = detect_all(judge.detector, each.images.images)
+                row = check_clean(judge, each, found, generator=np.random.default_rng(0))
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
-                    f"{folder.parent.name:<12} {detector.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
+                    f"{folder.parent.name:<12} {judge.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
                     flush=True,
                 )
         write_json(self.out / "final.json", {"looks": len(past) + 1, "rows": rows})
@@ -333,13 +330,14 @@ def _rendered(run: Path, trial: Trial) -> tuple[LabelledImages, LabelledImages]:
 
 def _train(
     folder: Path, name: str, training: LabelledImages, validation: LabelledImages, trial: Trial
-) -> tuple[TrainableDetector, DetectorCard]:
+) -> LoadedDetector[TrainableDetector]:
     detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
     settings = TrainingSettings(
         steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter
     )
     draws = _generator("training", trial.seed)
-    return detector, train(detector, training, validation, settings, folder / name, generator=draws)
+    card = train(detector, training, validation, settings, folder / name, generator=draws)
+    return LoadedDetector(detector, card)
 
 
 if __name__ == "__main__":

@@ -19,13 +19,14 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.datasets.coco import read_coco
 from skyproof.detectors.bring import Checkpoint, bring_detector
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
-from skyproof.detectors.folder import load_detector
+from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.detectors.training import validate
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.report.report import write_report
-from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.clean import CleanSet
 from skyproof.results.evaluation import evaluate_pairs
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
@@ -46,9 +47,10 @@ __all__ = [
     "CyclesSettings",
     "Detections",
     "Detector",
+    "DetectorCard",
     "DisplacementMap",
     "Fleet",
-    "Judge",
+    "LoadedDetector",
     "Materials",
     "NoCamouflage",
     "SceneSettings",

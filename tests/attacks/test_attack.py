@@ -14,7 +14,7 @@ from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.folder import weights_digest
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles

@@ -13,7 +13,7 @@ from PIL import Image
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
-from skyproof.detectors.folder import read_card
+from skyproof.detectors.card import read_card
 from tests.cli.conftest import Skyproof
 
 CPU = ["--device", "cpu"]

@@ -17,7 +17,9 @@ from safetensors.torch import load_file, save_file
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
 
 from skyproof.detectors.bring import Checkpoint, bring_detector
-from skyproof.detectors.folder import build_detector, load_detector, read_card
+from skyproof.detectors.build import build_detector
+from skyproof.detectors.card import read_card
+from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.training import validate
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.errors import ConfigurationError, RunFolderError, SkyproofError, StoredFileError
@@ -272,7 +274,7 @@ def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.Monke
 def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) -> None:
     from test_folder import CARD
 
-    from skyproof.detectors.folder import save_detector
+    from skyproof.detectors.loaded import save_detector
 
     save_detector(
         tmp_path,
@@ -283,7 +285,7 @@ def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) 
     del record["trained_on"], record["brought"]
     (tmp_path / "detector.json").write_text(json.dumps(record))
     assert read_card(tmp_path) == CARD
-    assert load_detector(tmp_path)[1].trained_on == ""
+    assert load_detector(tmp_path).card.trained_on == ""
 
 
 def test_images_of_different_sizes_are_validated(checkpoint: Checkpoint, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from torchvision.ops import box_convert
 from skyproof.detectors.brought import Blueprint, BroughtDetector
 from skyproof.detectors.brought_torchvision import ARCHITECTURES, BroughtFasterRcnn, BroughtFcos
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.folder import weights_digest
 from skyproof.detectors.ultralytics_detectors import _quiet_import
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 LABELLED = bar_images(3, seed=1)

@@ -6,8 +6,9 @@ import pytest
 import torch
 from detector_images import NAMES, bar_images
 
+from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.folder import build_detector, weights_digest
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 LABELLED = bar_images(6, seed=1)

@@ -12,9 +12,11 @@ import torch
 from detector_images import bar_images, labelled_images
 
 from skyproof.detectors.augmentation import jitter, turn
-from skyproof.detectors.folder import build_detector, load_detector, weights_digest
+from skyproof.detectors.build import build_detector
+from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingSettings
 from skyproof.detectors.training import train
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 
 SETTINGS = TrainingSettings(
@@ -95,7 +97,7 @@ def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> No
     assert (
         weights_digest(second)
         == weights_digest(first)
-        == weights_digest(load_detector(tmp_path / "run")[0])
+        == weights_digest(load_detector(tmp_path / "run").detector)
     )
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
         "detector.json",

@@ -7,7 +7,9 @@ import torch
 from PIL import Image
 
 from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
@@ -93,7 +95,8 @@ class Reds:
 
 
 def finder(detector=None, gsd_m=0.125):
-    return VehicleFinder(detector or Reds(), 0.5, gsd_m, "reds")
+    card = DetectorCard("reds", threshold=0.5, gsd_m=gsd_m)
+    return VehicleFinder(LoadedDetector(detector or Reds(), card), "reds")
 
 
 def ground(image, mask):

@@ -7,9 +7,11 @@ import torch
 
 from skyproof.datasets.coco import Annotation, CocoWriter, read_coco
 from skyproof.datasets.labelled import LabelledImages
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
-from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.clean import CleanSet
 from skyproof.results.evaluation import evaluate_pairs
 from skyproof.results.merge import merge_evaluations
 from skyproof.results.outcomes import read_outcomes
@@ -28,6 +30,11 @@ class Brightest:
         self.images += len(images)
         box = torch.tensor([[22.0, 22.0, 42.0, 42.0]])
         return [Detections(box, image.mean().reshape(1)) for image in images]
+
+
+def judging(detector, threshold):
+    card = DetectorCard(detector.name, threshold=threshold, gsd_m=0.125)
+    return LoadedDetector(detector, card)
 
 
 @pytest.fixture
@@ -55,7 +62,7 @@ def test_all_that_was_found_is_written(make_dataset, tmp_path):
         make_dataset("test", [200, 200, 200, 50]),
         make_dataset("test-T-U-0", [50, 50, 200, 200]),
     )
-    judge = Judge(Brightest(), 0.5)
+    judge = judging(Brightest(), 0.5)
     rows = evaluate_pairs([judge], original, {"T-U-0": hidden}, tmp_path / "evaluation")
     row = next(row for row in rows if row["match"] == "centre_1m")
     assert (row["camouflage"], row["asr"], row["er"]) == (
@@ -82,7 +89,7 @@ def test_a_detector_that_finds_nothing_is_refused_before_the_long_part(make_data
         ConfigurationError, match=r"silent finds none of the 2 vehicles .* threshold of 0\.9.*EASR"
     ):
         evaluate_pairs(
-            [Judge(good, 0.5), Judge(silent, 0.9)],
+            [judging(good, 0.5), judging(silent, 0.9)],
             original,
             {"T-U": hidden},
             tmp_path / "evaluation",
@@ -95,7 +102,7 @@ def test_a_set_without_vehicles_is_refused(make_dataset, tmp_path):
     original, hidden = make_dataset("test", [200, 200], 0), make_dataset("test-T-U", [50, 50], 0)
     with pytest.raises(ConfigurationError, match="shows no vehicles to hide"):
         evaluate_pairs(
-            [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+            [judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
         )
 
 
@@ -104,7 +111,7 @@ def test_the_renderer_is_the_datasets_own(make_dataset, tmp_path):
     original = make_dataset("test", [200, 200, 200, 50], source=cycles)
     hidden = make_dataset("test-T-U", [50, 50, 200, 200], source=cycles)
     rows = evaluate_pairs(
-        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+        [judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
     )
     assert {row["renderer"] for row in rows} == {"cycles"}
     tiles, sets = merge_evaluations([tmp_path / "evaluation"])
@@ -127,7 +134,7 @@ def test_datasets_of_two_renderers_are_no_pairs(make_dataset, tmp_path, first):
     with pytest.raises(
         ConfigurationError, match=rf"by {first} and .*test-T-U by {second}, .* same --renderer"
     ):
-        evaluate_pairs([Judge(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
+        evaluate_pairs([judging(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation")
     assert judge.images == 0
     assert not (tmp_path / "evaluation").exists()
 
@@ -143,7 +150,7 @@ def test_datasets_of_one_renderer_under_other_settings_are_no_pairs(make_dataset
         ConfigurationError, match=r"by cycles and .* by cycles with other settings \(samples\)"
     ):
         evaluate_pairs(
-            [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
+            [judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation"
         )
 
 
@@ -162,7 +169,7 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
         CleanSet("unknown", real),
     ]
     evaluate_pairs(
-        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=clean
+        [judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=clean
     )
     rows = {
         row["dataset"]: row
@@ -197,7 +204,11 @@ def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp
     original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
     empty = CleanSet("empty", read_coco(make_dataset("empty", [10, 10], vehicles=0)))
     evaluate_pairs(
-        [Judge(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "evaluation", clean=[empty]
+        [judging(Brightest(), 0.5)],
+        original,
+        {"T-U": hidden},
+        tmp_path / "evaluation",
+        clean=[empty],
     )
     text = (tmp_path / "evaluation" / "clean.json").read_text()
     assert "NaN" not in text

@@ -26,7 +26,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.names import variant_name
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.folder import weights_digest
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import (
     read_json,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skyproof.camouflage.names import base_name
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.folder import weights_digest
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 __all__ = ["balanced_weights", "empty_truth_losses", "frozen", "paper_weights"]

@@ -24,7 +24,7 @@ from skyproof.cli.bench_cycles import bench_cycles
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering, cycles_settings, open_workers
 from skyproof.cli.stages import choose_device, generator_of
-from skyproof.detectors.folder import build_detector
+from skyproof.detectors.build import build_detector
 from skyproof.files import write_json
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles, render_dataset

@@ -19,7 +19,7 @@ from skyproof.cli.stages import (
     measure_camouflages,
     score_camouflages,
 )
-from skyproof.detectors.folder import read_card
+from skyproof.detectors.card import read_card
 from skyproof.errors import ConfigurationError
 from skyproof.report.words import interval, percent
 from skyproof.scenes.backgrounds import BackgroundSet

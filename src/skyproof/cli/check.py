@@ -10,12 +10,12 @@ import numpy as np
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.frames import read_frames
 from skyproof.cli.stages import choose_device
-from skyproof.detectors.folder import load_detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing, write_json
 from skyproof.report.words import interval, percent
-from skyproof.results.clean import Judge, check_clean
+from skyproof.results.clean import check_clean
 
 __all__ = ["Check"]
 
@@ -48,20 +48,19 @@ class Check:
         refuse_existing(self.out)
         device = choose_device(self.device)
         loaded = [load_detector(folder) for folder in self.detectors]
-        gsd_m = loaded[0][1].gsd_m
-        for folder, (_, card) in zip(self.detectors, loaded, strict=True):
-            if card.gsd_m != gsd_m:
+        gsd_m = loaded[0].card.gsd_m
+        for folder, judge in zip(self.detectors, loaded, strict=True):
+            if judge.card.gsd_m != gsd_m:
                 raise ConfigurationError(
-                    f"{folder} was made for {card.gsd_m} m per pixel, the first detector for {gsd_m}; "
+                    f"{folder} was made for {judge.card.gsd_m} m per pixel, the first detector for {gsd_m}; "
                     "check them separately."
                 )
         sets = read_frames(self.frames, self.frame_classes, gsd_m)
         rows = []
         with progress_bar("check") as update:
-            for folder, (detector, card) in zip(self.detectors, loaded, strict=True):
+            for folder, judge in zip(self.detectors, loaded, strict=True):
                 for each in sets:
-                    found = detect_all(detector.to(device), each.images.images)
-                    judge = Judge(detector, card.threshold)
+                    found = detect_all(judge.detector.to(device), each.images.images)
                     row = check_clean(
                         judge, each, found, generator=np.random.default_rng(self.seed)
                     )

@@ -11,7 +11,8 @@ import tyro
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.stages import choose_device
-from skyproof.detectors.folder import load_detector, weights_digest
+from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.weights import weights_digest
 from skyproof.files import finished_folder, refuse_existing
 from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
 from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, Inpainting, LearntInpainting
@@ -132,8 +133,7 @@ class Drop:
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
     if folder is None:
         return None
-    detector, card = load_detector(folder)
-    digest = weights_digest(detector)
-    return VehicleFinder(
-        detector.to(choose_device(device)), card.threshold, card.gsd_m, f"{folder} ({digest[:12]})"
-    )
+    loaded = load_detector(folder)
+    digest = weights_digest(loaded.detector)
+    loaded.detector.to(choose_device(device))
+    return VehicleFinder(loaded, f"{folder} ({digest[:12]})")

@@ -16,7 +16,7 @@ from skyproof.cli.stages import (
     render_folder,
     train_detector,
 )
-from skyproof.detectors.folder import read_card
+from skyproof.detectors.card import read_card
 from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing

@@ -32,7 +32,7 @@ from skyproof.cli.world import (
     write_scene_files,
 )
 from skyproof.cycles.blender import find_blender
-from skyproof.detectors.folder import build_detector
+from skyproof.detectors.build import build_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, write_bytes

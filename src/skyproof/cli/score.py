@@ -56,7 +56,7 @@ class Score(Rendering):
         """Judges, and prints the rates of the mean and the checks."""
         from skyproof.cli.frames import read_frames
         from skyproof.cli.stages import choose_device, evaluate_folders, score_camouflages
-        from skyproof.detectors.folder import read_card
+        from skyproof.detectors.card import read_card
 
         self._refuse_what_cannot_work()
         device = choose_device(self.device)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,8 +22,8 @@ from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.cli.console import progress_bar
 from skyproof.cli.rendering import Rendering, open_renderer
 from skyproof.datasets.coco import read_coco, read_rendering
-from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.folder import build_detector, load_detector
+from skyproof.detectors.build import build_detector
+from skyproof.detectors.loaded import load_ensemble
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError
@@ -34,7 +33,7 @@ from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.results.clean import CleanSet, Judge
+from skyproof.results.clean import CleanSet
 from skyproof.results.evaluation import evaluate_pairs
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
@@ -48,7 +47,6 @@ __all__ = [
     "evaluate_folders",
     "generator_of",
     "ground_palette",
-    "load_ensemble",
     "measure_camouflages",
     "paint_portrait",
     "render_folder",
@@ -171,32 +169,6 @@ def _origin(dataset: Path) -> str:
     )
 
 
-def load_ensemble(
-    folders: Sequence[Path], device: torch.device | str, gsd_m: float
-) -> list[tuple[TrainableDetector, float]]:
-    """Detectors with their frozen thresholds.
-
-    Raises:
-        ConfigurationError: two of one name, or another resolution than the images'.
-        StoredFileError: a folder is missing, damaged or of another version.
-    """
-    loaded: list[tuple[TrainableDetector, float]] = []
-    for folder in folders:
-        detector, card = load_detector(folder)
-        if any(detector.name == other.name for other, _ in loaded):
-            raise ConfigurationError(
-                f"{folder} is a second {detector.name}; give each kind of detector once."
-            )
-        if not math.isclose(card.gsd_m, gsd_m):
-            raise ConfigurationError(
-                f"{folder} was trained at {card.gsd_m} m per pixel but the images have {gsd_m} m; "
-                "give a detector and images of one resolution."
-            )
-        # On a CPU convolutions are faster this way round.
-        loaded.append((detector.to(device).to(memory_format=torch.channels_last), card.threshold))
-    return loaded
-
-
 def attack_ensemble(
     name: str,
     detectors: Sequence[Path],
@@ -219,7 +191,8 @@ def attack_ensemble(
         raise ConfigurationError(
             f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
         )
-    models = [detector for detector, _ in load_ensemble(detectors, device, scenes.gsd_m)]
+    ensemble = load_ensemble(detectors, device, scenes.gsd_m)
+    models = [loaded.detector for loaded in ensemble]
     photographs = BackgroundSet.open(backgrounds)
     renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
     world = AttackWorld(renderer, photographs, Fleet.load(fleet), scenes)
@@ -276,10 +249,9 @@ def evaluate_folders(
     """Compares matched datasets and writes outcomes and the table of results."""
     scenes = read_scenes(original / "scenes.jsonl")
     ensemble = load_ensemble(detectors, device, scenes[0].camera.gsd_m)
-    judges = [Judge(detector, threshold) for detector, threshold in ensemble]
     with progress_bar("evaluate") as update:
         return evaluate_pairs(
-            judges, original, camouflaged, out, clean=clean, seed=seed, progress=update
+            ensemble, original, camouflaged, out, clean=clean, seed=seed, progress=update
         )
 
 

@@ -17,8 +17,9 @@ from torchvision.models import detection
 from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.brought import Blueprint, BroughtDetector
 from skyproof.detectors.brought_torchvision import count_classes
+from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
-from skyproof.detectors.folder import DetectorCard, installed_version, save_detector
+from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing

@@ -19,16 +19,12 @@ from torch import Tensor, nn
 from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.average_precision import average_precision, best_f1_threshold
 from skyproof.detectors.batches import WINDOW_PX, training_batch
+from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.folder import (
-    DetectorCard,
-    installed_version,
-    load_detector,
-    plain_state,
-    save_detector,
-)
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.settings import TrainingSettings
+from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.files import read_jsonl, refuse_foreign, write_bytes, write_jsonl
 
@@ -285,11 +281,11 @@ def _same_training(stored: Any, wanted: Any, folder: Path) -> None:
 
 
 def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any]) -> DetectorCard:
-    stored, card = load_detector(folder)
-    _same_training(card.training.get("identity"), identity, folder)
-    detector.load_state_dict(stored.state_dict())
+    stored = load_detector(folder)
+    _same_training(stored.card.training.get("identity"), identity, folder)
+    detector.load_state_dict(stored.detector.state_dict())
     detector.eval()
-    return card
+    return stored.card
 
 
 def _finish(run: _Run, training: LabelledImages, folder: Path, trained_on: str) -> DetectorCard:

@@ -12,18 +12,11 @@ import numpy as np
 from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_detections
 from skyproof.results.clean_intervals import ap_interval
 
-__all__ = ["CleanSet", "Judge", "check_clean"]
-
-
-@dataclass(frozen=True)
-class Judge:
-    """A detector with its frozen threshold (PAPER 18)."""
-
-    detector: Detector
-    threshold: float
+__all__ = ["CleanSet", "check_clean"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +39,11 @@ class CleanSet:
 
 
 def check_clean(
-    judge: Judge, clean: CleanSet, found: Sequence[Detections], *, generator: np.random.Generator
+    judge: LoadedDetector[Detector],
+    clean: CleanSet,
+    found: Sequence[Detections],
+    *,
+    generator: np.random.Generator,
 ) -> dict[str, Any]:
     """Average precision, and precision and recall at the frozen threshold, on images without camouflage.
 
@@ -72,7 +69,7 @@ def check_clean(
     clusters = list(clean.places) if by_place else list(map(str, range(len(images))))
     ap, low, high = ap_interval(found, images, clusters, criterion="centre_1m", generator=generator)
     return {
-        "detector": judge.detector.name,
+        "detector": judge.name,
         "dataset": clean.name,
         "images": len(images),
         "vehicles": vehicles,

@@ -11,11 +11,12 @@ import numpy as np
 from skyproof.datasets.coco import read_coco, read_rendering, read_visible_fractions
 from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.average_precision import average_precision
-from skyproof.detectors.detector import Detections
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_json, write_jsonl
-from skyproof.results.clean import CleanSet, Judge, check_clean
+from skyproof.results.clean import CleanSet, check_clean
 from skyproof.results.compare import Comparison, compare, count_false_alarms
 from skyproof.results.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.rates import false_alarms_per_km2
@@ -28,7 +29,7 @@ __all__ = ["evaluate_pairs"]
 
 
 def evaluate_pairs(
-    judges: Sequence[Judge],
+    judges: Sequence[LoadedDetector[Detector]],
     original: Path,
     camouflaged: Mapping[str, Path],
     folder: Path,
@@ -40,7 +41,7 @@ def evaluate_pairs(
     """Judges every vehicle with and without each camouflage, and writes all that was found (PAPER 9, 38-41).
 
     Args:
-        judges: detectors with thresholds.
+        judges: detectors with their cards.
         original: dataset without camouflage; its `scenes.jsonl` says the conditions, and it names the renderer.
         camouflaged: datasets of the same scenes by camouflage name.
         folder: gets `outcomes.parquet`, `tiles.parquet`, `sets.json`, `results.json`, `clean.json`,
@@ -106,7 +107,7 @@ def evaluate_pairs(
         # All detectors see the clean set first: one that finds nothing there ends the evaluation before the long part.
         unharmed: list[list[Detections]] = []
         for judge in judges:
-            name = judge.detector.name
+            name = judge.name
             found = detect_all(judge.detector, before.images)
             _write_detections(
                 partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found
@@ -119,7 +120,7 @@ def evaluate_pairs(
             unharmed.append(found)
             step()
         for judge, found in zip(judges, unharmed, strict=True):
-            name = judge.detector.name
+            name = judge.name
             for camouflage, images in after.items():
                 hidden = detect_all(judge.detector, images.images)
                 place = (
@@ -153,7 +154,7 @@ def evaluate_pairs(
         write_outcomes(partial / "outcomes.parquet", outcomes)
         write_tiles(partial / "tiles.parquet", tiles)
         write_sets(partial / "sets.json", scores)
-        order = [judge.detector.name for judge in judges]
+        order = [judge.name for judge in judges]
         write_json(
             partial / "clean.json", sorted(checks, key=lambda check: order.index(check["detector"]))
         )
@@ -161,9 +162,11 @@ def evaluate_pairs(
     return rows
 
 
-def _undefined(judge: Judge, original: Path, vehicles: int) -> ConfigurationError:
+def _undefined(
+    judge: LoadedDetector[Detector], original: Path, vehicles: int
+) -> ConfigurationError:
     """Without a vehicle found before, there is no share of them that a camouflage hides (PAPER 38)."""
-    name = judge.detector.name
+    name = judge.name
     if not vehicles:
         return ConfigurationError(
             f"{original} shows no vehicles to hide; render scenes with vehicles."
@@ -174,10 +177,10 @@ def _undefined(judge: Judge, original: Path, vehicles: int) -> ConfigurationErro
     )
 
 
-def _check_names(judges: Sequence[Judge], datasets: Sequence[Path]) -> None:
+def _check_names(judges: Sequence[LoadedDetector[Detector]], datasets: Sequence[Path]) -> None:
     """Tables and files go by name: two of one name would be mixed up."""
     for kind, names in (
-        ("detectors", [judge.detector.name for judge in judges]),
+        ("detectors", [judge.name for judge in judges]),
         ("datasets", [path.name for path in datasets]),
     ):
         twice = next((name for name in names if names.count(name) > 1), None)
@@ -190,7 +193,7 @@ def _check_names(judges: Sequence[Judge], datasets: Sequence[Path]) -> None:
 def _scores(
     camouflage: str,
     renderer: str,
-    judge: Judge,
+    judge: LoadedDetector[Detector],
     scenes: Sequence[Scene],
     images: LabelledImages,
     found: Sequence[Detections],
@@ -199,14 +202,12 @@ def _scores(
     scores = []
     for match in MATCHES:
         comparison = Comparison(
-            camouflage, renderer, judge.detector.name, match, judge.threshold, images.gsd_m
+            camouflage, renderer, judge.name, match, judge.threshold, images.gsd_m
         )
         alarms = count_false_alarms(images.boxes, found, comparison, ignore=images.ignore)
         precision = average_precision(found, images, criterion=match).ap
         density = false_alarms_per_km2(alarms, len(images), area_m2)
-        scores.append(
-            SetScore(camouflage, renderer, judge.detector.name, match, precision, density)
-        )
+        scores.append(SetScore(camouflage, renderer, judge.name, match, precision, density))
     return scores
 
 

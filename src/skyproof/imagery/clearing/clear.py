@@ -279,7 +279,7 @@ def _clear_tile(
             image = apply_inpainting(inpainting, image, own)
         if checker is None:
             break
-        remaining = checker.boxes(image, checker.threshold)
+        remaining = checker.boxes(image, checker.loaded.threshold)
         row.remaining = len(remaining)
         if not len(remaining):
             break
@@ -318,7 +318,7 @@ def _record(
         s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)
     ]
     checked_by = (
-        {"name": checker.name, "threshold": checker.threshold}
+        {"name": checker.name, "threshold": checker.loaded.threshold}
         if checker
         else "not checked by a detector"
     )

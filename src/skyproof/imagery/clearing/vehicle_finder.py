@@ -12,6 +12,7 @@ from torchvision import ops
 
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json
 from skyproof.scenes.splits import SPLITS
@@ -25,18 +26,14 @@ SAME_VEHICLE_IOU = 0.3
 
 @dataclass(frozen=True)
 class VehicleFinder:
-    """A detector with what its card says of it.
+    """A detector that looks at tiles of any size.
 
     Attributes:
-        detector: anything with `detect`.
-        threshold: its frozen score threshold.
-        gsd_m: metres per pixel it was trained at.
+        loaded: the detector with its card.
         name: for the record, such as its folder and the digest of its weights.
     """
 
-    detector: Detector
-    threshold: float
-    gsd_m: float
+    loaded: LoadedDetector[Detector]
     name: str
 
     def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
@@ -44,7 +41,7 @@ class VehicleFinder:
         windows, found = _windows(image.shape[1], image.shape[2]), []
         for top, left, height, width in windows:
             part = image[:, top : top + height, left : left + width]
-            detections = detect_all(self.detector, [part])[0]
+            detections = detect_all(self.loaded.detector, [part])[0]
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             keep = detections.scores.cpu() >= lowest_score
             found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
@@ -92,10 +89,10 @@ def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
     Raises:
         ConfigurationError: more than 2 % apart.
     """
-    if finder is not None and abs(finder.gsd_m - gsd_m) > 0.02 * gsd_m:
+    if finder is not None and abs(finder.loaded.card.gsd_m - gsd_m) > 0.02 * gsd_m:
         raise ConfigurationError(
-            f"The detector {finder.name} was trained at {finder.gsd_m} m per pixel but the tiles have {gsd_m} m; "
-            "give one of this resolution, or tile the imagery at the detector's."
+            f"The detector {finder.name} was trained at {finder.loaded.card.gsd_m} m per pixel but the tiles have "
+            f"{gsd_m} m; give one of this resolution, or tile the imagery at the detector's."
         )
 
 

@@ -10,15 +10,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from skyproof.detectors.folder import (
-    DetectorCard,
-    build_detector,
-    load_detector,
-    read_card,
-    save_detector,
-    weights_digest,
-)
-from skyproof.errors import StoredFileError
+from skyproof.detectors.build import build_detector
+from skyproof.detectors.card import DetectorCard, read_card
+from skyproof.detectors.detector import Detections
+from skyproof.detectors.loaded import LoadedDetector, load_detector, load_ensemble, save_detector
+from skyproof.detectors.weights import weights_digest
+from skyproof.errors import ConfigurationError, StoredFileError
 
 CARD = DetectorCard(
     name="retinanet",
@@ -53,8 +50,9 @@ def test_round_trip(folder: Path) -> None:
     original = build_detector(
         "retinanet", "slim", generator=torch.Generator().manual_seed(1)
     ).eval()
-    detector, card = load_detector(folder)
-    assert card == CARD == read_card(folder)
+    loaded = load_detector(folder)
+    detector = loaded.detector
+    assert loaded.card == CARD == read_card(folder)
     assert not detector.training
     assert weights_digest(detector) == weights_digest(original)
     images = torch.rand(2, 3, 96, 128, generator=torch.Generator().manual_seed(0))
@@ -66,7 +64,7 @@ def test_round_trip(folder: Path) -> None:
 
 
 def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
-    detector, _ = load_detector(stored)
+    detector = load_detector(stored).detector
     digest = weights_digest(detector)
     buffer = next(
         buffer for name, buffer in detector.named_buffers() if name.endswith("running_mean")
@@ -125,3 +123,29 @@ def test_missing_or_damaged_weights(folder: Path) -> None:
     path.unlink()
     with pytest.raises(StoredFileError, match="missing"):
         load_detector(folder)
+
+
+def test_an_ensemble_is_of_different_detectors_of_the_images_resolution(folder: Path) -> None:
+    (loaded,) = load_ensemble([folder], "cpu", 0.125)
+    assert (loaded.name, loaded.threshold) == ("retinanet", 0.42)
+    with pytest.raises(ConfigurationError, match="second retinanet"):
+        load_ensemble([folder, folder], "cpu", 0.125)
+    with pytest.raises(ConfigurationError, match=r"0\.125 m per pixel but the images have 0\.25"):
+        load_ensemble([folder], "cpu", 0.25)
+
+
+class Blind:
+    """A black box that finds nothing."""
+
+    name = "mine"
+
+    def detect(self, images: torch.Tensor) -> list[Detections]:
+        return [Detections(torch.empty(0, 4), torch.empty(0)) for _ in images]
+
+
+def test_a_loaded_detector_is_no_pair() -> None:
+    # `detector, threshold = ...` once bound a card to the name of a threshold.
+    black_box = LoadedDetector(Blind(), DetectorCard("mine", threshold=0.5, gsd_m=0.2))
+    assert (black_box.name, black_box.threshold, black_box.card.gsd_m) == ("mine", 0.5, 0.2)
+    with pytest.raises(TypeError):
+        _, _ = black_box

@@ -1,0 +1,44 @@
+"""Untrained detectors by name and size."""
+
+from __future__ import annotations
+
+import torch
+
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.errors import ConfigurationError
+
+__all__ = ["DETECTOR_NAMES", "build_detector"]
+
+DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5")
+
+
+def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
+    """Builds an untrained detector on the CPU; its first weights depend on `generator` alone.
+
+    Args:
+        name: "retinanet", "faster_rcnn" or "yolov5".
+        size: "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
+        generator: one number is drawn from it.
+
+    Raises:
+        ConfigurationError: another name or size, or the yolo extra is missing.
+    """
+    seed = int(torch.randint(2**62, (1,), generator=generator))
+    # The libraries draw initial weights from torch's global generator: it is lent a seed here and
+    # gets its state back.
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        return _build(name, size)
+
+
+def _build(name: str, size: str) -> TrainableDetector:
+    # Imported here, so that matching and average precision do not pay for the networks.
+    if name == "yolov5":
+        from skyproof.detectors.ultralytics_detectors import YoloV5Detector
+
+        return YoloV5Detector(size)
+    if name not in DETECTOR_NAMES:
+        raise ConfigurationError(f"A detector is one of {', '.join(DETECTOR_NAMES)}, not {name!r}.")
+    from skyproof.detectors.torchvision_detectors import FasterRcnnDetector, RetinaNetDetector
+
+    return RetinaNetDetector(size) if name == "retinanet" else FasterRcnnDetector(size)

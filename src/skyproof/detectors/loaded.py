@@ -1,0 +1,141 @@
+"""Detectors as folders: `weights.safetensors` and `detector.json` (no pickle)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import torch
+
+from skyproof.detectors.build import DETECTOR_NAMES, build_detector
+from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
+from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.weights import plain_state, weights_digest
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.storage import read_tensors, write_tensors
+
+__all__ = ["LoadedDetector", "load_detector", "load_ensemble", "save_detector"]
+
+DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
+
+
+@dataclass(frozen=True)
+class LoadedDetector(Generic[DetectorT_co]):
+    """A detector with what is known of it: what finds vehicles, and how its scores are read.
+
+    `load_detector` makes one of a folder; one around a black box is written out:
+    `LoadedDetector(mine, DetectorCard("mine", threshold=0.5, gsd_m=0.125))`.
+
+    Attributes:
+        detector: the network, or anything with `detect`.
+        card: its name, its frozen threshold, the resolution it was made for, and its origin.
+    """
+
+    detector: DetectorT_co
+    card: DetectorCard
+
+    @property
+    def name(self) -> str:
+        """The detector's name in tables and file names."""
+        return self.card.name
+
+    @property
+    def threshold(self) -> float:
+        """The frozen score from which on a detection counts."""
+        return self.card.threshold
+
+
+def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
+    """Writes the folder; `detector.json` comes last, so a folder that has it is whole.
+
+    Raises:
+        RunFolderError: the disk is full or not writable.
+    """
+    folder = Path(folder)
+    write_tensors(folder / "weights.safetensors", plain_state(detector))
+    # The digest ties both files together: a weights file from elsewhere is noticed.
+    write_card(folder / "detector.json", card, weights_digest(detector))
+
+
+def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
+    """Builds the detector a folder describes and loads its weights; in eval mode, on the CPU.
+
+    Raises:
+        StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
+        ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing.
+    """
+    folder = Path(folder)
+    card, stored_digest = read_card_and_digest(folder / "detector.json")
+    path = folder / "weights.safetensors"
+    tensors, _ = read_tensors(path, "train the detector again or copy the whole folder")
+    try:
+        detector = _of_card(card)
+    except ConfigurationError as error:
+        if card.brought is None and card.name in DETECTOR_NAMES and card.size in ("slim", "full"):
+            raise
+        raise StoredFileError(
+            f"{folder / 'detector.json'} names an unknown detector: {error}"
+        ) from error
+    try:
+        # BatchNorm fills in a missing counter silently, even when loaded strictly.
+        if tensors.keys() != detector.state_dict().keys():
+            raise RuntimeError("other tensor names")
+        detector.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise StoredFileError(
+            f"{path} does not fit a {card.size} {card.name} of this version; train the detector, "
+            "or bring it in, again."
+        ) from error
+    if weights_digest(detector) != stored_digest:
+        raise StoredFileError(
+            f"{path} is not the file that detector.json was written for; copy the whole folder "
+            "again."
+        )
+    return LoadedDetector(detector.eval(), card)
+
+
+def load_ensemble(
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+) -> list[LoadedDetector[TrainableDetector]]:
+    """Loads detectors that are to look at the same images, onto the device they will run on.
+
+    Args:
+        folders: detector folders.
+        device: where the detectors will run.
+        gsd_m: metres per pixel of the images.
+
+    Raises:
+        ConfigurationError: two of one name, or another resolution than the images'.
+        StoredFileError: a folder is missing, damaged or of another version.
+    """
+    ensemble: list[LoadedDetector[TrainableDetector]] = []
+    for folder in folders:
+        loaded = load_detector(folder)
+        if any(loaded.name == other.name for other in ensemble):
+            raise ConfigurationError(
+                f"{folder} is a second {loaded.name}; give each kind of detector once."
+            )
+        if not math.isclose(loaded.card.gsd_m, gsd_m):
+            raise ConfigurationError(
+                f"{folder} was trained at {loaded.card.gsd_m} m per pixel but the images have "
+                f"{gsd_m} m; give a detector and images of one resolution."
+            )
+        # On a CPU convolutions are faster this way round.
+        loaded.detector.to(device).to(memory_format=torch.channels_last)
+        ensemble.append(loaded)
+    return ensemble
+
+
+def _of_card(card: DetectorCard) -> TrainableDetector:
+    if card.brought is None:
+        return build_detector(card.name, card.size, generator=torch.Generator())
+    from skyproof.detectors.brought import Blueprint, BroughtDetector
+
+    try:
+        blueprint = Blueprint(**card.brought)
+    except (TypeError, ConfigurationError) as error:
+        raise StoredFileError(f"detector.json garbles how {card.name} is built: {error}") from error
+    return BroughtDetector(card.name, blueprint)

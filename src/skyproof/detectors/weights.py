@@ -1,0 +1,32 @@
+"""The numbers that a network consists of: as plain tensors, and as one digest."""
+
+from __future__ import annotations
+
+import hashlib
+
+import torch
+from torch import Tensor, nn
+
+__all__ = ["plain_state", "weights_digest"]
+
+
+def weights_digest(detector: nn.Module) -> str:
+    """Computes the SHA-256 over names, shapes and bytes of parameters and buffers.
+
+    It is equal before and after an attack, which leaves the detector as it was.
+    """
+    digest = hashlib.sha256()
+    for name, tensor in sorted(detector.state_dict().items()):
+        digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(
+            tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+        )
+    return digest.hexdigest()
+
+
+def plain_state(detector: nn.Module) -> dict[str, Tensor]:
+    """Copies parameters and buffers to the CPU, in plain layout, as safetensors wants them."""
+    return {
+        name: tensor.detach().cpu().contiguous().clone()
+        for name, tensor in detector.state_dict().items()
+    }
