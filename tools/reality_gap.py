@@ -273,7 +273,6 @@ def _render(
         ground = _ground(run, name)
         settings = SceneSettings(
             size_px=IMAGE_PX,
-            gsd_m=GSD_M,
             vehicles_minimum=least,
             vehicles_maximum=most,
             tilt_maximum_rad=math.radians(trial.tilt_maximum_deg),

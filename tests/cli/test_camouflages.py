@@ -132,8 +132,8 @@ def test_a_camouflage_is_judged_under_weather(
 ) -> None:
     scenes, clear, out = tmp_path / "weather.jsonl", tmp_path / "clear", tmp_path / "scores"
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
-    conditions = ["--conditions", "rain", "low_sun", "jpeg"]
-    call = ["scenes", *world, "--out", scenes, "--count", 8, "--image-px", 128, *conditions]
+    conditions = ["--settings.conditions", "rain", "low_sun", "jpeg"]
+    call = ["scenes", *world, "--out", scenes, "--count", 8, "--settings.size-px", 128, *conditions]
     assert skyproof(*call).code == 0
     assert {
         row["weather"]["condition"] for row in map(json.loads, scenes.read_text().splitlines())

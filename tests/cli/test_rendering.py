@@ -17,7 +17,7 @@ from skyproof.errors import ConfigurationError
 from tests.cli.conftest import Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
-CYCLES = ["--renderer", "cycles", "--samples", 1]
+CYCLES = ["--renderer", "cycles", "--cycles.samples", 1]
 
 
 @pytest.fixture(scope="session")
@@ -113,7 +113,7 @@ def test_without_blender_nothing_is_written(
 
 
 def test_choices_that_there_are_not(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
-    for wrong in (["--renderer", "povray"], ["--renderer", "cycles", "--finish", "shiny"]):
+    for wrong in (["--renderer", "povray"], ["--renderer", "cycles", "--cycles.finish", "shiny"]):
         answer = skyproof("render", *world(finished), "--out", tmp_path / "x", *wrong)
         assert answer.code == 2
         assert wrong[-1] in answer.err
@@ -124,7 +124,7 @@ def test_choices_that_there_are_not(finished: Path, tmp_path: Path, skyproof: Sk
 @pytest.mark.blender
 @pytest.mark.usefixtures("blender")
 def test_numbers_that_cannot_work(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
-    for wrong in (["--workers", 0], ["--samples", 0]):
+    for wrong in (["--workers", 0], ["--cycles.samples", 0]):
         skyproof("render", *world(finished), "--out", tmp_path / "x", *CYCLES, *wrong).refused(
             wrong[0]
         )

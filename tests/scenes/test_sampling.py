@@ -138,7 +138,6 @@ def test_same_seed_same_scenes_and_prefixes_of_longer_sets(backgrounds):
     ("settings", "sizes", "message"),
     [
         ({"size_px": 64, "vehicles_minimum": 40, "vehicles_maximum": 40}, SIZES, "No room"),
-        ({"gsd_m": 0.25}, SIZES, "0.25"),
         ({}, {}, "no vehicle"),
         ({"vehicles_minimum": 3, "vehicles_maximum": 2}, SIZES, "minimum"),
         ({"size_px": 24}, SIZES, "margin"),
@@ -161,7 +160,7 @@ def test_parked_vehicles_stand_in_rows_without_touching(backgrounds):
     for scene in scenes:
         places = scene.placements
         assert 4 <= len(places) <= 8
-        assert max(max(abs(each.x_m), abs(each.y_m)) for each in places) <= settings.half_m
+        assert max(max(abs(each.x_m), abs(each.y_m)) for each in places) <= settings.half_m(0.125)
         rectangles = [
             (each.x_m, each.y_m, each.heading_rad, *SIZES[each.vehicle][:2]) for each in places
         ]

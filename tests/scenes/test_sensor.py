@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from skyproof.attacks.world import AttackWorld
-from skyproof.cli.rendering import Rendering, open_renderer
+from skyproof.cli.renderers import open_renderer
+from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index

@@ -66,10 +66,10 @@ def sign_test(
                 stepped = world.frames(moved, scenes)
                 for detector in detectors:
                     before[detector.name].append(
-                        target_scores(detector, frames, world.scenes.gsd_m)
+                        target_scores(detector, frames, world.backgrounds.gsd_m)
                     )
                     after[detector.name].append(
-                        target_scores(detector, stepped, world.scenes.gsd_m)
+                        target_scores(detector, stepped, world.backgrounds.gsd_m)
                     )
     return {name: _judged(torch.cat(before[name]), torch.cat(after[name])) for name in before}
 

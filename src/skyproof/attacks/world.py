@@ -48,7 +48,7 @@ class AttackWorld:
     def open(cls, backgrounds: str | Path, fleet: str | Path, *, size_px: int = 384) -> AttackWorld:
         """The differentiable renderer on a background set and a fleet folder; one vehicle an image, clear sky."""
         photographs = BackgroundSet.open(Path(backgrounds))
-        scenes = SceneSettings(size_px=size_px, gsd_m=photographs.gsd_m, vehicles_maximum=1)
+        scenes = SceneSettings(size_px=size_px, vehicles_maximum=1)
         renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
         return cls(renderer, photographs, Fleet.load(Path(fleet)), scenes)
 

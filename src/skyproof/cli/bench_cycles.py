@@ -1,47 +1,51 @@
-"""`skyproof bench --renderer cycles`: how many vehicle crops Blender path-traces in an hour, and in what memory."""
+"""`skyproof bench --renderer cycles`: vehicle crops that Blender path-traces in an hour, and memory."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from skyproof.cli.bench_ground import BenchGround
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.render.dataset import render_dataset
-from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.scene import Scene
-from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["bench_cycles"]
 
+_IMAGES = 64
+
 
 def bench_cycles(
-    folder: Path,
-    scenes: Sequence[Scene],
-    fleet: Fleet,
-    backgrounds: BackgroundSet,
-    workers: Workers,
-    settings: CyclesSettings,
+    folder: Path, image_px: int, workers: Workers, settings: CyclesSettings
 ) -> dict[str, Any]:
-    """Figures of one dataset written after the processes have started: crops, images and labels all included."""
-    renderer = CyclesRenderer(backgrounds, workers, settings)
-    # Other scenes than are timed, so that none of those is there already; this only wakes the processes.
-    render_dataset(folder / "start", scenes[-workers.count :], fleet, renderer)
-    timed = scenes[: -workers.count]
+    """Returns figures of one dataset: crops, images and labels, once the processes have started.
+
+    Args:
+        folder: gets everything that is written.
+        image_px: the side of an image in pixels.
+        workers: Blender's processes.
+        settings: how finely they draw.
+    """
+    ground = BenchGround(folder, image_px)
+    scenes = ground.scenes(_IMAGES + workers.count, most=5)
+    renderer = CyclesRenderer(ground.backgrounds, workers, settings)
+    # This only wakes the processes. The scenes are others than the timed ones, so that none of
+    # those is there already.
+    render_dataset(folder / "start", scenes[_IMAGES:], ground.fleet, renderer)
+    timed = scenes[:_IMAGES]
     vehicles = sum(len(scene.placements) for scene in timed)
     started = time.perf_counter()
-    render_dataset(folder / "dataset", timed, fleet, renderer)
+    render_dataset(folder / "dataset", timed, ground.fleet, renderer)
     seconds = time.perf_counter() - started
     return {
         "blender": workers.blender.version,
         "samples": settings.samples,
         "workers": workers.count,
         "cores": os.cpu_count(),
-        "image_px": timed[0].camera.size_px,
+        "image_px": image_px,
         "images": len(timed),
         "crops": vehicles,
         "seconds": round(seconds, 1),
@@ -51,7 +55,7 @@ def bench_cycles(
 
 
 def _peak_memory_mb(process: int) -> float:
-    """The most that a process has held; nan where the system does not say."""
+    """Returns the most memory that a process has held; nan where the system does not say."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:

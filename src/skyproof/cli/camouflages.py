@@ -22,7 +22,6 @@ from skyproof.cli.stages import (
 from skyproof.detectors.card import read_card
 from skyproof.errors import ConfigurationError
 from skyproof.report.words import interval, percent
-from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["Attack", "Control", "Measure", "Palette", "Score"]
@@ -109,7 +108,6 @@ class Attack:
         )
         scenes = SceneSettings(
             size_px=self.image_px or min(read_card(self.detectors[0]).image_size_px),
-            gsd_m=BackgroundSet.open(self.backgrounds).gsd_m,
             vehicles_maximum=1,
             conditions=self.conditions,
         )

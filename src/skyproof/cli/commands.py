@@ -1,128 +1,24 @@
-"""The single stages around an attack as commands: scenes, render, train, evaluate, report."""
+"""The single stages around an attack as commands: train, evaluate, report."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from skyproof.cli.console import say
 from skyproof.cli.frames import read_frames
-from skyproof.cli.rendering import Rendering
 from skyproof.cli.stages import (
     choose_device,
     evaluate_folders,
-    generator_of,
-    render_folder,
     train_detector,
 )
 from skyproof.detectors.card import read_card
 from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
-from skyproof.files import refuse_existing
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
-from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import sample_scenes
-from skyproof.scenes.scene import write_scenes
-from skyproof.scenes.settings import SceneSettings
-from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["Evaluate", "Render", "Report", "Scenes", "Train"]
-
-
-@dataclass(frozen=True)
-class Scenes:
-    """Samples scenes on a split's ground, in any weather: which window, camera, sun, vehicles where.
-
-    Attributes:
-        backgrounds: background set folder.
-        fleet: fleet folder.
-        out: scene file (JSON lines) to write.
-        split: of the backgrounds: train, validation, attack or test.
-        count: how many scenes.
-        image_px: image side.
-        vehicles_minimum, vehicles_maximum: per image.
-        conditions: weather and light, each equally likely: clear, haze, rain, low_sun, overcast, exposure, noise, jpeg.
-        parked_share: share of the scenes whose vehicles stand in a row, as parked ones do.
-        seed: of everything.
-    """
-
-    backgrounds: Path
-    fleet: Path
-    out: Path
-    split: Literal["train", "validation", "attack", "test"] = "test"
-    count: int = 120
-    image_px: int = 192
-    vehicles_minimum: int = 1
-    vehicles_maximum: int = 5
-    conditions: tuple[str, ...] = ("clear",)
-    parked_share: float = 0.0
-    seed: int = 0
-
-    def run(self) -> None:
-        """Samples and writes."""
-        if self.count < 1:
-            raise ConfigurationError(f"--count expects at least 1 scene, got {self.count}.")
-        refuse_existing(self.out)
-        backgrounds, fleet = BackgroundSet.open(self.backgrounds), Fleet.load(self.fleet)
-        settings = SceneSettings(
-            size_px=self.image_px,
-            gsd_m=backgrounds.gsd_m,
-            vehicles_minimum=self.vehicles_minimum,
-            vehicles_maximum=self.vehicles_maximum,
-            conditions=self.conditions,
-            parked_share=self.parked_share,
-        )
-        generator = generator_of(self.seed, "scenes", self.split)
-        scenes = sample_scenes(
-            settings,
-            backgrounds,
-            self.split,
-            fleet.sizes_m,
-            self.count,
-            generator=generator,
-            prefix=self.split,
-        )
-        write_scenes(self.out, scenes)
-        say(f"Scenes: {self.out.resolve()}")
-
-
-@dataclass(frozen=True)
-class Render(Rendering):
-    """Draws a scene file to images with COCO labels, with or without a camouflage.
-
-    With --renderer cycles the same scenes are path-traced in Blender, to the same labels.
-
-    Attributes:
-        scenes: scene file (JSON lines).
-        backgrounds: background set folder.
-        fleet: fleet folder.
-        out: dataset folder to write.
-        camouflage: camouflage folder; none draws the vehicles as they are.
-        device: auto, cpu or cuda.
-    """
-
-    scenes: Path
-    backgrounds: Path
-    fleet: Path
-    out: Path
-    camouflage: Path | None = None
-    device: str = "auto"
-
-    def run(self) -> None:
-        """Draws the dataset."""
-        device = choose_device(self.device)
-        render_folder(
-            self.scenes,
-            self.backgrounds,
-            self.fleet,
-            self.out,
-            camouflage=self.camouflage,
-            rendering=self,
-            device=device,
-        )
-        say(f"Dataset: {self.out.resolve()}")
+__all__ = ["Evaluate", "Report", "Train"]
 
 
 @dataclass(frozen=True)

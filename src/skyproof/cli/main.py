@@ -14,13 +14,15 @@ from skyproof.cli.bring import Bring
 from skyproof.cli.camouflages import Attack, Control, Measure, Palette, Score
 from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear, Drop
-from skyproof.cli.commands import Evaluate, Render, Report, Scenes, Train
+from skyproof.cli.commands import Evaluate, Report, Train
 from skyproof.cli.console import say_error
 from skyproof.cli.demo import Demo
 from skyproof.cli.imagery import Tile
 from skyproof.cli.labels import Labels
 from skyproof.cli.plan import Plan
+from skyproof.cli.render import Render
 from skyproof.cli.reproduce import Reproduce
+from skyproof.cli.scenes import Scenes
 from skyproof.cli.sensor import SetSensor
 from skyproof.cli.tables import Tables
 from skyproof.cli.vehicles import Mix, Wrap

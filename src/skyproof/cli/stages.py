@@ -20,7 +20,8 @@ from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.palette import fit_palette, save_palette
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.cli.console import progress_bar
-from skyproof.cli.rendering import Rendering, open_renderer
+from skyproof.cli.renderers import open_renderer
+from skyproof.cli.rendering import Rendering
 from skyproof.datasets.coco import read_coco, read_rendering
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.loaded import load_ensemble
@@ -191,9 +192,9 @@ def attack_ensemble(
         raise ConfigurationError(
             f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
         )
-    ensemble = load_ensemble(detectors, device, scenes.gsd_m)
-    models = [loaded.detector for loaded in ensemble]
     photographs = BackgroundSet.open(backgrounds)
+    ensemble = load_ensemble(detectors, device, photographs.gsd_m)
+    models = [loaded.detector for loaded in ensemble]
     renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
     world = AttackWorld(renderer, photographs, Fleet.load(fleet), scenes)
     generator = generator_of(settings.seed, "texture", name)
@@ -293,7 +294,7 @@ def score_camouflages(
             if renderer.record() != settings:
                 raise ConfigurationError(
                     f"{original} was rendered with other settings than are asked for here, or by another version of "
-                    "skyproof or Blender; give the same --samples and --finish, or render it anew."
+                    "skyproof or Blender; give the same --cycles.samples and --cycles.finish, or render it anew."
                 )
             for folder in camouflages:
                 _render(shown, renderer, vehicles, rendered[folder.name], folder, device)

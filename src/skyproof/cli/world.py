@@ -166,7 +166,7 @@ def write_fleet(out: Path, sizes: WorldSizes, seed: int, split: str) -> None:
 
 def scene_settings(sizes: WorldSizes) -> SceneSettings:
     """How validation and test scenes are drawn."""
-    return SceneSettings(size_px=sizes.image_px, gsd_m=GSD_M)
+    return SceneSettings(size_px=sizes.image_px)
 
 
 def write_scene_files(out: Path, sizes: WorldSizes, seed: int) -> None:

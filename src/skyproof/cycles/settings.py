@@ -1,4 +1,4 @@
-"""What the path tracer can be told beside light and sensor, which it shares with the differentiable renderer."""
+"""What the path tracer can be told beside light and sensor. Imports no torch."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ class CyclesSettings:
     """How finely crops are path-traced, and what camouflage is painted with.
 
     Attributes:
-        samples: light paths per pixel; the sensor's blur averages some 70 pixels' noise.
-        finish: camouflage under the vehicle's clear coat ("gloss"), or without one ("matt").
-        margin_m: how far beyond vehicle and cast shadow a crop reaches, for the sky that the vehicle hides from the
-            ground; what is left of that fades out towards the crop's edge.
+        samples: light paths per pixel; 32 in bulk, 64 for final pictures. The sensor's blur
+            averages the noise of some 70 pixels.
+        finish: camouflage paint under the vehicle's clear coat (gloss), or without one (matt).
+        margin_m: how far a crop reaches beyond the vehicle and its cast shadow, in metres, because
+            the vehicle hides a part of the sky from the ground around it; the rest of that effect
+            fades out towards the crop's edge.
     """
 
     samples: int = 32
@@ -28,7 +30,7 @@ class CyclesSettings:
     def __post_init__(self) -> None:
         if self.samples < 1:
             raise ConfigurationError(
-                f"--samples expects at least 1 light path per pixel, got {self.samples}."
+                f"--cycles.samples expects at least 1 light path per pixel, got {self.samples}."
             )
         if self.finish not in ("gloss", "matt"):
-            raise ConfigurationError(f"--finish expects gloss or matt, got {self.finish}.")
+            raise ConfigurationError(f"--cycles.finish expects gloss or matt, got {self.finish}.")

@@ -1,4 +1,4 @@
-"""Random scenes: how many vehicles, where, which way, under which camera, sun and weather (PAPER 5, 6, 56)."""
+"""Random scenes: how many vehicles, where, which way, under which camera, sun and weather."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ __all__ = ["rectangles_overlap", "sample_scenes"]
 Rectangle = tuple[float, float, float, float, float]
 """Centre x, centre y, heading, length, width; metres and radians."""
 
+Sizes = Mapping[str, tuple[float, float, float]]
+"""Per vehicle id its length, width and height in metres."""
+
 TRIES = 2000
 
 WIDEST_GAP_M = (0.6, 1.5)
@@ -29,79 +32,88 @@ def sample_scenes(
     settings: SceneSettings,
     backgrounds: BackgroundSet,
     split: str,
-    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
+    vehicle_sizes_m: Sizes,
     count: int,
     *,
     generator: torch.Generator,
     prefix: str = "scene",
 ) -> list[Scene]:
-    """Draws scenes: uniform positions and headings, no two vehicles overlapping, uniform vehicles and backgrounds.
+    """Draws scenes with uniform places and headings, vehicles and backgrounds; none overlap.
 
     Args:
-        settings: how.
-        backgrounds: the ground under them.
-        split: of the backgrounds.
+        settings: how they are drawn.
+        backgrounds: the ground under them, which also says how many metres a pixel has.
+        split: which of the backgrounds are used.
         vehicle_sizes_m: per vehicle id its length, width and height; every id is equally likely.
         count: how many scenes.
         generator: every scene takes one 63-bit seed from it and draws all else from that seed.
         prefix: ids are `<prefix>-<number>`.
 
     Raises:
-        ConfigurationError: another resolution than the backgrounds', no tile large enough, no vehicles to choose
-            from, or too many vehicles for the image.
+        ConfigurationError: no tile is large enough, there are no vehicles to choose from, or the
+            image has no room for its vehicles.
     """
-    if not math.isclose(settings.gsd_m, backgrounds.gsd_m, rel_tol=1e-6):
-        raise ConfigurationError(
-            f"The scenes ask for {settings.gsd_m} m per pixel but {backgrounds.folder} has {backgrounds.gsd_m} m; "
-            "use one and the same."
-        )
+    half_m = settings.half_m(backgrounds.gsd_m)
     if settings.vehicles_maximum > 0 and not vehicle_sizes_m:
         raise ConfigurationError("There is no vehicle to place; give a fleet with at least one.")
     scenes = []
     for number in range(count):
         seed = int(torch.randint(2**63 - 1, (1,), generator=generator))
-        own = torch.Generator().manual_seed(seed)
-        window = backgrounds.sample_window(split, settings.size_px, generator=own)
-        radius, camera_turn, sun_turn, sun_height = torch.rand(
-            4, dtype=torch.float64, generator=own
-        ).tolist()
-        low, high = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
-        placements = _sample_placements(settings, vehicle_sizes_m, generator=own)
-        # Drawn last, so that everything else is the same whatever the conditions.
-        condition = settings.conditions[
-            int(torch.randint(len(settings.conditions), (1,), generator=own))
-        ]
-        strength = float(torch.rand(1, dtype=torch.float64, generator=own))
-        if condition == "low_sun":
-            (low, high), sun_height = LOW_SUN_ELEVATION_RAD, strength
+        name = f"{prefix}-{number:06d}"
         scenes.append(
-            Scene(
-                id=f"{prefix}-{number:06d}",
-                background=window,
-                camera=Camera(
-                    # The square root makes the point uniform on the disc's area.
-                    tilt_rad=math.asin(math.sqrt(radius) * math.sin(settings.tilt_maximum_rad)),
-                    azimuth_rad=2 * math.pi * camera_turn,
-                    gsd_m=settings.gsd_m,
-                    size_px=settings.size_px,
-                ),
-                sun=Sun(
-                    azimuth_rad=2 * math.pi * sun_turn,
-                    elevation_rad=low + (high - low) * sun_height,
-                ),
-                placements=placements,
-                seed=seed,
-                weather=draw_weather(condition, strength),
-            )
+            _sample_scene(name, seed, settings, backgrounds, split, vehicle_sizes_m, half_m)
         )
     return scenes
 
 
-def _sample_placements(
+def _sample_scene(
+    name: str,
+    seed: int,
     settings: SceneSettings,
-    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
-    *,
-    generator: torch.Generator,
+    backgrounds: BackgroundSet,
+    split: str,
+    vehicle_sizes_m: Sizes,
+    half_m: float,
+) -> Scene:
+    """Draws all of one scene from its seed."""
+    generator = torch.Generator().manual_seed(seed)
+    window = backgrounds.sample_window(split, settings.size_px, generator=generator)
+    radius, camera_turn, sun_turn, sun_height = torch.rand(
+        4, dtype=torch.float64, generator=generator
+    ).tolist()
+    placements = _sample_placements(settings, vehicle_sizes_m, half_m, generator=generator)
+    # The weather is drawn last, so that everything else is the same whatever the conditions.
+    choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
+    condition = settings.conditions[choice]
+    strength = float(torch.rand(1, dtype=torch.float64, generator=generator))
+    lowest, highest = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
+    if condition == "low_sun":
+        lowest, highest = LOW_SUN_ELEVATION_RAD
+        sun_height = strength
+    camera = Camera(
+        # The square root makes the point uniform on the disc's area.
+        tilt_rad=math.asin(math.sqrt(radius) * math.sin(settings.tilt_maximum_rad)),
+        azimuth_rad=2 * math.pi * camera_turn,
+        gsd_m=backgrounds.gsd_m,
+        size_px=settings.size_px,
+    )
+    sun = Sun(
+        azimuth_rad=2 * math.pi * sun_turn,
+        elevation_rad=lowest + (highest - lowest) * sun_height,
+    )
+    return Scene(
+        id=name,
+        background=window,
+        camera=camera,
+        sun=sun,
+        placements=placements,
+        seed=seed,
+        weather=draw_weather(condition, strength),
+    )
+
+
+def _sample_placements(
+    settings: SceneSettings, vehicle_sizes_m: Sizes, half_m: float, *, generator: torch.Generator
 ) -> tuple[Placement, ...]:
     """Draws all vehicles at once until none overlap, so that free layouts stay equally likely."""
     span = settings.vehicles_maximum - settings.vehicles_minimum + 1
@@ -110,9 +122,9 @@ def _sample_placements(
         return ()
     names = sorted(vehicle_sizes_m)
     chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
-    # Nothing is drawn where nobody parks, so that such scenes stay as they always were.
+    # Where nobody parks nothing is drawn, so that such scenes stay as they always were.
     if settings.parked_share and float(torch.rand(1, generator=generator)) < settings.parked_share:
-        parked = _park(chosen, settings, vehicle_sizes_m, generator=generator)
+        parked = _park(chosen, settings, vehicle_sizes_m, half_m, generator=generator)
         if len(parked) >= settings.vehicles_minimum:
             return parked
     for _ in range(TRIES):
@@ -120,8 +132,8 @@ def _sample_placements(
         placements = tuple(
             Placement(
                 name,
-                (2 * x - 1) * settings.half_m,
-                (2 * y - 1) * settings.half_m,
+                (2 * x - 1) * half_m,
+                (2 * y - 1) * half_m,
                 2 * math.pi * turn,
             )
             for name, (x, y, turn) in zip(chosen, draws, strict=True)
@@ -144,49 +156,52 @@ def _sample_placements(
 def _park(
     names: list[str],
     settings: SceneSettings,
-    vehicle_sizes_m: Mapping[str, tuple[float, float, float]],
+    vehicle_sizes_m: Sizes,
+    half_m: float,
     *,
     generator: torch.Generator,
 ) -> tuple[Placement, ...]:
-    """One row around a uniform place, bumper to bumper or side by side; vehicles beyond the margin are left out."""
+    """Parks vehicles in one row around a uniform place, bumper to bumper or side by side.
+
+    Vehicles that would stand beyond the margin are left out.
+    """
     x, y, turn, kind = torch.rand(4, dtype=torch.float64, generator=generator).tolist()
-    side_by_side, row_rad = kind < 0.5, 2 * math.pi * turn
-    places, reached = [], 0.0
-    for name, draws in zip(
-        names,
-        torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist(),
-        strict=True,
-    ):
+    side_by_side = kind < 0.5
+    row_rad = 2 * math.pi * turn
+    widest_gap_m = WIDEST_GAP_M[0 if side_by_side else 1]
+    # Along the row: where each vehicle's middle is, and its heading.
+    slots = []
+    reached_m = 0.0
+    draws = torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist()
+    for name, (gap, skew, side) in zip(names, draws, strict=True):
         length_m, width_m, _ = vehicle_sizes_m[name]
-        taken = width_m if side_by_side else length_m
-        gap_m = settings.gap_m + draws[0] * (WIDEST_GAP_M[0] if side_by_side else WIDEST_GAP_M[1])
-        heading = (
-            row_rad + (math.pi / 2 if side_by_side else 0.0) + (2 * draws[1] - 1) * LARGEST_SKEW_RAD
-        )
-        places.append((reached + taken / 2, heading + (math.pi if draws[2] < 0.5 else 0.0)))
-        reached += taken + gap_m
-    rows = (
+        taken_m = width_m if side_by_side else length_m
+        gap_m = settings.gap_m + gap * widest_gap_m
+        across_rad = math.pi / 2 if side_by_side else 0.0
+        heading_rad = row_rad + across_rad + (2 * skew - 1) * LARGEST_SKEW_RAD
+        slots.append((reached_m + taken_m / 2, heading_rad + (math.pi if side < 0.5 else 0.0)))
+        reached_m += taken_m + gap_m
+    row = (
         Placement(
             name,
-            (2 * x - 1) * settings.half_m + (place - reached / 2) * math.cos(row_rad),
-            (2 * y - 1) * settings.half_m + (place - reached / 2) * math.sin(row_rad),
-            heading % (2 * math.pi),
+            (2 * x - 1) * half_m + (middle_m - reached_m / 2) * math.cos(row_rad),
+            (2 * y - 1) * half_m + (middle_m - reached_m / 2) * math.sin(row_rad),
+            heading_rad % (2 * math.pi),
         )
-        for name, (place, heading) in zip(names, places, strict=True)
+        for name, (middle_m, heading_rad) in zip(names, slots, strict=True)
     )
-    return tuple(one for one in rows if max(abs(one.x_m), abs(one.y_m)) <= settings.half_m)
+    return tuple(spot for spot in row if max(abs(spot.x_m), abs(spot.y_m)) <= half_m)
 
 
-def _footprint(
-    placement: Placement, vehicle_sizes_m: Mapping[str, tuple[float, float, float]], gap_m: float
-) -> Rectangle:
+def _footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
     length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
     return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
 
 
 def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
-    """True where two turned rectangles share area, by the separating axis test."""
-    dx, dy = second[0] - first[0], second[1] - first[1]
+    """Tells whether two turned rectangles share area, by the separating axis test."""
+    dx = second[0] - first[0]
+    dy = second[1] - first[1]
     for heading in (first[2], second[2]):
         for axis_rad in (heading, heading + math.pi / 2):
             distance = abs(dx * math.cos(axis_rad) + dy * math.sin(axis_rad))
@@ -197,6 +212,6 @@ def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
 
 def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
     _, _, heading, length, width = rectangle
-    return (
-        length * abs(math.cos(axis_rad - heading)) + width * abs(math.sin(axis_rad - heading))
-    ) / 2
+    along = length * abs(math.cos(axis_rad - heading))
+    across = width * abs(math.sin(axis_rad - heading))
+    return (along + across) / 2

@@ -13,25 +13,28 @@ __all__ = ["SceneSettings"]
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """How scenes are drawn; the defaults are the paper's test set (PAPER 5, 6).
+    """How scenes are drawn; the defaults are the paper's test set.
+
+    How many metres a pixel has is not told here: the background set says it.
 
     Attributes:
-        size_px: the image is size_px x size_px.
-        gsd_m: metres per pixel, the background set's.
-        vehicles_minimum, vehicles_maximum: per image, every number equally likely; 1 and 1 in the attack.
+        size_px: the side of the image in pixels.
+        vehicles_minimum: the fewest vehicles in an image; 1 in an attack.
+        vehicles_maximum: the most vehicles in an image, every number between equally likely; 1 in
+            an attack.
         tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
-        sun_elevation_minimum_rad, sun_elevation_maximum_rad: uniform between; the sun's azimuth is uniform.
+        sun_elevation_minimum_rad: the lowest sun; the sun's azimuth is uniform.
+        sun_elevation_maximum_rad: the highest sun, every elevation between equally likely.
         gap_m: the least free room between two vehicles.
         margin_m: the least distance of a vehicle's centre from the image's edge.
-        parked_share: share of the scenes whose vehicles stand in a row, bumper to bumper or side by side, as parked
-            ones do; 0 is the paper's.
-        conditions: of weather, light and sensor, each equally likely in every scene (PAPER 56); see
-            `skyproof.scenes.weather.CONDITIONS`. The same seed gives the same scenes under every choice of
-            conditions, but for the weather and the elevation of a low sun.
+        parked_share: the share of scenes whose vehicles stand in a row, bumper to bumper or side by
+            side, as parked ones do; 0 in the paper.
+        conditions: weather and light, each equally likely in every scene: clear, haze, rain,
+            low_sun, overcast, exposure, noise, jpeg. The same seed gives the same scenes under
+            every choice of conditions, but for the weather and the elevation of a low sun.
     """
 
     size_px: int = 384
-    gsd_m: float = 0.125
     vehicles_minimum: int = 1
     vehicles_maximum: int = 5
     tilt_maximum_rad: float = math.radians(20)
@@ -45,8 +48,8 @@ class SceneSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.vehicles_minimum <= self.vehicles_maximum:
             raise ConfigurationError(
-                f"vehicles_minimum {self.vehicles_minimum} and vehicles_maximum {self.vehicles_maximum} do not fit; "
-                "give 0 <= minimum <= maximum."
+                f"vehicles_minimum {self.vehicles_minimum} and vehicles_maximum "
+                f"{self.vehicles_maximum} do not fit; give 0 <= minimum <= maximum."
             )
         if not 0 <= self.tilt_maximum_rad < math.pi / 2:
             raise ConfigurationError(
@@ -54,7 +57,8 @@ class SceneSettings:
             )
         if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
             raise ConfigurationError(
-                "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; change them."
+                "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; "
+                "change them."
             )
         if not 0 <= self.parked_share <= 1:
             raise ConfigurationError(
@@ -66,13 +70,20 @@ class SceneSettings:
                 f"Scenes cannot be drawn under conditions {', '.join(unknown) or '(none)'}; "
                 f"give one or more of {', '.join(CONDITIONS)}."
             )
-        if self.half_m <= 0:
-            raise ConfigurationError(
-                f"An image of {self.size_px} px of {self.gsd_m} m has no room inside a margin of {self.margin_m} m; "
-                "choose a larger image or a smaller margin."
-            )
 
-    @property
-    def half_m(self) -> float:
-        """Vehicle centres lie within plus or minus this on both axes."""
-        return self.size_px * self.gsd_m / 2 - self.margin_m
+    def half_m(self, gsd_m: float) -> float:
+        """Returns how far from the middle vehicle centres may lie on both axes, in metres.
+
+        Args:
+            gsd_m: metres per pixel, which the background set says.
+
+        Raises:
+            ConfigurationError: the image has no room inside the margin.
+        """
+        half_m = self.size_px * gsd_m / 2 - self.margin_m
+        if half_m <= 0:
+            raise ConfigurationError(
+                f"An image of {self.size_px} px of {gsd_m} m has no room inside a margin of "
+                f"{self.margin_m} m; choose a larger image or a smaller margin."
+            )
+        return half_m

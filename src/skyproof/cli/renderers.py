@@ -1,0 +1,55 @@
+"""Opens the renderer that the options of a command ask for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from skyproof.cli.rendering import Rendering
+from skyproof.cycles.blender import find_blender
+from skyproof.cycles.renderer import CyclesRenderer
+from skyproof.cycles.workers import Workers
+from skyproof.render.frames import Renderer
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.backgrounds import BackgroundSet
+
+__all__ = ["open_renderer", "open_workers"]
+
+
+@contextmanager
+def open_renderer(
+    rendering: Rendering, backgrounds: BackgroundSet, out: Path
+) -> Iterator[Renderer]:
+    """Yields the renderer that was asked for.
+
+    Path-traced crops are kept beside `out` until the block ends well, so that a run that was
+    stopped goes on where it was.
+
+    Raises:
+        ConfigurationError: there is no usable Blender, or the settings cannot work.
+    """
+    settings = RenderSettings.of(backgrounds.sensor)
+    if rendering.renderer == "torch":
+        yield TorchRenderer(backgrounds, settings)
+        return
+    crops = out.with_name(f".{out.name}.crops")
+    with open_workers(rendering, crops) as workers:
+        yield CyclesRenderer(backgrounds, workers, rendering.cycles, settings)
+    shutil.rmtree(crops, ignore_errors=True)
+
+
+def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
+    """Starts Blender's processes as a context, one per core where their number is not given."""
+    count = _cores() if rendering.workers is None else rendering.workers
+    return Workers(find_blender(rendering.blender), count, results)
+
+
+def _cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
