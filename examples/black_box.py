@@ -2,7 +2,7 @@
 
 import torch
 
-import skyproof.api as sp
+import skyproof as sp
 
 network = sp.load_detector("runs/demo/detectors/retinanet").detector
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
-import skyproof.api as sp
+import skyproof as sp
 
 data, steps = sp.read_coco("runs/demo/datasets/train"), 200
 side = data.images[0].shape[-1]  # torchvision would enlarge the images to 800 px

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-import skyproof.api as sp
+import skyproof as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 detectors = [

@@ -3,7 +3,7 @@
 import torch
 from torchvision.models.detection import ssdlite320_mobilenet_v3_large
 
-import skyproof.api as sp
+import skyproof as sp
 
 
 class MyDetector(sp.TrainableDetector):

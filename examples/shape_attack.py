@@ -1,6 +1,6 @@
 """A body that may grow by up to a fifth of its width, against one detector of the demo."""
 
-import skyproof.api as sp
+import skyproof as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 detector = sp.load_detector("runs/demo/detectors/retinanet").detector

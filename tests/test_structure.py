@@ -9,15 +9,18 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 # From the ground up. A module imports from its own package and from lower floors, never from a neighbour.
 FLOORS = [
     {"errors"},
-    {"files"},
-    {"storage"},
-    {"geometry"},
+    {"files", "randomness"},
+    {"geometry", "storage"},
+    {"loop"},
     {"scenes", "vehicles"},
     {"datasets", "ground"},
     {"camouflage", "render", "detectors"},
     {"attacks", "cycles", "results", "imagery"},
-    {"report", "plans"},
-    {"api", "cli", "__init__"},
+    {"paper"},
+    {"report"},
+    {"cli"},
+    {"plans"},
+    {"main", "__init__"},
     {"__main__"},
 ]
 BLENDER_WORKER = "cycles.worker"
@@ -110,7 +113,7 @@ def printers(modules):
     spared = {
         module
         for module in found
-        if module.split(".")[0] in ("cli", "__main__") or module == BLENDER_WORKER
+        if module.split(".")[0] in ("cli", "plans", "__main__") or module == BLENDER_WORKER
     }
     return sorted({*found} - spared)
 

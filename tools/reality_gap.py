@@ -24,7 +24,6 @@ import torch
 import tyro
 
 from skyproof.cli.frames import read_frames
-from skyproof.cli.stages import generator_of
 from skyproof.datasets.coco import read_coco
 from skyproof.datasets.labelled import LabelledImages, join
 from skyproof.detectors.build import build_detector
@@ -35,6 +34,7 @@ from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings

@@ -1,3 +1,11 @@
-"""How robust is an overhead vehicle detector against camouflage that could really be painted or built?"""
+"""How robust is an overhead vehicle detector to camouflage that could be painted or built?
 
-__version__ = "0.1.0"
+`import skyproof as sp` gives the names that programs need. They are told once, in `__init__.pyi`, and
+loaded when they are first used, so that importing the package costs next to nothing.
+"""
+
+import lazy_loader
+
+__version__ = "0.2.0"
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,5 +1,5 @@
 """`python -m skyproof`."""
 
-from skyproof.cli import main
+from skyproof.main import main
 
 main()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.cli.main import run
+from skyproof.main import run
 
 
 def flags(text: str) -> list[str]:

@@ -22,7 +22,7 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from skyproof.cli.main import run
+from skyproof.main import run
 
 
 def plain(path: object) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyproof.cli.main import run
+from skyproof.main import run
 
 
 @pytest.fixture

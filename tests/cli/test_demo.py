@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.cli import demo
 from skyproof.cli.stages import render_folder
 from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, write_json
+from skyproof.plans import demo
 from tests.cli.conftest import TINY, Skyproof, bytes_of
 
 # The second render is a stand-in: the differentiable renderer, whose images say that Cycles drew them.

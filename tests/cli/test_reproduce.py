@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from skyproof.cli import reproduce
 from skyproof.cycles.blender import Blender
 from skyproof.errors import ConfigurationError
+from skyproof.plans import reproduce
 from tests.cli.conftest import Skyproof
 
 TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
@@ -88,7 +88,7 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     done = {"world/world": 3.0, "score/000": 5.0, "score/001": 6.0, "tables/tables": 2.0}
     write_benchmarks(out, done, 1000)
     stub_blender(monkeypatch, Path("/blender"))
-    monkeypatch.setattr("skyproof.cli.reproduce._snakemake", stub_snakemake(tmp_path, out))
+    monkeypatch.setattr("skyproof.plans.reproduce._snakemake", stub_snakemake(tmp_path, out))
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 1)
     assert answer.code == 0, answer.err
     assert "4 jobs were finished before" in answer.out
@@ -133,7 +133,7 @@ def test_bad_input_is_refused_before_anything_is_written(
     other = tmp_path / "other.json"
     other.write_text(json.dumps({**json.loads(TINY.read_text()), "detectors": ["ssd"]}))
     skyproof("reproduce", "--preset", other, "--out", out).refused("ssd")
-    monkeypatch.setattr("skyproof.cli.reproduce.find_spec", lambda name: None)
+    monkeypatch.setattr("skyproof.plans.reproduce.find_spec", lambda name: None)
     skyproof("reproduce", "--preset", TINY, "--out", out).refused(
         "pip install 'skyproof[reproduce]'"
     )

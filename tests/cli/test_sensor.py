@@ -6,8 +6,8 @@ import pytest
 import torch
 from PIL import Image
 
-from skyproof.cli.main import run
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.main import run
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 

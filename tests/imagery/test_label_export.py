@@ -11,7 +11,6 @@ import pytest
 import torch
 from rasterio.warp import transform
 
-from skyproof.cli.main import run
 from skyproof.datasets.coco import Annotation, CocoWriter, read_coco
 from skyproof.errors import ImageryError, RunFolderError, StoredFileError
 from skyproof.files import write_json
@@ -19,6 +18,7 @@ from skyproof.imagery.frames import read_frames_folder
 from skyproof.imagery.labels.export import Exported, export_labels
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, bounds
+from skyproof.main import run
 
 CORNERS = ((70.0, 20.0), (74.0, 23.0), (59.0, 43.0), (55.0, 40.0))
 BEYOND = ((-30.0, 60.0), (-30.0, 70.0), (4.0, 70.0), (4.0, 60.0))

@@ -7,8 +7,8 @@ import pytest
 from rasterio.transform import from_origin
 from rasterio.warp import transform as transform_places
 
-from skyproof.cli.main import run
 from skyproof.datasets.coco import read_coco
+from skyproof.main import run
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, smooth_noise, write_image

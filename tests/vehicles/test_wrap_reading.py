@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from skyproof.cli.main import run
 from skyproof.errors import ConfigurationError
+from skyproof.main import run
 from skyproof.vehicles.vehicle import Part
 from skyproof.vehicles.wrapping.meshes import SourceMesh, find_texture
 from skyproof.vehicles.wrapping.orientation import orient

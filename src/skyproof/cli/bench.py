@@ -40,8 +40,8 @@ class Bench(Rendering):
         """Measures, prints and writes the figures."""
         from skyproof.cli.bench_cycles import bench_cycles
         from skyproof.cli.bench_torch import bench_torch
+        from skyproof.cli.device import choose_device
         from skyproof.cli.renderers import open_workers
-        from skyproof.cli.stages import choose_device
 
         device = choose_device(self.device)
         with tempfile.TemporaryDirectory() as folder:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skyproof.cli.stages import generator_of
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.randomness import generator_of
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene

@@ -20,8 +20,8 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.cli.bench_ground import BenchGround
-from skyproof.cli.stages import generator_of
 from skyproof.detectors.build import build_detector
+from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.scene import Scene

@@ -9,7 +9,7 @@ from typing import Literal
 import tyro
 
 from skyproof.cli.console import say
-from skyproof.cli.stages import choose_device
+from skyproof.cli.device import choose_device
 from skyproof.datasets.coco import read_coco
 from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.files import refuse_existing

@@ -10,10 +10,10 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.palette import load_palette
 from skyproof.camouflage.recipe import Materials
 from skyproof.cli.console import say
+from skyproof.cli.device import choose_device
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.stages import (
     attack_ensemble,
-    choose_device,
     draw_control,
     ground_palette,
     measure_camouflages,

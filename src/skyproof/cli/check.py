@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.cli.console import progress_bar, say
+from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
-from skyproof.cli.stages import choose_device
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.cli.stages import choose_device
+from skyproof.cli.device import choose_device
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.weights import weights_digest
 from skyproof.files import finished_folder, refuse_existing

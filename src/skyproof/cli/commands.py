@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyproof.cli.console import say
+from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
-from skyproof.cli.stages import (
-    choose_device,
-    evaluate_folders,
-    train_detector,
-)
+from skyproof.cli.stages import evaluate_folders, train_detector
 from skyproof.detectors.card import read_card
 from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError

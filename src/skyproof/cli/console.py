@@ -7,27 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-
-__all__ = ["console", "progress_bar", "say", "say_error"]
+__all__ = ["progress_bar", "say", "say_error"]
 
 # Without a terminal (a log file, CI) a line now and then replaces the moving bar.
 _LINE_EVERY_S = 15.0
 
-console = Console(highlight=False, soft_wrap=True)
-
 
 def say(message: str) -> None:
     """Prints one line."""
-    console.print(message, markup=False)
+    print(message, flush=True)
 
 
 def say_error(message: str) -> None:
@@ -38,21 +26,13 @@ def say_error(message: str) -> None:
 
 @contextmanager
 def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
-    """Yields `update(done, total)`; shows name, bar, time used and time left."""
-    if console.is_terminal:
-        columns = (
-            TextColumn("{task.description:<28}"),
-            BarColumn(bar_width=30),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=console) as bar:
-            task = bar.add_task(name, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+    """Yields `update(done, total)`; shows name, progress, time used and time left."""
+    if sys.stdout.isatty():
+        with _moving_bar(name) as moving:
+            yield moving
         return
-    started = last = time.monotonic()
+    started = time.monotonic()
+    last = started
     first = 0
 
     def update(done: int, total: int) -> None:
@@ -70,3 +50,21 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     say(f"  {name} ...")
     yield update
     say(f"  {name}: done in {time.monotonic() - started:.0f} s")
+
+
+@contextmanager
+def _moving_bar(name: str) -> Iterator[Callable[[int, int], None]]:
+    # Imported here, because help and refusals must answer at once.
+    from rich import progress
+
+    columns = (
+        progress.TextColumn("{task.description:<28}"),
+        progress.BarColumn(bar_width=30),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("left"),
+        progress.TimeRemainingColumn(),
+    )
+    with progress.Progress(*columns) as bar:
+        task = bar.add_task(name, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -9,12 +9,12 @@ from typing import Annotated
 import tyro
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.cli.stages import generator_of
 from skyproof.files import finished_folder
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.tiles.placed_labels import LabelSettings
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
+from skyproof.randomness import generator_of
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Tile"]

@@ -36,8 +36,8 @@ class Render(Rendering):
     def run(self) -> None:
         """Draws the dataset."""
         from skyproof.camouflage.folder import load_camouflage
+        from skyproof.cli.device import choose_device
         from skyproof.cli.renderers import open_renderer
-        from skyproof.cli.stages import choose_device
         from skyproof.render.dataset import render_dataset
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.scenes.scene import read_scenes

@@ -42,7 +42,7 @@ class Scenes:
 
     def run(self) -> None:
         """Samples the scenes and writes them."""
-        from skyproof.cli.stages import generator_of
+        from skyproof.randomness import generator_of
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.scenes.sampling import sample_scenes
         from skyproof.scenes.scene import write_scenes

@@ -54,8 +54,9 @@ class Score(Rendering):
 
     def run(self) -> None:
         """Judges, and prints the rates of the mean and the checks."""
+        from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
-        from skyproof.cli.stages import choose_device, evaluate_folders, score_camouflages
+        from skyproof.cli.stages import evaluate_folders, score_camouflages
         from skyproof.detectors.card import read_card
 
         self._refuse_what_cannot_work()

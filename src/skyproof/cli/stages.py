@@ -29,6 +29,7 @@ from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, refuse_existing, write_beside, write_json
+from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
@@ -43,10 +44,8 @@ from skyproof.vehicles.fleet import Fleet
 
 __all__ = [
     "attack_ensemble",
-    "choose_device",
     "draw_control",
     "evaluate_folders",
-    "generator_of",
     "ground_palette",
     "measure_camouflages",
     "paint_portrait",
@@ -56,34 +55,6 @@ __all__ = [
 ]
 
 _PALETTE_PIXELS = 4000  # per tile
-
-
-def choose_device(name: str) -> torch.device:
-    """ "auto" takes a CUDA device where there is one.
-
-    Raises:
-        ConfigurationError: a device that this machine does not have.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        # Read back: torch also knows devices without memory.
-        torch.zeros(1, device=device).item()
-    except (RuntimeError, AssertionError) as error:
-        raise ConfigurationError(
-            f"--device {name} is not usable here; give cpu, cuda or auto."
-        ) from error
-    return device
-
-
-def generator_of(seed: int, *names: str | int) -> torch.Generator:
-    """A generator of its own for every purpose, so that a change to one stage leaves the others' draws alone."""
-    mixed = seed
-    for name in names:
-        for byte in str(name).encode() + b"/":
-            mixed = (mixed * 1_000_003 + byte) % (2**63 - 25)
-    return torch.Generator().manual_seed(mixed)
 
 
 def render_folder(

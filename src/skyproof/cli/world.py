@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.cli.stages import generator_of
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import finished_folder
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.tiles.sources import SourceSettings
 from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
+from skyproof.randomness import generator_of
 from skyproof.scenes.backgrounds import BackgroundSet, write_sensor
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import write_scenes

@@ -11,12 +11,11 @@ import torch
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.console import say
+from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
 from skyproof.cli.rendering import Rendering
-from skyproof.cli.run_folder import RunFolder
 from skyproof.cli.stages import (
     attack_ensemble,
-    choose_device,
     draw_control,
     evaluate_folders,
     paint_portrait,
@@ -36,6 +35,7 @@ from skyproof.detectors.build import build_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, write_bytes
+from skyproof.plans.run_folder import RunFolder
 from skyproof.report.report import write_report
 from skyproof.report.words import interval, percent
 from skyproof.scenes.splits import SPLITS

@@ -18,12 +18,11 @@ from types import FrameType
 from typing import Any
 
 from skyproof.cli.console import say
-from skyproof.cli.demo import check_detectors
-from skyproof.cli.run_folder import RunFolder
-from skyproof.cli.stages import choose_device
+from skyproof.cli.device import choose_device
 from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import read_json
+from skyproof.plans.demo import check_detectors
 from skyproof.plans.plan import SNAKEFILE, Plan, Preset, read_preset
 from skyproof.plans.progress import (
     FinishedJob,
@@ -32,6 +31,7 @@ from skyproof.plans.progress import (
     time_left_s,
     write_timings,
 )
+from skyproof.plans.run_folder import RunFolder
 
 __all__ = ["Reproduce"]
 

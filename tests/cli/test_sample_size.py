@@ -9,7 +9,7 @@ from tests.cli.conftest import Skyproof, flags
 
 
 def test_the_answer_and_the_table(skyproof: Skyproof):
-    said = skyproof("plan", "--half-width", 0.05, "--easr", 0.8)
+    said = skyproof("sample-size", "--half-width", 0.05, "--easr", 0.8)
     assert said.code == 0
     # Nine vehicles a tile at a correlation of 0.1.
     need = vehicles_needed(0.05, Assumptions(0.8, design_effect=1.8))
@@ -26,12 +26,12 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
         tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts}
     )
     write_tiles(tmp_path / "tiles.parquet", tiles)
-    said = skyproof("plan", "--pilot", tmp_path)
+    said = skyproof("sample-size", "--pilot", tmp_path)
     assert "of an EASR of 62 %" in said.out
     assert "as T-U before a in the pilot: 5 vehicles a tile, 80 % of them found before" in said.out
     assert (
         "5 vehicles a tile"
-        not in skyproof("plan", "--pilot", tmp_path, "--vehicles-per-tile", 2).out
+        not in skyproof("sample-size", "--pilot", tmp_path, "--vehicles-per-tile", 2).out
     )
 
 
@@ -52,4 +52,4 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     ],
 )
 def test_bad_input_is_refused(skyproof: Skyproof, arguments, word):
-    skyproof("plan", *flags(arguments)).refused(word)
+    skyproof("sample-size", *flags(arguments)).refused(word)

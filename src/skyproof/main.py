@@ -1,0 +1,171 @@
+"""The entry point of the `skyproof` command: one sub-command per job, one sentence per error."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from skyproof import __version__
+from skyproof.cli.console import say, say_error
+from skyproof.errors import SkyproofError
+
+__all__ = ["COMMANDS", "load_command", "main", "run"]
+
+# A command is imported when it is asked for: help and a wrong option must answer at once.
+COMMANDS: dict[str, dict[str, str]] = {
+    "Whole runs": {
+        "demo": "skyproof.cli.demo:Demo",
+        "reproduce": "skyproof.cli.reproduce:Reproduce",
+        "report": "skyproof.cli.commands:Report",
+        "tables": "skyproof.cli.tables:Tables",
+    },
+    "Ground and vehicles": {
+        "world": "skyproof.cli.world:World",
+        "imagery tile": "skyproof.cli.imagery:Tile",
+        "imagery labels": "skyproof.cli.labels:Labels",
+        "imagery clear": "skyproof.cli.clear:Clear",
+        "imagery drop": "skyproof.cli.clear:Drop",
+        "imagery sensor": "skyproof.cli.sensor:SetSensor",
+        "vehicles wrap": "skyproof.cli.vehicles:Wrap",
+        "vehicles mix": "skyproof.cli.vehicles:Mix",
+    },
+    "Images": {
+        "scenes": "skyproof.cli.scenes:Scenes",
+        "render": "skyproof.cli.render:Render",
+    },
+    "Detectors": {
+        "train": "skyproof.cli.commands:Train",
+        "bring": "skyproof.cli.bring:Bring",
+    },
+    "Camouflage and judgement": {
+        "palette": "skyproof.cli.camouflages:Palette",
+        "attack": "skyproof.cli.camouflages:Attack",
+        "control": "skyproof.cli.camouflages:Control",
+        "score": "skyproof.cli.camouflages:Score",
+        "measure": "skyproof.cli.camouflages:Measure",
+        "check": "skyproof.cli.check:Check",
+        "evaluate": "skyproof.cli.commands:Evaluate",
+    },
+    "Planning and timing": {
+        "sample-size": "skyproof.cli.sample_size:SampleSize",
+        "bench": "skyproof.cli.bench:Bench",
+    },
+}
+
+
+def main() -> None:
+    """Runs the `skyproof` command."""
+    # Many small operations stall when idle threads spin; this must be said before torch is imported.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    _keep_freed_memory()
+    sys.exit(run())
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Parses and runs one command; returns the exit code.
+
+    Returns:
+        0 when it is done, 2 for bad input, 130 when the user stopped it.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if not words or words[0] in ("-h", "--help"):
+            say(_overview())
+        elif words[0] == "--version":
+            say(f"skyproof {__version__}")
+        else:
+            _parse(words).run()
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 0
+    except SkyproofError as error:
+        say_error(str(error))
+        return 2
+    except OSError as error:
+        what = error.filename or "A file"
+        say_error(f"{what} cannot be used: {error.strerror or error}; check it and try again.")
+        return 2
+    except KeyboardInterrupt:
+        say_error("stopped; give the same command again to go on.")
+        return 130
+    except RuntimeError as error:
+        if not _out_of_memory(error):
+            raise
+        say_error(
+            "the device's memory is full; lower the batch size or the image size, or give "
+            "--device cpu."
+        )
+        return 2
+    return 0
+
+
+def load_command(name: str) -> type[Any]:
+    """Imports the class of a command.
+
+    Raises:
+        SkyproofError: there is no command of that name.
+    """
+    places = {key: place for group in COMMANDS.values() for key, place in group.items()}
+    if name not in places:
+        raise SkyproofError(
+            f"there is no command {name!r}; expected one of {', '.join(places)} (see skyproof --help)."
+        )
+    module, _, kind = places[name].partition(":")
+    return getattr(import_module(module), kind)
+
+
+def _parse(words: Sequence[str]) -> Any:
+    import tyro
+
+    # Until the commands of two words are gone.
+    names = {name for group in COMMANDS.values() for name in group}
+    count = 2 if " ".join(words[:2]) in names else 1
+    command = load_command(" ".join(words[:count]))
+    # Settings check themselves while they are parsed.
+    return tyro.cli(command, prog=f"skyproof {' '.join(words[:count])}", args=words[count:])
+
+
+def _overview() -> str:
+    lines = [
+        "usage: skyproof COMMAND [options]",
+        "",
+        "How robust is an overhead vehicle detector to camouflage, and how sure is that number?",
+    ]
+    for title, group in COMMANDS.items():
+        lines += ["", f"{title}:"]
+        lines += [f"  {name:<16}{_summary(load_command(name))}" for name in group]
+    lines += [
+        "",
+        "skyproof COMMAND --help lists a command's options; skyproof --version the version.",
+    ]
+    return "\n".join(lines)
+
+
+def _summary(command: type[Any]) -> str:
+    """The first sentence of a command's docstring."""
+    return (command.__doc__ or "").strip().split("\n")[0].rstrip(".")
+
+
+def _out_of_memory(error: RuntimeError) -> bool:
+    """Says whether torch ran out of a device's memory; torch itself may not be loaded."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(error, torch.OutOfMemoryError)
+
+
+def _keep_freed_memory() -> None:
+    """Tells the GNU C library not to hand large freed blocks back to the system.
+
+    Every step of training and attack needs the same large blocks again; getting them fresh costs
+    page faults, up to a quarter of the rendering time. Elsewhere than on glibc nothing happens.
+    """
+    trim_threshold = -1
+    mmap_threshold = -3
+    try:
+        library = ctypes.CDLL(None)
+        library.mallopt(trim_threshold, 2**31 - 1)
+        library.mallopt(mmap_threshold, 2**30)
+    except (OSError, AttributeError, TypeError):
+        pass
