@@ -18,8 +18,8 @@ __all__ = ["COMMANDS", "load_command", "main", "run"]
 # A command is imported when it is asked for: help and a wrong option must answer at once.
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
-        "demo": "skyproof.cli.demo:Demo",
-        "reproduce": "skyproof.cli.reproduce:Reproduce",
+        "demo": "skyproof.plans.demo:Demo",
+        "reproduce": "skyproof.plans.reproduce:Reproduce",
         "report": "skyproof.cli.commands:Report",
         "tables": "skyproof.cli.tables:Tables",
     },
