@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -239,12 +239,10 @@ def _generator(*names: str | int) -> torch.Generator:
 def _ground(run: Path, name: str) -> BackgroundSet:
     folder = run / name
     if name in ("procedural", "without-clutter") and not folder.exists():
-        spared = (
-            patch("skyproof.ground.ground.add_clutter")
-            if name == "without-clutter"
-            else nullcontext()
-        )
-        with finished_folder(folder) as partial, spared:
+        with ExitStack() as spared, finished_folder(folder) as partial:
+            if name == "without-clutter":
+                for kinds in ("built_up", "open_country"):
+                    spared.enter_context(patch(f"skyproof.ground.{kinds}.add_clutter"))
             write_procedural_backgrounds(
                 partial, dict(zip(SPLITS, (64, 12, 24, 40), strict=True)), 386, seed=0
             )

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["Canvas", "GroundSensor", "Patch", "reflectance"]
+__all__ = ["Canvas", "GroundSensor", "Patch", "beside", "pick", "reflectance", "textured"]
 
 Array = NDArray[np.floating[Any]]
 Colour = tuple[int, int, int]
+Place = tuple[float, float]
 
 MARGIN_M = 6.0
 """Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
@@ -306,3 +307,22 @@ class Canvas:
         return np.ascontiguousarray(
             (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1)
         )
+
+
+def pick(canvas: Canvas, colours: tuple[Colour, ...], spread: float = 0.12) -> Array:
+    """One of the colours as reflectance, a little off, because no two roofs are alike."""
+    colour = reflectance(colours[int(canvas.rng.integers(len(colours)))])
+    return (
+        colour * np.exp(canvas.rng.normal(0, spread) + canvas.rng.normal(0, spread / 3, 3))
+    ).astype(np.float32)
+
+
+def textured(canvas: Canvas, patch: Patch, colour: Array, grain: float, mottle: float) -> Array:
+    """A colour varied by fine grain and by stains of about a metre, `[h, w, 3]`."""
+    factor = 1 + grain * canvas.noise("grain", patch) + mottle * canvas.noise("mottle", patch)
+    return np.clip(factor, 0.2, 2.5)[..., None] * colour
+
+
+def beside(place: Place, angle_rad: float, u_m: float, v_m: float) -> Place:
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return place[0] + cosine * u_m - sine * v_m, place[1] + sine * u_m + cosine * v_m

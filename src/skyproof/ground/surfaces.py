@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from skyproof.ground.canvas import Array, Canvas, Colour, Patch, reflectance
-from skyproof.ground.objects import add_lamp_post, add_manhole, add_tree, pick
+from skyproof.ground.canvas import Array, Canvas, Colour, Patch, pick, reflectance
+from skyproof.ground.clutter import add_lamp_post, add_manhole
+from skyproof.ground.plants import add_tree
 
 __all__ = [
     "CONCRETE",

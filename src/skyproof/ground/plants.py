@@ -1,0 +1,72 @@
+"""Plants of the procedural ground: trees, bushes and hedges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skyproof.ground.canvas import Canvas, Colour, Place, pick
+
+__all__ = ["add_bush", "add_hedge", "add_tree"]
+
+CROWN_COLOURS: tuple[Colour, ...] = (
+    (70, 92, 48),
+    (58, 82, 50),
+    (88, 102, 54),
+    (96, 96, 58),
+    (50, 70, 46),
+    (112, 118, 62),
+)
+
+
+def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
+    """A crown of many leaf clumps, high in the middle, ragged at its edge, shading itself and the ground."""
+    rng = canvas.rng
+    patch = canvas.disc(place, radius_m, raggedness=0.16, stretch=float(rng.uniform(1.0, 1.25)))
+    if patch.empty:
+        return
+    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    dome = np.sqrt(np.clip(patch.inside / radius_m, 0, 1))
+    top_m = float(rng.uniform(1.2, 2.2)) * radius_m
+    canvas.raise_to(
+        patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.4 * clumps + 0.12 * leaves, 0.3, None)
+    )
+    colour = pick(canvas, CROWN_COLOURS, 0.16)
+    uneven = canvas.noise("mottle", patch)
+    factor = np.exp(0.22 * clumps + 0.22 * leaves + 0.18 * uneven - 0.2 * (1 - dome))
+    # Gaps between the clumps show the dark inside of the crown, and at a thin edge the ground.
+    gaps = np.clip(1.0 - 0.9 * (clumps < -1.1), 0.25, 1)
+    canvas.paint(patch, colour * (factor * gaps)[..., None].astype(np.float32))
+
+
+def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
+    """A low bush: a crown near the ground."""
+    patch = canvas.disc(
+        place, radius_m, raggedness=0.25, stretch=float(canvas.rng.uniform(1.0, 1.6))
+    )
+    if patch.empty:
+        return
+    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    canvas.raise_to(
+        patch,
+        np.clip(
+            0.9 * radius_m * np.sqrt(np.clip(patch.inside / radius_m, 0, 1)) + 0.2 * clumps, 0, 2.5
+        ),
+    )
+    colour = pick(canvas, CROWN_COLOURS, 0.2)
+    canvas.paint(
+        patch, colour * np.exp(0.25 * clumps + 0.25 * leaves)[..., None].astype(np.float32)
+    )
+
+
+def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -> None:
+    """A clipped hedge about a metre wide."""
+    patch = canvas.rectangle(place, (length_m, float(canvas.rng.uniform(0.7, 1.3))), angle_rad, 0.3)
+    if patch.empty:
+        return
+    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    canvas.raise_to(patch, float(canvas.rng.uniform(0.9, 1.9)) + 0.12 * clumps)
+    canvas.paint(
+        patch,
+        pick(canvas, CROWN_COLOURS)
+        * np.exp(0.2 * clumps + 0.25 * leaves)[..., None].astype(np.float32),
+    )
