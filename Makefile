@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 BLENDER_PYTHON ?= python3.11
 BLENDER := .venv-blender
 
-.PHONY: demo demo-cycles blender test check clean
+.PHONY: demo demo-cycles blender test check docs clean
 
 demo: $(VENV)/demo.ok
 	$(BIN)/skyproof demo
@@ -24,6 +24,10 @@ check: $(VENV)/test.ok
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest tests/test_structure.py
+
+# Warnings are errors: a link that leads nowhere stops it. The site is build/site/index.html.
+docs: $(VENV)/docs.ok
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 clean:
 	rm -rf $(VENV) $(BLENDER) build dist .pytest_cache .mypy_cache .ruff_cache
@@ -48,4 +52,8 @@ $(VENV)/demo.ok: pyproject.toml | $(BIN)/python
 
 $(VENV)/test.ok: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[yolo,test,dev]'
+	touch $@
+
+$(VENV)/docs.ok: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	touch $@
