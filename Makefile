@@ -27,7 +27,7 @@ check: $(VENV)/test.ok
 
 # Warnings are errors: a link that leads nowhere stops it. The site is build/site/index.html.
 docs: $(VENV)/docs.ok
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) $(BLENDER) build dist .pytest_cache .mypy_cache .ruff_cache

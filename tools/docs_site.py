@@ -50,9 +50,9 @@ def public_names() -> str:
             module = f"skyproof.{node.module}"
             for alias in node.names:
                 link = f"[`sp.{alias.name}`][{module}.{alias.name}]"
-                rows.append(f"| {link} | {summary(module, alias.name)} |")
+                rows.append(f"- {link}: {summary(module, alias.name)}")
     head = "# import skyproof as sp\n\nThese are the names that programs need.\n\n"
-    return head + "| name | what it is |\n| -- | -- |\n" + "\n".join(sorted(rows)) + "\n"
+    return head + "\n".join(sorted(rows, key=str.lower)) + "\n"
 
 
 def target_on_site(target: str, page: str) -> str | None:

@@ -72,7 +72,7 @@ class Demo:
         gsd: metres per pixel of images that do not say it themselves.
         blur_sigma_px: blur of the vehicles; where not given, the paper's 2.4 on procedural ground and the imagery's own
             on imagery.
-        frames: real annotated frames to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD (COCO, YOLO or
+        frames: real annotated frames to check the detectors on, `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD` (COCO, YOLO or
             DOTA labels), e.g. kit/MOS*@0.116.
         frame_classes: class names that count as vehicles in them; other classes are ignored, not counted as mistakes.
         detectors: which to build and attack together.

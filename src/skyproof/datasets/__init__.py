@@ -1,0 +1,5 @@
+"""Labelled images: writing them as a folder of PNGs with COCO annotations, and reading any set lazily.
+
+Here belongs what training, judging and exporting need to know of a set of images. Making the
+images belongs to `render`, `cycles` and `imagery`.
+"""
