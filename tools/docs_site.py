@@ -12,7 +12,11 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "skyproof"
 # Pages of the root folder and their names on the site.
-PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
 
 
 def rooms() -> dict[str, list[str]]:
@@ -71,7 +75,11 @@ def target_on_site(target: str, page: str) -> str | None:
         there = PAGES[path]
     elif path.startswith("docs/"):
         there = path.removeprefix("docs/")
-    elif path.startswith("src/skyproof/") and not path.startswith("src/skyproof/cli/") and path.endswith(".py"):
+    elif (
+        path.startswith("src/skyproof/")
+        and not path.startswith("src/skyproof/cli/")
+        and path.endswith(".py")
+    ):
         module = path.removeprefix("src/").removesuffix(".py").removesuffix("/__init__").split("/")
         room = module[1] if len(module) > 2 or (PACKAGE / module[1]).is_dir() else "skyproof"
         there, anchor = f"reference/{room}.md", ".".join(module)

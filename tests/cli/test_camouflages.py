@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyproof.results.outcomes import read_outcomes
+from skyproof.results.pairs.outcomes import read_outcomes
 from tests.cli.conftest import Skyproof, bytes_of
 
 STEPS = [

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from skyproof.results.planning import Assumptions, vehicles_needed
-from skyproof.results.tiles import Series, TileCounts, write_tiles
+from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
+from skyproof.results.statistics.planning import Assumptions, vehicles_needed
 from tests.cli.conftest import Skyproof, flags
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from skyproof.files import read_json, write_json, write_jsonl
-from skyproof.results.outcomes import Outcome, read_outcomes, write_outcomes
-from skyproof.results.sets import SetScore
+from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcomes
+from skyproof.results.pairs.sets import SetScore
+from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.summary import summarise
-from skyproof.results.tiles import count_tiles
 
 DETECTORS = ("retinanet", "faster_rcnn")
 HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}

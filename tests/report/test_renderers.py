@@ -19,7 +19,7 @@ from skyproof.files import read_json, write_json
 from skyproof.report.renderers import compare_renderers, survival
 from skyproof.report.report import write_report
 from skyproof.report.run import Headline
-from skyproof.report.words import interval, percent, points
+from skyproof.words import interval, percent, points
 
 RATES = ("easr", "net_easr")
 

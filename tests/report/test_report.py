@@ -14,11 +14,11 @@ from fabricate import fabricate
 
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
-from skyproof.report.conditions import Bin, Panel
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
-from skyproof.report.words import interval, number, percent, probability
-from skyproof.results.intervals import Interval
+from skyproof.results.conditions import Bin, Panel
+from skyproof.results.statistics.intervals import Interval
+from skyproof.words import interval, number, percent, probability
 
 
 @pytest.fixture(scope="module")

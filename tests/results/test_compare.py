@@ -6,7 +6,7 @@ import math
 import pytest
 import torch
 
-from skyproof.results.compare import Comparison, compare, count_false_alarms
+from skyproof.results.pairs.compare import Comparison, compare, count_false_alarms
 from skyproof.scenes.weather import draw_weather
 
 COMPARISON = Comparison("T-U", "torch", "retinanet", "centre_1m", 0.5, 0.125)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from skyproof.results.differences import difference_interval
-from skyproof.results.intervals import cluster_interval, resample
-from skyproof.results.rates import success_difference
+from skyproof.results.statistics.differences import difference_interval
+from skyproof.results.statistics.intervals import cluster_interval, resample
+from skyproof.results.statistics.rates import success_difference
 
 TILES, VEHICLES = 40, 6
 MARGIN = 1 - 0.025 ** (1 / TILES)

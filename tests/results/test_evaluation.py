@@ -14,8 +14,8 @@ from skyproof.errors import ConfigurationError
 from skyproof.results.clean import CleanSet
 from skyproof.results.evaluation import evaluate_pairs
 from skyproof.results.merge import merge_evaluations
-from skyproof.results.outcomes import read_outcomes
-from skyproof.results.tiles import Series, count_tiles
+from skyproof.results.pairs.outcomes import read_outcomes
+from skyproof.results.pairs.tiles import Series, count_tiles
 from skyproof.scenes.scene import write_scenes
 
 

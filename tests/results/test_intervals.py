@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from skyproof.results.intervals import (
+from skyproof.results.statistics.intervals import (
     _effective_limits,
     cluster_interval,
     holm,
@@ -15,7 +15,7 @@ from skyproof.results.intervals import (
     mean_interval,
     resample,
 )
-from skyproof.results.rates import overall_attack_success_rate
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 
 def easr(counts):

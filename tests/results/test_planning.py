@@ -7,15 +7,15 @@ import pytest
 from scipy import special
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.intervals import cluster_interval, resample
-from skyproof.results.planning import (
+from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.statistics.intervals import cluster_interval, resample
+from skyproof.results.statistics.planning import (
     Assumptions,
     assume_from_pilot,
     expected_half_width,
     vehicles_needed,
 )
-from skyproof.results.rates import overall_attack_success_rate
-from skyproof.results.tiles import Series, TileCounts
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 
 def easr(counts):

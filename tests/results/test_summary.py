@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from skyproof.results.intervals import mcnemar_p
-from skyproof.results.outcomes import Outcome
-from skyproof.results.sets import SetScore
+from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.pairs.sets import SetScore
+from skyproof.results.pairs.tiles import count_tiles
+from skyproof.results.statistics.intervals import mcnemar_p
 from skyproof.results.summary import summarise
-from skyproof.results.tiles import count_tiles
 
 REQUIRED = [
     "camouflage",

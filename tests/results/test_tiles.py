@@ -9,9 +9,9 @@ import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.results.merge import merge_evaluations
-from skyproof.results.outcomes import Outcome
-from skyproof.results.sets import SetScore, read_sets, write_sets
-from skyproof.results.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
+from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.pairs.sets import SetScore, read_sets, write_sets
+from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
 
 
 def outcome(tile, camouflage, before, after, detector="yolov5"):

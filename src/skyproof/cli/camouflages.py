@@ -21,8 +21,8 @@ from skyproof.cli.stages import (
 )
 from skyproof.detectors.card import read_card
 from skyproof.errors import ConfigurationError
-from skyproof.report.words import interval, percent
 from skyproof.scenes.settings import SceneSettings
+from skyproof.words import interval, percent
 
 __all__ = ["Attack", "Control", "Measure", "Palette", "Score"]
 

@@ -14,8 +14,8 @@ from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing, write_json
-from skyproof.report.words import interval, percent
 from skyproof.results.clean import check_clean
+from skyproof.words import interval, percent
 
 __all__ = ["Check"]
 

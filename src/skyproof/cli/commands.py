@@ -13,7 +13,7 @@ from skyproof.detectors.card import read_card
 from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.report.report import write_report
-from skyproof.report.words import interval, percent
+from skyproof.words import interval, percent
 
 __all__ = ["Evaluate", "Report", "Train"]
 

@@ -10,7 +10,7 @@ from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from skyproof.results.planning import Assumptions
+    from skyproof.results.statistics.planning import Assumptions
 
 __all__ = ["SampleSize"]
 
@@ -45,7 +45,7 @@ class SampleSize:
 
     def run(self) -> None:
         """Prints the answer and what other half-widths would need."""
-        from skyproof.results.planning import SMALLEST, vehicles_needed
+        from skyproof.results.statistics.planning import SMALLEST, vehicles_needed
 
         assumptions, source = self._assumptions()
         need = vehicles_needed(self.half_width, assumptions)
@@ -96,8 +96,8 @@ class SampleSize:
         return replace(assumptions, design_effect=effect), source
 
     def _start(self) -> tuple[Assumptions, str]:
-        from skyproof.results.planning import Assumptions, assume_from_pilot
-        from skyproof.results.tiles import read_tiles
+        from skyproof.results.pairs.tiles import read_tiles
+        from skyproof.results.statistics.planning import Assumptions, assume_from_pilot
 
         if self.pilot is None:
             return Assumptions(_EASR, vehicles_per_tile=_VEHICLES_PER_TILE), "assumed"

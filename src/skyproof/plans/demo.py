@@ -37,8 +37,8 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import read_json, write_bytes
 from skyproof.plans.run_folder import RunFolder
 from skyproof.report.report import write_report
-from skyproof.report.words import interval, percent
 from skyproof.scenes.splits import SPLITS
+from skyproof.words import interval, percent
 
 __all__ = ["Demo", "check_detectors", "run_demo"]
 

@@ -1,1 +1,4 @@
-"""Report: one self-contained HTML page from a run folder's files alone. Imports no torch."""
+"""Results as one self-contained HTML page, with tables and pictures.
+
+No statistics are done here, and no torch is imported.
+"""

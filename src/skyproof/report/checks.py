@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skyproof.report.run import Run, is_real
-from skyproof.report.words import detector_name, interval, percent
+from skyproof.words import detector_name, interval, percent
 
 __all__ = ["CheckedSet", "Standing", "checked_sets", "standing"]
 

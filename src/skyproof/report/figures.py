@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from skyproof.report.conditions import Panel
 from skyproof.report.run import Headline
-from skyproof.report.words import detector_name
+from skyproof.results.conditions import Panel
+from skyproof.words import detector_name
 
 __all__ = ["condition_figure", "forest_figure", "loss_figure"]
 

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json, read_jsonl
 from skyproof.report.run import MAIN_MATCH, Run
-from skyproof.results.outcomes import Outcome
+from skyproof.results.pairs.outcomes import Outcome
 
 __all__ = ["Pair", "image_uri", "make_pairs"]
 

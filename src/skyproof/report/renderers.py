@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from skyproof.report import words
+from skyproof import words
 from skyproof.report.run import Headline
-from skyproof.results.intervals import Interval
+from skyproof.results.statistics.intervals import Interval
 
 __all__ = ["Compared", "compare_renderers", "survival"]
 

@@ -12,15 +12,16 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
+from skyproof import words
 from skyproof.errors import StoredFileError
 from skyproof.files import write_bytes
-from skyproof.report import words
+from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
-from skyproof.report.conditions import Panel, condition_panels
 from skyproof.report.figures import condition_figure, forest_figure, loss_figure
 from skyproof.report.pairs import Pair, image_uri, make_pairs
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.run import MAIN_MATCH, Headline, Run, read_run
+from skyproof.results.conditions import Panel, condition_panels
 
 __all__ = ["write_report"]
 
@@ -119,7 +120,7 @@ def _section(run: Run, headline: Headline, second: Headline | None = None) -> _S
     panels = _panels(run, headline)
     return _Section(
         headline=headline,
-        answer=words.answer(headline),
+        answer=answer(headline),
         forest=Markup(forest_figure(headline)),
         pairs=make_pairs(run, name, headline.renderer, detector),
         pairs_detector=detector,
@@ -136,7 +137,7 @@ def _second(run: Run, first: Headline, headline: Headline) -> _Second:
     panels = _panels(run, headline)
     return _Second(
         headline=headline,
-        answer=[*words.answer(headline), survival(first, headline)],
+        answer=[*answer(headline), survival(first, headline)],
         rows=compare_renderers(first, headline),
         pairs=make_pairs(
             run, headline.camouflage, headline.renderer, _first_detector(first), _PAIRS_OF_SECOND

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from skyproof.files import write_bytes, write_json
-from skyproof.report.reproduction_figure import easr_against_practicality
-from skyproof.report.reproduction_page import reproduction_page, shape_table, texture_table
-from skyproof.report.reproduction_run import read_reproduction
-from skyproof.report.reproduction_tables import reproduction_tables
+from skyproof.paper.page import reproduction_page, shape_table, texture_table
+from skyproof.paper.run import read_reproduction
+from skyproof.paper.tables import reproduction_tables
+from skyproof.report.practicality_figure import easr_against_practicality
 
 __all__ = ["write_reproduction"]
 

@@ -10,7 +10,7 @@ from typing import Any
 from skyproof.camouflage.names import is_control, matched_control
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json, read_jsonl
-from skyproof.results.outcomes import Outcome, read_outcomes
+from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 
 __all__ = ["Headline", "Run", "is_real", "read_run"]
 

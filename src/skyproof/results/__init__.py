@@ -1,1 +1,4 @@
-"""Evaluation: one outcome per vehicle, success rates, intervals over background tiles, the table of results."""
+"""What was measured: matched vehicles, rates with intervals, checks, and the one `Results` of a run.
+
+A score folder holds all that was measured in one go; `Results` reads all score folders of a run.
+"""

@@ -14,7 +14,7 @@ from skyproof.datasets.labelled import LabelledImages
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import Criterion, match_detections
 from skyproof.errors import ConfigurationError
-from skyproof.results.intervals import bootstrap_interval, resample
+from skyproof.results.statistics.intervals import bootstrap_interval, resample
 
 __all__ = ["ap_interval"]
 

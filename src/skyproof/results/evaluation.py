@@ -17,12 +17,12 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_json, write_jsonl
 from skyproof.results.clean import CleanSet, check_clean
-from skyproof.results.compare import Comparison, compare, count_false_alarms
-from skyproof.results.outcomes import MATCHES, Outcome, write_outcomes
-from skyproof.results.rates import false_alarms_per_km2
-from skyproof.results.sets import ORIGINAL, SetScore, write_sets
+from skyproof.results.pairs.compare import Comparison, compare, count_false_alarms
+from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
+from skyproof.results.pairs.sets import ORIGINAL, SetScore, write_sets
+from skyproof.results.pairs.tiles import count_tiles, write_tiles
+from skyproof.results.statistics.rates import false_alarms_per_km2
 from skyproof.results.summary import summarise
-from skyproof.results.tiles import count_tiles, write_tiles
 from skyproof.scenes.scene import Scene, read_scenes
 
 __all__ = ["evaluate_pairs"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.sets import ORIGINAL, SetScore, read_sets
-from skyproof.results.tiles import Series, TileCounts, read_tiles
+from skyproof.results.pairs.sets import ORIGINAL, SetScore, read_sets
+from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
 
 __all__ = ["merge_evaluations"]
 

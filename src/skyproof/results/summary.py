@@ -11,7 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.names import is_control, matched_control, pooled_name
-from skyproof.results.intervals import (
+from skyproof.results.pairs.outcomes import MATCHES
+from skyproof.results.pairs.sets import ORIGINAL, SetScore
+from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.statistics.intervals import (
     Interval,
     cluster_interval,
     holm,
@@ -19,15 +22,12 @@ from skyproof.results.intervals import (
     mean_interval,
     resample,
 )
-from skyproof.results.outcomes import MATCHES
-from skyproof.results.rates import (
+from skyproof.results.statistics.rates import (
     attack_success_rate,
     enhancement_rate,
     overall_attack_success_rate,
     success_difference,
 )
-from skyproof.results.sets import ORIGINAL, SetScore
-from skyproof.results.tiles import Series, TileCounts
 
 __all__ = ["MEAN", "summarise"]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.curves import curve_families, p1_score, practicality_curve
-from skyproof.results.tiles import Series, TileCounts
+from skyproof.paper.curves import curve_families, p1_score, practicality_curve
+from skyproof.results.pairs.tiles import Series, TileCounts
 
 
 def made(lost, tiles=20, found=10):

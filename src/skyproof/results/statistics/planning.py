@@ -10,8 +10,8 @@ from jaxtyping import Int
 
 from skyproof.camouflage.names import is_control
 from skyproof.errors import ConfigurationError
-from skyproof.results.intervals import effective_limits, unanimous_margin
-from skyproof.results.tiles import TileCounts
+from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
 
 __all__ = ["Assumptions", "Need", "assume_from_pilot", "expected_half_width", "vehicles_needed"]
 

@@ -12,10 +12,10 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 
+from skyproof.paper.curves import Curve
+from skyproof.paper.paper_results import PAPER_RESULTS
+from skyproof.paper.run import Reproduction
 from skyproof.report.figures import GREY, INK, STYLE
-from skyproof.report.reproduction_run import Reproduction
-from skyproof.results.curves import Curve
-from skyproof.results.paper_results import PAPER_RESULTS
 
 __all__ = ["easr_against_practicality"]
 

@@ -1,4 +1,4 @@
-"""A run folder of `skyproof reproduce`, of made-up counts; `python -m tests.report.fabricate_reproduction FOLDER`."""
+"""A run folder of `skyproof reproduce`, of made-up counts; `python -m tests.paper.fabricate FOLDER`."""
 
 import sys
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
-from skyproof.results.sets import SetScore, write_sets
-from skyproof.results.tiles import Series, TileCounts, write_tiles
+from skyproof.results.pairs.sets import SetScore, write_sets
+from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
 
 DETECTORS = ("retinanet", "yolov5")
 TILES = tuple(f"tile-{index:02d}" for index in range(20))

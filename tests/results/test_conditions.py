@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from skyproof.report.conditions import condition_panels
-from skyproof.results.outcomes import Outcome
+from skyproof.results.conditions import condition_panels
+from skyproof.results.pairs.outcomes import Outcome
 
 
 def outcomes(conditions):

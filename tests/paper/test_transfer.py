@@ -3,7 +3,7 @@
 import pytest
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.transfer import transfer_matrix
+from skyproof.paper.transfer import transfer_matrix
 
 
 def row(camouflage, detector, easr, **changes):

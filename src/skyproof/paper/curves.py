@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 
 from skyproof.camouflage.names import is_control, pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.results.intervals import Interval, mean_interval, resample, resampled
-from skyproof.results.rates import overall_attack_success_rate
-from skyproof.results.tiles import TileCounts
+from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.statistics.intervals import Interval, mean_interval, resample, resampled
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 __all__ = ["Curve", "Point", "curve_families", "p1_score", "practicality_curve"]
 

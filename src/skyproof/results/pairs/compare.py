@@ -12,7 +12,7 @@ from torch import Tensor
 
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import Criterion, Matches, match_detections
-from skyproof.results.outcomes import Outcome
+from skyproof.results.pairs.outcomes import Outcome
 from skyproof.scenes.scene import Scene
 
 __all__ = ["Comparison", "compare", "count_false_alarms"]

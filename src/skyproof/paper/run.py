@@ -14,12 +14,12 @@ import numpy as np
 from skyproof.camouflage.names import pooled_name
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json
-from skyproof.results.curves import Curve, curve_families, practicality_curve
-from skyproof.results.intervals import Interval, cluster_interval, resample
+from skyproof.paper.curves import Curve, curve_families, practicality_curve
 from skyproof.results.merge import merge_evaluations
-from skyproof.results.rates import overall_attack_success_rate, success_difference
+from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
+from skyproof.results.statistics.rates import overall_attack_success_rate, success_difference
 from skyproof.results.summary import MEAN, summarise
-from skyproof.results.tiles import Series, TileCounts
 
 __all__ = ["CYCLES", "MATCH", "RENDERER", "Reproduction", "point_name", "read_reproduction"]
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from skyproof.files import write_beside
-from skyproof.results.parquet import read_table
+from skyproof.results.pairs.parquet import read_table
 
 __all__ = ["MATCHES", "Outcome", "read_outcomes", "write_outcomes"]
 

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.agreement import rank_agreement, renderer_agreement
-from skyproof.results.paper_results import PAPER_RESULTS
-from skyproof.results.tiles import Series, TileCounts
+from skyproof.paper.agreement import rank_agreement, renderer_agreement
+from skyproof.paper.paper_results import PAPER_RESULTS
+from skyproof.results.pairs.tiles import Series, TileCounts
 
 PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
 

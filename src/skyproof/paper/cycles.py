@@ -10,7 +10,8 @@ import numpy as np
 
 from skyproof.camouflage.names import is_control, pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.report.reproduction_cells import (
+from skyproof.paper.agreement import Agreement, rank_agreement, renderer_agreement
+from skyproof.paper.cells import (
     Table,
     bracket,
     in_percent,
@@ -18,12 +19,11 @@ from skyproof.report.reproduction_cells import (
     markdown,
     number,
 )
-from skyproof.report.reproduction_run import CYCLES, MATCH, RENDERER, Reproduction
-from skyproof.report.words import detector_name
-from skyproof.results.agreement import Agreement, rank_agreement, renderer_agreement
-from skyproof.results.differences import difference_interval
-from skyproof.results.paper_results import PAPER_RESULTS
-from skyproof.results.rates import overall_attack_success_rate
+from skyproof.paper.paper_results import PAPER_RESULTS
+from skyproof.paper.run import CYCLES, MATCH, RENDERER, Reproduction
+from skyproof.results.statistics.differences import difference_interval
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.words import detector_name
 
 __all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skyproof.results.intervals import Interval
+from skyproof.results.statistics.intervals import Interval
 
 __all__ = [
     "Table",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.report.reproduction_cells import Table, bracket, markdown, number, sign, span, word
-from skyproof.report.reproduction_cycles import cycles_section
-from skyproof.report.reproduction_run import MATCH, Reproduction
-from skyproof.report.reproduction_tables import comparison
-from skyproof.report.words import detector_name, probability
-from skyproof.results.paper_results import PAPER_RESULTS
+from skyproof.paper.cells import Table, bracket, markdown, number, sign, span, word
+from skyproof.paper.cycles import cycles_section
+from skyproof.paper.paper_results import PAPER_RESULTS
+from skyproof.paper.run import MATCH, Reproduction
+from skyproof.paper.tables import comparison
+from skyproof.words import detector_name, probability
 
 __all__ = ["reproduction_page", "shape_table", "texture_table"]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyproof.report.words import body_name
-from skyproof.results.intervals import Interval, mean_interval, resample
-from skyproof.results.outcomes import Outcome
-from skyproof.results.rates import overall_attack_success_rate
-from skyproof.results.tiles import cluster_counts
+from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.pairs.tiles import cluster_counts
+from skyproof.results.statistics.intervals import Interval, mean_interval, resample
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.words import body_name
 
 __all__ = ["Bin", "Panel", "condition_panels"]
 

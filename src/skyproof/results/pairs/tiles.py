@@ -14,8 +14,8 @@ from jaxtyping import Int
 
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
-from skyproof.results.outcomes import Outcome
-from skyproof.results.parquet import read_table
+from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.pairs.parquet import read_table
 
 __all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
 

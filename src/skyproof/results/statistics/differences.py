@@ -7,8 +7,13 @@ import math
 import numpy as np
 from jaxtyping import Float, Int
 
-from skyproof.results.intervals import Interval, cluster_interval, resampled, unanimous_margin
-from skyproof.results.rates import overall_attack_success_rate, success_difference
+from skyproof.results.statistics.intervals import (
+    Interval,
+    cluster_interval,
+    resampled,
+    unanimous_margin,
+)
+from skyproof.results.statistics.rates import overall_attack_success_rate, success_difference
 
 __all__ = ["difference_interval"]
 

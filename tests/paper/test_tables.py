@@ -7,10 +7,10 @@ import pytest
 
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
+from skyproof.paper.run import read_reproduction
+from skyproof.paper.tables import comparison
 from skyproof.report.reproduction import write_reproduction
-from skyproof.report.reproduction_run import read_reproduction
-from skyproof.report.reproduction_tables import comparison
-from tests.report.fabricate_reproduction import write_record, write_scores
+from tests.paper.fabricate import write_record, write_scores
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from scipy import stats
 
 from skyproof.camouflage.names import pooled_name
 from skyproof.errors import ConfigurationError
-from skyproof.results.intervals import Interval, resample, resampled
-from skyproof.results.rates import overall_attack_success_rate
-from skyproof.results.tiles import TileCounts
+from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.statistics.intervals import Interval, resample, resampled
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 __all__ = ["Agreement", "rank_agreement", "renderer_agreement"]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from skyproof.camouflage.names import base_name
 from skyproof.errors import ConfigurationError
-from skyproof.report.reproduction_cells import Table, in_percent, interval_cells
-from skyproof.report.reproduction_cycles import cycles_columns, cycles_tables
-from skyproof.report.reproduction_run import MATCH, Reproduction, point_name
-from skyproof.results.agreement import rank_agreement
-from skyproof.results.paper_results import PAPER_RESULTS, PaperResult
-from skyproof.results.transfer import transfer_matrix
+from skyproof.paper.agreement import rank_agreement
+from skyproof.paper.cells import Table, in_percent, interval_cells
+from skyproof.paper.cycles import cycles_columns, cycles_tables
+from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
+from skyproof.paper.run import MATCH, Reproduction, point_name
+from skyproof.paper.transfer import transfer_matrix
 
 __all__ = ["comparison", "reproduction_tables"]
 

@@ -1,0 +1,75 @@
+"""Numbers and names as words that a reader can trust."""
+
+from __future__ import annotations
+
+__all__ = [
+    "NAMES",
+    "body_name",
+    "detector_name",
+    "interval",
+    "number",
+    "percent",
+    "points",
+    "probability",
+    "renderer_name",
+]
+
+NAMES = {
+    "retinanet": "RetinaNet",
+    "faster_rcnn": "Faster R-CNN",
+    "yolov5": "YOLOv5",
+    "fcos": "FCOS",
+    "mean": "mean",
+}
+_RENDERERS = {"torch": "differentiable renderer", "cycles": "Blender Cycles"}
+_THIN = "\u202f"
+
+
+def detector_name(name: str) -> str:
+    """The detector's usual spelling."""
+    return NAMES.get(name, name)
+
+
+def body_name(name: str) -> str:
+    """A body type's id as words."""
+    return name.replace("_", " ")
+
+
+def renderer_name(name: str) -> str:
+    """A renderer in words."""
+    return _RENDERERS.get(name, name)
+
+
+def percent(fraction: float | int | None, digits: int = 0) -> str:
+    """A fraction as a percentage; a dash where undefined. Never a rounded "-0"."""
+    if fraction is None or fraction != fraction:
+        return "–"
+    text = f"{100 * fraction:.{digits}f}"
+    return (text.lstrip("-") if float(text) == 0 else text.replace("-", "−")) + f"{_THIN}%"
+
+
+def interval(low: float | int | None, high: float | int | None) -> str:
+    """An interval of fractions, "79 to 88 %"; a dash where undefined."""
+    if low is None or high is None or low != low:
+        return "–"
+    return f"{percent(low).removesuffix(_THIN + '%')} to {percent(high)}"
+
+
+def points(fraction: float | None, digits: int = 0) -> str:
+    """A difference of two rates in percentage points, with its sign; a dash where undefined."""
+    if fraction is None or fraction != fraction:
+        return "–"
+    text = f"{100 * fraction:+.{digits}f}"
+    return "0" if float(text) == 0 else text.replace("-", "−")
+
+
+def number(value: float | int | None, digits: int = 0) -> str:
+    """A number with thousands separators; a dash where undefined."""
+    return "–" if value is None or value != value else f"{value:,.{digits}f}".replace(",", _THIN)
+
+
+def probability(value: float | int | None) -> str:
+    """A p-value to one useful digit."""
+    if value is None:
+        return "–"
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"
