@@ -18,7 +18,8 @@ import torch
 from rasterio.transform import from_origin
 from rasterio.windows import Window
 
-from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.settings import TilingSettings
+from skyproof.imagery.tiles.tiling import tile_imagery
 
 BLOCK_PX = 4096
 # Name: side in px, stretches that hold data, metres per pixel, reference system, tiled inside, tile side.

@@ -25,13 +25,11 @@ COMMANDS: dict[str, dict[str, str]] = {
     },
     "Ground and vehicles": {
         "world": "skyproof.cli.world:World",
-        "imagery tile": "skyproof.cli.imagery:Tile",
-        "imagery labels": "skyproof.cli.labels:Labels",
-        "imagery clear": "skyproof.cli.clear:Clear",
-        "imagery drop": "skyproof.cli.clear:Drop",
-        "imagery sensor": "skyproof.cli.sensor:SetSensor",
-        "vehicles wrap": "skyproof.cli.vehicles:Wrap",
-        "vehicles mix": "skyproof.cli.vehicles:Mix",
+        "ground": "skyproof.cli.ground:Ground",
+        "clear": "skyproof.cli.clear:Clear",
+        "adjust": "skyproof.cli.adjust:Adjust",
+        "export": "skyproof.cli.export:Export",
+        "vehicles": "skyproof.cli.vehicles:Vehicles",
     },
     "Images": {
         "scenes": "skyproof.cli.scenes:Scenes",
@@ -120,12 +118,8 @@ def load_command(name: str) -> type[Any]:
 def _parse(words: Sequence[str]) -> Any:
     import tyro
 
-    # Until the commands of two words are gone.
-    names = {name for group in COMMANDS.values() for name in group}
-    count = 2 if " ".join(words[:2]) in names else 1
-    command = load_command(" ".join(words[:count]))
     # Settings check themselves while they are parsed.
-    return tyro.cli(command, prog=f"skyproof {' '.join(words[:count])}", args=words[count:])
+    return tyro.cli(load_command(words[0]), prog=f"skyproof {words[0]}", args=words[1:])
 
 
 def _overview() -> str:

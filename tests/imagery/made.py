@@ -7,8 +7,8 @@ import rasterio
 import torch
 from rasterio.transform import Affine
 
-from skyproof.imagery.tiles.sources import SourceSettings
-from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.settings import SourceSettings, TilingSettings
+from skyproof.imagery.tiles.tiling import tile_imagery
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 
@@ -54,15 +54,17 @@ def tile(
     minimum_px=None,
     block_m=None,
     like=None,
-    **sources,
+    source_gsd_m=None,
+    crs=None,
+    licence=None,
 ):
-    """Tiles with small tiles; what is left goes to the sources. Returns the set and the record."""
+    """Cuts small tiles. Returns the set and the record."""
     record = tile_imagery(
         paths,
         folder,
         settings=TilingSettings(gsd_m, size_px, minimum_px, block_m, like),
         generator=torch.Generator().manual_seed(seed),
-        source_settings=SourceSettings(**sources),
+        source_settings=SourceSettings(source_gsd_m, crs, licence),
         labels=labels,
     )
     return BackgroundSet.open(folder), record

@@ -12,8 +12,9 @@ from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
-from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
+from skyproof.imagery.clearing.clear import clear_backgrounds, drop_tiles
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, write_index
 from skyproof.scenes.splits import SPLITS
 

@@ -223,26 +223,11 @@ def test_what_cannot_be_written_leaves_nothing(dataset, tmp_path, form):
 
 
 def test_the_command_says_what_a_form_could_not(dataset, tmp_path, capsys):
-    assert (
-        run(
-            ["imagery", "labels", str(dataset), "--format", "yolo", "--out", str(tmp_path / "yolo")]
-        )
-        == 0
-    )
+    assert run(["export", str(dataset), "--format", "yolo", "--out", str(tmp_path / "yolo")]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "3 vehicles and 0 ignore regions of 2 images" in told
     assert "1 ignore regions left out" in told
-    assert (
-        run(
-            ["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]
-        )
-        == 0
-    )
+    assert run(["export", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]) == 0
     assert "2 vehicles have the upright box" in " ".join(capsys.readouterr().out.split())
-    assert (
-        run(
-            ["imagery", "labels", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]
-        )
-        == 2
-    )
+    assert run(["export", str(dataset), "--format", "dota", "--out", str(tmp_path / "dota")]) == 2
     assert "not overwritten" in " ".join(capsys.readouterr().err.split())

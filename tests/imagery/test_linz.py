@@ -77,8 +77,8 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     (tmp_path / "cars.geojson").write_text(json.dumps(document))
     out = tmp_path / "tiles"
     words = [
-        "imagery", "tile", export, "--size", 128, "--out", out, "--labels", tmp_path / "cars.geojson",
-        "--classes", "Small Vehicle", "--point-box-m", 2.0, "--licence", "CC BY 4.0, LINZ Data Service",
+        "ground", export, "--tiling.size-px", 128, "--out", out, "--labels.path", tmp_path / "cars.geojson",
+        "--labels.classes", "Small Vehicle", "--labels.point-box-m", 2.0, "--source.licence", "CC BY 4.0, LINZ Data Service",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0, capsys.readouterr().err
     backgrounds = BackgroundSet.open(out)
@@ -104,17 +104,17 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
 
 def test_the_command_refuses_in_one_sentence(tmp_path, export, capsys):
     for words, message in (
-        (["--size", "0"], "at least 1 px"),
-        (["--labels", str(tmp_path / "none.geojson")], "none.geojson is missing"),
-        (["--crs", "moon"], "--crs expects"),
+        (["--tiling.size-px", "0"], "at least 1 px"),
+        (["--labels.path", str(tmp_path / "none.geojson")], "none.geojson is missing"),
+        (["--source.crs", "moon"], "--source.crs expects"),
     ):
-        assert run(["imagery", "tile", str(export), "--out", str(tmp_path / "out"), *words]) == 2
+        assert run(["ground", str(export), "--out", str(tmp_path / "out"), *words]) == 2
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
         assert [*tmp_path.iterdir()] == [export]
     (tmp_path / "out").mkdir()
-    assert run(["imagery", "tile", str(export), "--out", str(tmp_path / "out")]) == 2
+    assert run(["ground", str(export), "--out", str(tmp_path / "out")]) == 2
     assert "exists already" in capsys.readouterr().err
 
 
@@ -122,7 +122,7 @@ def test_a_sheet_that_is_cut_off_leaves_nothing(tmp_path, export, capsys):
     sheet = export / "BX23_500_032044.tif"
     sheet.write_bytes(sheet.read_bytes()[: sheet.stat().st_size // 2])
     assert (
-        run(["imagery", "tile", str(export), "--size", "128", "--out", str(tmp_path / "out")]) == 2
+        run(["ground", str(export), "--tiling.size-px", "128", "--out", str(tmp_path / "out")]) == 2
     )
     error = capsys.readouterr().err
     assert sheet.name in error

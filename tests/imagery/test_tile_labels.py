@@ -11,7 +11,7 @@ from rasterio.warp import transform as transform_places
 from skyproof.datasets.coco import read_coco
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
-from skyproof.imagery.tiles.placed_labels import LabelSettings
+from skyproof.imagery.settings import LabelSettings
 from tests.imagery.made import all_tiles, noise, tile, write_image
 
 NZTM = "EPSG:2193"
@@ -183,5 +183,5 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
         ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"
     ):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
-    with pytest.raises(ConfigurationError, match="--border-px"):
+    with pytest.raises(ConfigurationError, match=r"--labels\.border-px"):
         LabelSettings(WHERE, border_px=-1.0)

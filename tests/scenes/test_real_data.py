@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from skyproof.imagery.frames import read_frames_folder
-from skyproof.imagery.tiles.tiling import TilingSettings, tile_imagery
+from skyproof.imagery.settings import TilingSettings
+from skyproof.imagery.tiles.tiling import tile_imagery
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 

@@ -193,22 +193,8 @@ def test_fleets_written_before_wrapping_are_read(tmp_path: Path) -> None:
 def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = write_obj(tmp_path / "mesh")
     out = tmp_path / "wrapped"
-    assert (
-        run(
-            [
-                "vehicles",
-                "wrap",
-                str(mesh),
-                "--out",
-                str(out),
-                "--names",
-                "Model Car",
-                "--licence",
-                "ours",
-            ]
-        )
-        == 0
-    )
+    options = ["--wrapping.names", "Model Car", "--wrapping.licence", "ours"]
+    assert run(["vehicles", str(mesh), "--out", str(out), *options]) == 0
     assert sorted(path.name for path in out.iterdir()) == [
         "fleet.json",
         "fleet.safetensors",
@@ -221,20 +207,12 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "0.99" in capsys.readouterr().out
     with Image.open(out / "turntable.png") as sheet:
         assert sheet.width > 2000
-    assert run(["vehicles", "mix", str(out), str(out), "--out", str(tmp_path / "twice")]) == 2
+    assert run(["vehicles", str(out), str(out), "--out", str(tmp_path / "twice")]) == 2
     assert "model-car-1000" in capsys.readouterr().err
     assert not (tmp_path / "twice").exists()
-    assert run(["vehicles", "mix", str(out), "--out", str(out)]) == 2
-    strict = [
-        "vehicles",
-        "wrap",
-        str(mesh),
-        "--out",
-        str(tmp_path / "strict"),
-        "--minimum-iou",
-        "0.9999",
-    ]
-    assert run(strict) == 2
+    assert run(["vehicles", str(out), "--out", str(out)]) == 2
+    strict = ["vehicles", str(mesh), "--out", str(tmp_path / "strict")]
+    assert run([*strict, "--wrapping.minimum-iou", "0.9999"]) == 2
     assert "IoU" in capsys.readouterr().err
     assert not (tmp_path / "strict").exists()
 

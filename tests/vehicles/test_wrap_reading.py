@@ -101,7 +101,7 @@ def test_a_mesh_of_another_size_is_refused_with_a_scale_that_fits(tmp_path: Path
     path = write_obj(tmp_path, car(unit=0.0254))
     with pytest.raises(ConfigurationError, match=r"173 x 70\.\d x 59\.\d m") as caught:
         orient(read_mesh(path))
-    scale = float(re.search(r"--scale ([\d.]+) would", str(caught.value)).group(1))
+    scale = float(re.search(r"--wrapping.scale ([\d.]+) would", str(caught.value)).group(1))
     assert scale == 0.0254
     orient(read_mesh(path), scale=scale)
     with pytest.raises(ConfigurationError, match="not a vehicle's size"):
@@ -166,7 +166,7 @@ def test_what_is_no_mesh_is_named_in_one_sentence(
         trimesh.Trimesh(np.zeros((3, 3)), [[0, 1, 2]], process=False).export(path)
     elif what == "no scene":
         path.write_text("<COLLADA><library_geometries/></COLLADA>")
-    assert run(["vehicles", "wrap", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert run(["vehicles", str(path), "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert str(path) in error
@@ -178,12 +178,12 @@ def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     mesh = str(write_obj(tmp_path / "mesh"))
     out = ["--out", str(tmp_path / "out")]
     for words, expected in (
-        (["--scale", "1", "2"], "--scale expects one value per mesh"),
-        (["--scale", "0"], "above 0"),
-        (["--names", "a", "b"], "--names expects one value per mesh"),
-        (["--paintable", mesh], "cannot be read as a picture"),
+        (["--wrapping.scale", "1", "2"], "--wrapping.scale expects one value per mesh"),
+        (["--wrapping.scale", "0"], "above 0"),
+        (["--wrapping.names", "a", "b"], "--wrapping.names expects one value per mesh"),
+        (["--wrapping.paintable", mesh], "cannot be read as a picture"),
     ):
-        assert run(["vehicles", "wrap", mesh, *out, *words]) == 2
+        assert run(["vehicles", mesh, *out, *words]) == 2
         assert expected in capsys.readouterr().err
 
 

@@ -1,24 +1,23 @@
-"""Vehicle-free backgrounds from real tiles as commands: clear a tiled folder, and drop what a person rejects."""
+"""`skyproof clear`: vehicle-free backgrounds from real tiles."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
+from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.cli.device import choose_device
-from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.weights import weights_digest
 from skyproof.files import finished_folder, refuse_existing
-from skyproof.imagery.clearing.clear import ClearSettings, clear_backgrounds, drop_tiles
-from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, Inpainting, LearntInpainting
-from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+from skyproof.imagery.settings import ClearSettings
 
-__all__ = ["Clear", "Drop"]
+if TYPE_CHECKING:
+    from skyproof.imagery.clearing.inpainting import Inpainting
+    from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+
+__all__ = ["Clear"]
 
 
 @dataclass(frozen=True)
@@ -29,37 +28,31 @@ class Clear:
     the result, and sheets/index.html shows a person what was done.
 
     Attributes:
-        folder: tiled folder, as skyproof imagery tile writes it.
+        folder: tiled folder, as `skyproof ground` writes it from imagery.
         out: tiled folder to write.
-        detector: detector folder; finds vehicles that are not labelled.
+        detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default.
         inpainting: TorchScript or torch.export file of a network that takes image and mask, such as LaMa.
-        method: without a file: exemplar (ground copied from nearby), telea or navier-stokes (OpenCV's).
-        finding_score: everything the detector finds with at least this score is removed.
-        margin_m: by which vehicles' boxes are grown, in metres.
-        largest_masked_share: tiles with more to remove than this are left out.
-        device: auto, cpu or cuda; for the detectors.
+        method: how ground is filled without a network: exemplar (ground copied from nearby), or telea or
+            navier-stokes (OpenCV's).
+        device: auto, cpu or cuda; where the detectors run.
+        settings: how vehicles are removed.
     """
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Positional[Path]
     out: Path
     detector: Path | None = None
     check_detector: Path | None = None
     inpainting: Path | None = None
     method: Literal["exemplar", "telea", "navier-stokes"] = "exemplar"
-    finding_score: float = ClearSettings.finding_score
-    margin_m: float = ClearSettings.margin_m
-    largest_masked_share: float = ClearSettings.largest_masked_share
     device: str = "auto"
+    settings: ClearSettings = field(default_factory=ClearSettings)
 
     def run(self) -> None:
         """Clears the folder."""
+        from skyproof.imagery.clearing.clear import clear_backgrounds
+
         refuse_existing(self.out)
-        settings = ClearSettings(
-            finding_score=self.finding_score,
-            margin_m=self.margin_m,
-            largest_masked_share=self.largest_masked_share,
-        )
         inpainting = self._inpainting()
         finder = _finder(self.detector, self.device)
         checker = _finder(self.check_detector, self.device) if self.check_detector else finder
@@ -76,30 +69,16 @@ class Clear:
                 self.folder,
                 partial,
                 inpainting,
-                settings,
+                self.settings,
                 finder=finder,
                 checker=checker,
                 progress=progress,
             )
-        totals = record["totals"]
-        left_out = (
-            ", ".join(f"{count} because {why}" for why, count in totals["left_out"].items())
-            or "none"
-        )
-        say(f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}.")
-        for split in totals["splits_without_tiles"]:
-            say(
-                f"No tile of the split {split} is left; give more imagery before using this folder for it."
-            )
-        removed = totals["labelled_removed"] + totals["detected_removed"]
-        say(f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled.")
-        if checker is None:
-            say("Not checked by a detector: a person has to look at every tile.")
-        say(
-            f"Look at {(self.out / 'sheets' / 'index.html').resolve()}; reject tiles with skyproof imagery drop."
-        )
+        self._say_record(record, checked=checker is not None)
 
     def _inpainting(self) -> Inpainting:
+        from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, LearntInpainting
+
         if self.inpainting is not None:
             return LearntInpainting(self.inpainting)
         inpainting = Exemplar() if self.method == "exemplar" else Diffusion(self.method)
@@ -107,30 +86,29 @@ class Clear:
         inpainting.record()
         return inpainting
 
-
-@dataclass(frozen=True)
-class Drop:
-    """Takes tiles that a person rejected out of a tiled folder's index; their pictures stay on disk.
-
-    Attributes:
-        folder: tiled or cleared folder.
-        tiles: their ids, as on the sheets.
-    """
-
-    folder: Annotated[Path, tyro.conf.Positional]
-    tiles: tuple[str, ...]
-
-    def run(self) -> None:
-        """Rewrites the index."""
-        emptied = drop_tiles(self.folder, self.tiles)
-        say(f"Dropped {len(set(self.tiles))} tiles from {self.folder.resolve()}")
-        for split in emptied:
+    def _say_record(self, record: dict[str, Any], *, checked: bool) -> None:
+        totals = record["totals"]
+        reasons = [f"{count} because {why}" for why, count in totals["left_out"].items()]
+        left_out = ", ".join(reasons) or "none"
+        say(f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}.")
+        for split in totals["splits_without_tiles"]:
             say(
                 f"No tile of the split {split} is left; give more imagery before using this folder for it."
             )
+        removed = totals["labelled_removed"] + totals["detected_removed"]
+        say(f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled.")
+        if not checked:
+            say("Not checked by a detector: a person has to look at every tile.")
+        sheet = (self.out / "sheets" / "index.html").resolve()
+        say(f"Look at {sheet}; reject tiles with skyproof adjust {self.out} --drop.")
 
 
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
+    from skyproof.cli.device import choose_device
+    from skyproof.detectors.loaded import load_detector
+    from skyproof.detectors.weights import weights_digest
+    from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+
     if folder is None:
         return None
     loaded = load_detector(folder)

@@ -31,7 +31,7 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD`, e.g. `kit/MOS*@0.116`.
 
     LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images. Arguments of the
-    same NAME are one set. Each argument counts as one place; in a set that `skyproof imagery tile` cut, each source.
+    same NAME are one set. Each argument counts as one place; in a set that `skyproof ground` cut, each source.
 
     Raises:
         ConfigurationError: a text of another form.

@@ -1,27 +1,25 @@
-"""`skyproof vehicles`: real meshes as vehicles of a fleet, and fleets mixed."""
+"""`skyproof vehicles`: fleets, drawn at random or made of real meshes and other fleets."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
-import torch
-import tyro
-from PIL import Image
+from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
-from skyproof.render.turntable import turntable_row, turntable_sheet
-from skyproof.vehicles.fleet import Fleet, mix_fleets
-from skyproof.vehicles.template import make_template
-from skyproof.vehicles.wrapping.wrap import WrappedVehicle, wrap_mesh
+from skyproof.scenes.splits import SPLITS
+from skyproof.vehicles.settings import WrapSettings
 
-__all__ = ["Mix", "Wrap"]
+if TYPE_CHECKING:
+    from skyproof.vehicles.fleet import Fleet
+    from skyproof.vehicles.wrapping.wrap import WrappedVehicle
 
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+__all__ = ["Vehicles"]
 
 _COLUMNS = {
     "iou_above": "IoU above",
@@ -34,140 +32,174 @@ _COLUMNS = {
 
 
 @dataclass(frozen=True)
-class Wrap:
-    """Wraps real meshes onto the shared template, with their colours and part labels: OBJ, GLB or DAE in, a fleet out.
+class Vehicles:
+    """Draws four fleets, one per split; or makes one fleet of real meshes and of other fleets.
+
+    Meshes are wrapped onto the shared template with their colours and part labels. wrap.json says how well each fits,
+    and turntable.png shows them.
 
     Attributes:
-        meshes: mesh files.
-        out: fleet folder to write: fleet.json, fleet.safetensors, wrap.json (how well each fits) and turntable.png.
-        scale: metres per unit of the file, one for all or one per mesh; none takes what the file says, else 1.
-        up: which axis is up; none takes the format's, or guesses.
-        forward: where the nose points; none guesses and says how.
-        names: body type of each mesh; none takes the file's name. Ids are <body type>-<number>.
-        first_number: number of the first vehicle.
-        paintable: picture on the mesh's own UVs, bright where there is paint; none takes the textures' alpha, if any.
-        licence: whose the meshes are and under which terms; stored with every vehicle.
-        minimum_iou: refuse a vehicle whose outline from above fits worse.
+        sources: mesh files (OBJ, GLB or DAE) to wrap, and fleet folders to mix in; without any, fleets are drawn.
+        out: folder to write: one fleet, or the four fleets train, validation, attack and test.
+        counts: how many vehicles are drawn per split (train, validation, attack, test), where no sources are given.
+        seed: seed of the vehicles drawn.
+        wrapping: how meshes are read and named.
     """
 
-    meshes: tyro.conf.Positional[tuple[Path, ...]]
     out: Path
-    scale: tuple[float, ...] = ()
-    up: Axis | None = None
-    forward: Axis | None = None
-    names: tuple[str, ...] = ()
-    first_number: int = 1000
-    paintable: Path | None = None
-    licence: str = "not stated"
-    minimum_iou: float = 0.97
+    sources: Positional[tuple[Path, ...]] = ()
+    counts: tuple[int, int, int, int] = (64, 16, 32, 32)
+    seed: int = 0
+    wrapping: WrapSettings = field(default_factory=WrapSettings)
 
     def __post_init__(self) -> None:
-        for flag, given, single in (("--scale", self.scale, True), ("--names", self.names, False)):
-            if given and len(given) != len(self.meshes) and not (single and len(given) == 1):
-                raise ConfigurationError(
-                    f"{flag} expects one value per mesh ({len(self.meshes)}), got {len(given)}."
-                )
-        if any(not 0 < scale < float("inf") for scale in self.scale):
-            raise ConfigurationError(
-                f"--scale expects metres per unit above 0, got {min(self.scale)}."
-            )
-        if not self.meshes:
-            raise ConfigurationError("No mesh was given; name OBJ, GLB or DAE files.")
+        if min(self.counts) < 1:
+            raise ConfigurationError(f"--counts expects counts of at least 1, got {self.counts}.")
 
     def run(self) -> None:
-        """Wraps, measures and writes all of them, or nothing."""
+        """Writes all of them, or nothing."""
         refuse_existing(self.out)
-        scales: tuple[float | None, ...] = self.scale or (None,)
-        if len(scales) == 1:
-            scales = scales * len(self.meshes)
-        names = self.names or tuple(path.stem for path in self.meshes)
-        reports: dict[str, dict[str, Any]] = {}
-        wrapped: list[WrappedVehicle] = []
-        with progress_bar("vehicles") as update:
-            for path, name, scale in zip(self.meshes, names, scales, strict=True):
-                vehicle = wrap_mesh(
-                    path, scale=scale, up=self.up, forward=self.forward, paintable=self.paintable
-                )
-                vehicle_id = f"{_body_type(name)}-{self.first_number + len(wrapped):04d}"
-                reports[vehicle_id] = {**vehicle.report, "licence": self.licence}
-                wrapped.append(vehicle)
-                update(len(wrapped), len(self.meshes))
-        _print_reports(reports)
-        for vehicle_id, report in reports.items():
-            if report["iou_above"] < self.minimum_iou:
-                raise ConfigurationError(
-                    f"{vehicle_id} ({report['mesh']}) keeps its outline from above only to IoU "
-                    f"{report['iou_above']:.3f}, asked is {self.minimum_iou}; check --up and "
-                    "--forward, or lower --minimum-iou."
-                )
-        fleet = Fleet(
-            None,
-            make_template(),
-            tuple(reports),
-            torch.stack([vehicle.vertices for vehicle in wrapped]),
-            torch.stack([vehicle.texture for vehicle in wrapped]),
-            torch.stack([vehicle.parts for vehicle in wrapped]),
-            {
-                name: {"mesh": report["mesh"], "licence": self.licence}
-                for name, report in reports.items()
-            },
-        )
+        if self.sources:
+            self._combine()
+        else:
+            self._draw()
+
+    def _draw(self) -> None:
+        from skyproof.randomness import generator_of
+        from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+
+        with finished_folder(self.out) as folder:
+            # Numbers go on from split to split: no vehicle is in two of them.
+            first_number = 0
+            for split, count in zip(SPLITS, self.counts, strict=True):
+                with progress_bar(f"vehicles {split}") as update:
+                    fleet = sample_fleet(
+                        FleetSettings(count=count, first_number=first_number),
+                        generator=generator_of(self.seed, "fleet", split),
+                        progress=update,
+                    )
+                fleet.save(folder / split)
+                first_number += count
+        say(f"Fleets of {', '.join(map(str, self.counts))} vehicles: {self.out.resolve()}")
+
+    def _combine(self) -> None:
+        from skyproof.vehicles.fleet import Fleet, mix_fleets
+
+        others = [Fleet.load(source) for source in self.sources if source.is_dir()]
+        meshes = [source for source in self.sources if not source.is_dir()]
+        wrapped = self._wrap(meshes) if meshes else {}
+        reports = {
+            vehicle_id: {**vehicle.report, "licence": self.wrapping.licence}
+            for vehicle_id, vehicle in wrapped.items()
+        }
+        fleets = [_fleet_of(wrapped, reports), *others] if wrapped else others
+        fleet = mix_fleets(fleets)
+        if wrapped:
+            _say_reports(reports)
+            self._refuse_bad_fits(reports)
         with finished_folder(self.out) as folder:
             fleet.write_into(folder)
-            write_json(folder / "wrap.json", reports)
-            rows = [
-                turntable_row(vehicle.mesh, fleet.batch([name]), _caption(name, reports[name]))
-                for name, vehicle in zip(reports, wrapped, strict=True)
-            ]
-            Image.fromarray(turntable_sheet(rows).permute(1, 2, 0).numpy()).save(
-                folder / "turntable.png"
-            )
-        say(f"Fleet of {len(fleet)}: {self.out.resolve()} (look at turntable.png)")
+            if wrapped:
+                _write_pictures(folder, wrapped, reports, fleet)
+        advice = " (look at turntable.png)" if wrapped else ""
+        say(f"Fleet of {len(fleet)}: {self.out.resolve()}{advice}")
+
+    def _wrap(self, meshes: list[Path]) -> dict[str, WrappedVehicle]:
+        from skyproof.vehicles.wrapping.wrap import wrap_mesh
+
+        named = self.wrapping.of_meshes(meshes)
+        wrapped: dict[str, WrappedVehicle] = {}
+        with progress_bar("vehicles") as update:
+            for path, name, scale in named:
+                vehicle_id = f"{_body_type(name)}-{self.wrapping.first_number + len(wrapped):04d}"
+                wrapped[vehicle_id] = wrap_mesh(
+                    path,
+                    scale=scale,
+                    up=self.wrapping.up,
+                    forward=self.wrapping.forward,
+                    paintable=self.wrapping.paintable,
+                )
+                update(len(wrapped), len(meshes))
+        return wrapped
+
+    def _refuse_bad_fits(self, reports: dict[str, dict[str, Any]]) -> None:
+        for vehicle_id, report in reports.items():
+            if report["iou_above"] < self.wrapping.minimum_iou:
+                raise ConfigurationError(
+                    f"{vehicle_id} ({report['mesh']}) keeps its outline from above only to IoU "
+                    f"{report['iou_above']:.3f}, asked is {self.wrapping.minimum_iou}; check --wrapping.up "
+                    "and --wrapping.forward, or lower --wrapping.minimum-iou."
+                )
 
 
-@dataclass(frozen=True)
-class Mix:
-    """Puts the vehicles of several fleets, drawn or wrapped, into one.
+def _fleet_of(wrapped: dict[str, WrappedVehicle], reports: dict[str, dict[str, Any]]) -> Fleet:
+    import torch
 
-    Attributes:
-        fleets: fleet folders; no id may occur twice.
-        out: fleet folder to write.
-    """
+    from skyproof.vehicles.fleet import Fleet
+    from skyproof.vehicles.template import make_template
 
-    fleets: tyro.conf.Positional[tuple[Path, ...]]
-    out: Path
+    vehicles = wrapped.values()
+    return Fleet(
+        None,
+        make_template(),
+        tuple(wrapped),
+        torch.stack([vehicle.vertices for vehicle in vehicles]),
+        torch.stack([vehicle.texture for vehicle in vehicles]),
+        torch.stack([vehicle.parts for vehicle in vehicles]),
+        {
+            vehicle_id: {"mesh": report["mesh"], "licence": report["licence"]}
+            for vehicle_id, report in reports.items()
+        },
+    )
 
-    def run(self) -> None:
-        """Mixes and writes."""
-        refuse_existing(self.out)
-        fleet = mix_fleets([Fleet.load(folder) for folder in self.fleets])
-        fleet.save(self.out)
-        say(f"Fleet of {len(fleet)}: {self.out.resolve()}")
+
+def _write_pictures(
+    folder: Path,
+    wrapped: dict[str, WrappedVehicle],
+    reports: dict[str, dict[str, Any]],
+    fleet: Fleet,
+) -> None:
+    from PIL import Image
+
+    from skyproof.render.turntable import turntable_row, turntable_sheet
+
+    write_json(folder / "wrap.json", reports)
+    rows = [
+        turntable_row(
+            vehicle.mesh, fleet.batch([vehicle_id]), _caption(vehicle_id, reports[vehicle_id])
+        )
+        for vehicle_id, vehicle in wrapped.items()
+    ]
+    sheet = turntable_sheet(rows).permute(1, 2, 0).numpy()
+    Image.fromarray(sheet).save(folder / "turntable.png")
 
 
 def _body_type(name: str) -> str:
-    """A name that can stand in an id and in a file name."""
+    """Returns a name that can stand in an id and in a file name."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "vehicle"
 
 
-def _caption(name: str, report: dict[str, Any]) -> str:
-    size = " x ".join(f"{value:.2f}" for value in report["size_m"])
-    return f"{name}   {size} m   IoU from above {report['iou_above']:.3f}   {report['mesh']}"
+def _size(report: dict[str, Any]) -> str:
+    return " x ".join(f"{value:.2f}" for value in report["size_m"]) + " m"
 
 
-def _print_reports(reports: dict[str, dict[str, Any]]) -> None:
-    width = max(len(name) for name in reports)
-    say(
-        f"{'':{width}}  {'length x width x height':>23}"
-        + "".join(f"{title:>15}" for title in _COLUMNS.values())
-    )
-    for name, report in reports.items():
-        size = " x ".join(f"{value:.2f}" for value in report["size_m"]) + " m"
+def _caption(vehicle_id: str, report: dict[str, Any]) -> str:
+    fit = f"IoU from above {report['iou_above']:.3f}"
+    return f"{vehicle_id}   {_size(report)}   {fit}   {report['mesh']}"
+
+
+def _say_reports(reports: dict[str, dict[str, Any]]) -> None:
+    width = max(len(vehicle_id) for vehicle_id in reports)
+    titles = "".join(f"{title:>15}" for title in _COLUMNS.values())
+    say(f"{'':{width}}  {'length x width x height':>23}{titles}")
+    for vehicle_id, report in reports.items():
         numbers = (f"{report[key]:.3f}".removesuffix(".000") for key in _COLUMNS)
-        say(f"{name:{width}}  {size:>23}" + "".join(f"{number:>15}" for number in numbers))
-    for name, report in reports.items():
+        columns = "".join(f"{number:>15}" for number in numbers)
+        say(f"{vehicle_id:{width}}  {_size(report):>23}{columns}")
+    for vehicle_id, report in reports.items():
         say(
-            f"{name}: up {report['up']}, nose {report['forward']} ({report['nose']}), {report['scale']:g} m per unit."
+            f"{vehicle_id}: up {report['up']}, nose {report['forward']} ({report['nose']}), "
+            f"{report['scale']:g} m per unit."
         )
         for note in report["notes"]:
-            say(f"{name}: {note.rstrip('.')}.")
+            say(f"{vehicle_id}: {note.rstrip('.')}.")

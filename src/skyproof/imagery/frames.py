@@ -62,7 +62,7 @@ def read_frames_folder(
     if isinstance(read, GroundLabels):
         raise ImageryError(
             f"{place} has labels in map coordinates but frames such as {files[0].name} have no place on the map; give "
-            "labels in pixels, or cut georeferenced imagery with `skyproof imagery tile`."
+            "labels in pixels, or cut georeferenced imagery with `skyproof ground`."
         )
     require_classes(read, classes, str(place))
     images, boxes, ignore = [], [], []

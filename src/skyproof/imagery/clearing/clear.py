@@ -28,38 +28,13 @@ from skyproof.imagery.clearing.vehicle_masks import (
     estimate_shadow,
     vehicle_mask,
 )
+from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["ClearSettings", "Cleared", "clear_backgrounds", "drop_tiles"]
+__all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
 
 RECORD = "clearing.json"
-
-
-@dataclass(frozen=True)
-class ClearSettings:
-    """How vehicles are removed.
-
-    Attributes:
-        finding_score: every detection with at least this score is removed; low, because ground removed in vain costs
-            less than a vehicle left.
-        margin_m: by which vehicles' boxes are grown on all sides; doubled where the shadow is unknown.
-        largest_masked_share: of a tile; one with more to remove is left out.
-        rounds: how often a tile is repaired in which the check still finds something.
-    """
-
-    finding_score: float = 0.1
-    margin_m: float = 0.4
-    largest_masked_share: float = 0.35
-    rounds: int = 2
-
-    def __post_init__(self) -> None:
-        shares = 0 < self.finding_score <= 1 and 0 < self.largest_masked_share < 1
-        if not shares or self.margin_m < 0 or self.rounds < 0:
-            raise ConfigurationError(
-                "Clearing expects a score and a masked share between 0 and 1, and a margin and a number of rounds of "
-                f"at least 0, but got {self}."
-            )
 
 
 @dataclass
@@ -175,7 +150,7 @@ def clear_backgrounds(
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a larger "
-            "--largest-masked-share."
+            "--settings.largest-masked-share."
         )
     write_json(out / RECORD, record)
     _copy_places(folder, out, {tile.id for tile in kept})

@@ -90,7 +90,7 @@ def export_labels(
     - "dota": a folder with `images/` and `labelTxt/`; a vehicle's corners are those of the ground it stands on where
       the renderer knew them and their middle is in the image, else of its upright box. Ignore regions are `difficult`.
     - "geojson": points of vehicles, outlines of ignore regions (property `ignore`), WGS 84; only for a split of a
-      folder that `skyproof imagery tile` wrote from georeferenced imagery.
+      folder that `skyproof ground` wrote from georeferenced imagery.
 
     Args:
         dataset: folder with `annotations.json` of ours.
@@ -296,7 +296,7 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
     if not path.is_file():
         raise ImageryError(
             f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of georeferenced tiles, "
-            "as `skyproof imagery tile` cuts them."
+            "as `skyproof ground` cuts them."
         )
     document, found = read_json(path), {}
     try:

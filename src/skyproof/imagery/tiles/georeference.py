@@ -110,7 +110,7 @@ def read_georeference(
     if not plain and abs(affine.determinant) < 1e-30:
         raise ImageryError(
             f"{path} has a pixel size of zero in its georeference; repair it (gdal_edit.py -a_ullr), or remove it and "
-            "give its metres per pixel (--source-gsd)."
+            "give its metres per pixel (--source.gsd-m)."
         )
     if not plain and system is None and crs is not None:
         system = CRS.from_user_input(crs)
@@ -119,7 +119,7 @@ def read_georeference(
         gsd_m = _ground_resolution(system, affine, dataset.width, dataset.height)
         if gsd_m is None:
             raise ImageryError(
-                f"{path} lies outside what its reference system covers; check its system (or --crs)."
+                f"{path} lies outside what its reference system covers; check its system (or --source.crs)."
             )
         _check_resolution(path, gsd_m, "the image")
         return Georeference(system, affine, gsd_m)
@@ -127,15 +127,15 @@ def read_georeference(
         gsd_m = source_gsd_m, source_gsd_m
     elif plain:
         raise ImageryError(
-            f"{path} does not say how large its pixels are on the ground; give its metres per pixel (--source-gsd; "
-            "--gsd of `demo` and `world`)."
+            f"{path} does not say how large its pixels are on the ground; give its metres per pixel (--source.gsd-m; "
+            "--gsd of `demo`)."
         )
     else:
         gsd_m = math.hypot(affine.a, affine.d), math.hypot(affine.b, affine.e)
         if not all(FINEST_PLAUSIBLE_M <= size <= COARSEST_GSD_M for size in gsd_m):
             raise ImageryError(
                 f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference system; give it with "
-                "--crs, or the metres per pixel with --source-gsd."
+                "--source.crs, or the metres per pixel with --source.gsd-m."
             )
         notes.append(
             f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m"

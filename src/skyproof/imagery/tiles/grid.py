@@ -122,7 +122,7 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
     points = to_reference_system(source.georeference.crs, crs, own)
     if not all(math.isfinite(value) for point in points for value in point):
         raise ImageryError(
-            f"{source.path} lies outside what its reference system covers; check its system (or --crs)."
+            f"{source.path} lies outside what its reference system covers; check its system (or --source.crs)."
         )
     xs, ys = [x for x, _ in points], [y for _, y in points]
     return min(xs), min(ys), max(xs), max(ys)

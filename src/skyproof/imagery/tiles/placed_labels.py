@@ -7,7 +7,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from skyproof.datasets.coco import Annotation
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import (
     GroundLabels,
     ImageLabels,
@@ -25,40 +24,15 @@ from skyproof.imagery.labels.label import (
     require_classes,
     sort_labels,
 )
+from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import Point, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
-__all__ = ["LabelSettings", "PlacedLabels"]
+__all__ = ["PlacedLabels"]
 
 BIN_M = 64.0
 EVERYTHING, BORDER = "image without labels", "border of an image"
-
-
-@dataclass(frozen=True)
-class LabelSettings:
-    """What counts as a vehicle.
-
-    Attributes:
-        path: where the labels come from, for messages.
-        classes: names that count as vehicles; all other objects become ignore regions (PAPER 1). May be left empty
-            where the labels know one class.
-        border_px: a band along the border of each source, in its pixels, where nothing is scored: vehicles that the
-            border cuts are often unlabelled.
-        point_box_m: side of the box that stands for a point label; 4 m is a car's upright box at a random heading.
-    """
-
-    path: Path
-    classes: tuple[str, ...] = ()
-    border_px: float = 0.0
-    point_box_m: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.border_px < math.inf and 0 < self.point_box_m < math.inf):
-            raise ConfigurationError(
-                f"--border-px expects a number of at least 0 and --point-box-m one above 0, got {self.border_px} and "
-                f"{self.point_box_m}."
-            )
 
 
 @dataclass(frozen=True)
@@ -316,7 +290,7 @@ def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]
         return settings.classes
     if len(labels.classes) > 1:
         raise ImageryError(
-            f"{settings.path} names the classes {', '.join(labels.classes)}; say with --classes which of them count as "
+            f"{settings.path} names the classes {', '.join(labels.classes)}; say with --labels.classes which of them count as "
             "vehicles (small vehicles in the paper)."
         )
     return labels.classes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -15,19 +14,18 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
-from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
+from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
 __all__ = [
     "Source",
     "SourceReader",
-    "SourceSettings",
     "find_images",
     "gdal_limits",
     "inspect_source",
@@ -47,35 +45,6 @@ _INFRARED = (
     ColorInterp.mwir,
     ColorInterp.lwir,
 )
-
-
-@dataclass(frozen=True)
-class SourceSettings:
-    """What the user says about images that do not say it themselves.
-
-    Attributes:
-        source_gsd_m: metres per pixel.
-        crs: reference system of images that have a transform (a world file) but name no system.
-        licence: of images without TIFFTAG_COPYRIGHT.
-    """
-
-    source_gsd_m: float | None = None
-    crs: str | None = None
-    licence: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.source_gsd_m is not None and not 0 < self.source_gsd_m < math.inf:
-            raise ConfigurationError(
-                f"The sources' metres per pixel (--source-gsd; --gsd of `demo` and `world`) must be above 0, got "
-                f"{self.source_gsd_m}."
-            )
-        if self.crs is not None:
-            try:
-                CRS.from_user_input(self.crs)
-            except (RasterioError, ValueError) as error:
-                raise ConfigurationError(
-                    f"--crs expects a system such as EPSG:2193, got {self.crs!r}."
-                ) from error
 
 
 @dataclass(frozen=True)
@@ -206,7 +175,7 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         bands = _choose_bands(dataset, notes)
         alpha_is_colour = _alpha_is_colour(dataset, notes)
         licence = dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence
-        georeference = read_georeference(dataset, path, settings.source_gsd_m, settings.crs, notes)
+        georeference = read_georeference(dataset, path, settings.gsd_m, settings.crs, notes)
         source = Source(
             path=path,
             width_px=dataset.width,

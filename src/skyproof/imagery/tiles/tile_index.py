@@ -106,7 +106,7 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
         ) from error
     if not cells:
         raise ImageryError(
-            f"The tiles of {folder} do not say where they lie; --like needs georeferenced ones."
+            f"The tiles of {folder} do not say where they lie; --tiling.like needs georeferenced ones."
         )
     if not any(cell.sources for cell in cells):
         raise ImageryError(

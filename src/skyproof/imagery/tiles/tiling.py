@@ -15,16 +15,16 @@ import numpy as np
 import torch
 
 from skyproof.datasets.coco import Annotation, CocoWriter
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.labels.label import Labels
+from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.grid import Cell, Frame, cells_of, lay_frames
-from skyproof.imagery.tiles.placed_labels import LabelSettings, PlacedLabels
+from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
     Source,
     SourceReader,
-    SourceSettings,
     find_images,
     gdal_limits,
     inspect_source,
@@ -36,40 +36,10 @@ from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["TilingRecord", "TilingSettings", "tile_imagery"]
+__all__ = ["TilingRecord", "tile_imagery"]
 
 _WAITING = "waiting"
 _TILES_MEASURED = 16
-
-
-@dataclass(frozen=True)
-class TilingSettings:
-    """How imagery is cut.
-
-    Attributes:
-        gsd_m: metres per pixel of the tiles.
-        size_px: their side.
-        minimum_px: how far tiles may shrink so that small images hold some; None for not at all.
-        block_m: width of the blocks that go to one split, see `assign_splits`; None for its default.
-        like: a tiled folder: the same ground is cut into the same tiles and splits.
-    """
-
-    gsd_m: float = 0.125
-    size_px: int = 384
-    minimum_px: int | None = None
-    block_m: float | None = None
-    like: Path | None = None
-
-    def __post_init__(self) -> None:
-        if (
-            not 0 < self.gsd_m < math.inf
-            or self.size_px < 1
-            or not 0 < (self.block_m or 1) < math.inf
-        ):
-            raise ConfigurationError(
-                f"--gsd and --block-m expect metres above 0 and --size at least 1 px, got {self.gsd_m}, {self.block_m} "
-                f"and {self.size_px}."
-            )
 
 
 @dataclass(frozen=True)
@@ -160,6 +130,12 @@ def tile_imagery(
             f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more than 2 % of each is "
             "empty (nodata or beyond the border); give larger images or a smaller size."
         )
+    if settings.minimum_px is not None and len(kept) < len(SPLITS):
+        raise ImageryError(
+            f"The imagery yields {len(kept)} tiles of at least {settings.minimum_px} px at {settings.gsd_m} m per "
+            f"pixel but the {len(SPLITS)} splits need {len(SPLITS)}; give more or larger images, or smaller tiles "
+            "(--tiling.minimum-px; --sizes.image-px of `demo`)."
+        )
     splits, blocks_m = _splits(kept, settings, generator)
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
     for split in SPLITS:
@@ -171,7 +147,14 @@ def tile_imagery(
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
     record = TilingRecord(
-        settings=_plain(dataclasses.asdict(settings) | dataclasses.asdict(source_settings)),
+        settings=_plain(
+            dataclasses.asdict(settings)
+            | {
+                "source_gsd_m": source_settings.gsd_m,
+                "crs": source_settings.crs,
+                "licence": source_settings.licence,
+            }
+        ),
         sources=[_describe(source) for source in sources],
         blocks_m=blocks_m,
         counts=_counts(tiles, annotations),

@@ -54,7 +54,7 @@ def orient(
         forward = "xyz"[max(across, key=lambda axis: extent[axis])]
     if _axis(up)[0] == _axis(forward)[0]:
         raise ConfigurationError(
-            f"--up {up} and --forward {forward} lie along one axis; give two different ones."
+            f"--wrapping.up {up} and --wrapping.forward {forward} lie along one axis; give two different ones."
         )
     unit_m = scale if scale is not None else mesh.unit_m or 1.0
     turned = _turn(mesh.corners, up, forward) * unit_m
@@ -135,8 +135,8 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
     else:
         scale = unit_m * _USUAL_LENGTH_M / extent_m[0]
     raise ConfigurationError(
-        f"The mesh measures {size} m (length, width, height), not a vehicle's size; give --scale (--scale {scale:.4g} "
-        f"would make it {extent_m[0] * scale / unit_m:.2f} m long), or --up and --forward if it lies otherwise."
+        f"The mesh measures {size} m (length, width, height), not a vehicle's size; give --wrapping.scale (--wrapping.scale "
+        f"{scale:.4g} would make it {extent_m[0] * scale / unit_m:.2f} m long), or --wrapping.up and --wrapping.forward if it lies otherwise."
     )
 
 
@@ -167,7 +167,7 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
     out = np.flatnonzero(wide > np.median(wide) + 0.05)
     if len(out) and abs(out.mean() - 99.5) > 20:
         return bool(out.mean() > 99.5), "the mirrors are in front"
-    return True, "nothing tells nose from tail: check it, and give --forward"
+    return True, "nothing tells nose from tail: check it, and give --wrapping.forward"
 
 
 def _spread(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "N 3"]:

@@ -112,5 +112,5 @@ def _read_mask(path: Path) -> UInt8[np.ndarray, "H W"]:
             return np.asarray(image.convert("L"))
     except OSError as error:
         raise ConfigurationError(
-            f"{path} cannot be read as a picture; --paintable expects a PNG mask."
+            f"{path} cannot be read as a picture; --wrapping.paintable expects a PNG mask."
         ) from error

@@ -1,4 +1,4 @@
-"""`skyproof imagery sensor` on a small background set."""
+"""`skyproof adjust` on a small background set."""
 
 import json
 
@@ -20,22 +20,33 @@ def folder(tmp_path):
 
 def test_measures_and_keeps_the_rest(folder):
     before = json.loads((folder / "index.json").read_text())
-    assert run(["imagery", "sensor", str(folder)]) == 0
+    assert run(["adjust", str(folder), "--measure-sensor"]) == 0
     after = json.loads((folder / "index.json").read_text())
     assert 0.4 < after["sensor"]["blur_sigma_px"] < 1.0
     assert {**after, "sensor": before["sensor"]} == before
 
 
 def test_what_is_given_is_taken(folder):
-    assert run(["imagery", "sensor", str(folder), "--blur-sigma-px", "1.1", "--noise", "0.01"]) == 0
+    assert run(["adjust", str(folder), "--blur-sigma-px", "1.1", "--noise", "0.01"]) == 0
     assert BackgroundSet.open(folder).sensor == Sensor(1.1, 0.01)
+
+
+def test_what_is_not_given_stays(folder):
+    before = BackgroundSet.open(folder).sensor
+    assert run(["adjust", str(folder), "--blur-sigma-px", "1.1"]) == 0
+    assert BackgroundSet.open(folder).sensor == Sensor(1.1, before.noise)
+    assert run(["adjust", str(folder), "--measure-sensor", "--noise", "0.02"]) == 0
+    sensor = BackgroundSet.open(folder).sensor
+    assert 0.4 < sensor.blur_sigma_px < 1.0
+    assert sensor.noise == 0.02
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--blur-sigma-px", "-1", "--noise", "0"], "blur of 0 to 10 px"),
-        ([], "at least 100 clear edges"),
+        (["--measure-sensor"], "at least 100 clear edges"),
+        ([], "Nothing to adjust"),
     ],
 )
 def test_bad_input(folder, capsys, options, sentence):
@@ -44,6 +55,6 @@ def test_bad_input(folder, capsys, options, sentence):
         Image.fromarray(torch.full((200, 200, 3), 90, dtype=torch.uint8).numpy()).save(
             folder / tile.file
         )
-    assert run(["imagery", "sensor", str(folder), *options]) == 2
+    assert run(["adjust", str(folder), *options]) == 2
     assert sentence in " ".join(capsys.readouterr().err.split())
     assert (folder / "index.json").read_bytes() == before

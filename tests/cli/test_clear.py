@@ -1,4 +1,4 @@
-"""skyproof imagery clear and drop: from the command line, and what they refuse."""
+"""`skyproof clear` and `skyproof adjust --drop`: from the command line, and what they refuse."""
 
 import json
 import sys
@@ -13,9 +13,7 @@ from tests.imagery.test_clear import tiled
 def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof):
     pytest.importorskip("cv2")
     folder = tiled(tmp_path / "tiled", labelled="acde")
-    answer = skyproof(
-        "imagery", "clear", folder, "--out", tmp_path / "cleared", "--method", "telea"
-    )
+    answer = skyproof("clear", folder, "--out", tmp_path / "cleared", "--method", "telea")
     assert answer.code == 0
     assert "5 of 5 kept" in answer.out
     assert "Not checked by a detector" in answer.out
@@ -24,7 +22,7 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
     assert record["inpainting"]["opencv"]
     image = BackgroundSet.open(tmp_path / "cleared").pixels("c").int()
     assert (image[0] - image[1]).max() < 30
-    assert skyproof("imagery", "drop", tmp_path / "cleared", "--tiles", "c").code == 0
+    assert skyproof("adjust", tmp_path / "cleared", "--drop", "c").code == 0
     assert BackgroundSet.open(tmp_path / "cleared").tiles("validation") == []
 
 
@@ -34,7 +32,7 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
     (tmp_path / "network.pt").write_text("no network")
 
     def refused(*words, text):
-        skyproof("imagery", "clear", *words).refused(text)
+        skyproof("clear", *words).refused(text)
         assert not out.exists()
         assert not (tmp_path / ".cleared.partial").exists()
 
@@ -49,11 +47,11 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
     )
     refused(folder, "--out", out, "--inpainting", tmp_path / "none.pt", text="none.pt is missing")
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
-    refused(folder, "--out", out, "--largest-masked-share", "2", text="Clearing expects")
+    refused(folder, "--out", out, "--settings.largest-masked-share", "2", text="Clearing expects")
     monkeypatch.setitem(sys.modules, "cv2", None)
     refused(folder, "--out", out, text="extra 'imagery'")
     monkeypatch.undo()
     pytest.importorskip("cv2")
     refused(folder, "--out", out, text="no detector was given")
     out.mkdir()
-    skyproof("imagery", "clear", folder, "--out", out).refused("exists already")
+    skyproof("clear", folder, "--out", out).refused("exists already")

@@ -1,4 +1,4 @@
-"""A dataset's labels for other tools, as a command."""
+"""`skyproof export`: a dataset's labels for other tools."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from typing import Literal
 from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.imagery.labels.export import export_labels
 
-__all__ = ["Labels"]
+__all__ = ["Export"]
 
 
 @dataclass(frozen=True)
-class Labels:
+class Export:
     """Writes a dataset's labels in the form of other tools.
 
     Attributes:
-        dataset: folder with images and annotations.json, as `render` and `imagery tile` write it.
+        dataset: folder with images and annotations.json, as `skyproof render` and `skyproof ground` write it.
         format: coco (one plain JSON file), yolo (images, text and data.yaml, as Ultralytics trains from), dota (images
             and text of oriented boxes) or geojson (points on the map; only for georeferenced tiles).
         out: file (coco, geojson) or folder (yolo, dota) to write.
@@ -31,14 +30,18 @@ class Labels:
 
     def run(self) -> None:
         """Writes them, and says what the form could not say."""
+        from skyproof.imagery.labels.export import export_labels
+
         with progress_bar("labels") as update:
             done = export_labels(self.dataset, self.format, self.out, progress=update)
         say(
-            f"{done.vehicles} vehicles and {done.ignored} ignore regions of {done.images} images: {self.out.resolve()}"
+            f"{done.vehicles} vehicles and {done.ignored} ignore regions of {done.images} images: "
+            f"{self.out.resolve()}"
         )
         if done.left_out:
             say(
-                f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they count as background."
+                f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they count "
+                "as background."
             )
         if done.upright:
             say(

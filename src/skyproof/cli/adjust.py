@@ -1,0 +1,75 @@
+"""`skyproof adjust`: a person's corrections of a background set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from skyproof.cli.console import say
+from skyproof.errors import ConfigurationError
+
+__all__ = ["Adjust"]
+
+
+@dataclass(frozen=True)
+class Adjust:
+    """Takes rejected tiles out of a background set, and says how sharp vehicles are to be drawn on it.
+
+    Datasets rendered before keep their blur and noise; `skyproof score` refuses to mix them with later ones.
+
+    Attributes:
+        folder: background set, as `skyproof ground` or `skyproof clear` wrote it.
+        drop: ids of the tiles to take out, as on the sheets of `skyproof clear`; their pictures stay on disk.
+        measure_sensor: measure blur and noise of the imagery anew, but for what is given.
+        blur_sigma_px: standard deviation of the Gaussian blur; the paper's is 2.4.
+        noise: standard deviation of the noise, in sRGB units from 0 to 1.
+    """
+
+    folder: Positional[Path]
+    drop: tuple[str, ...] = ()
+    measure_sensor: bool = False
+    blur_sigma_px: float | None = None
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.drop or self.measure_sensor or self._given()):
+            raise ConfigurationError(
+                "Nothing to adjust was named; give --drop with tiles, --measure-sensor, --blur-sigma-px or --noise."
+            )
+
+    def run(self) -> None:
+        """Rewrites the set's index."""
+        if self.drop:
+            self._drop_tiles()
+        if self.measure_sensor or self._given():
+            self._set_sensor()
+
+    def _given(self) -> dict[str, float]:
+        values = {"blur_sigma_px": self.blur_sigma_px, "noise": self.noise}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def _drop_tiles(self) -> None:
+        from skyproof.imagery.clearing.clear import drop_tiles
+
+        emptied = drop_tiles(self.folder, self.drop)
+        say(f"Dropped {len(set(self.drop))} tiles from {self.folder.resolve()}")
+        for split in emptied:
+            say(
+                f"No tile of the split {split} is left; give more imagery before using this folder for it."
+            )
+
+    def _set_sensor(self) -> None:
+        from skyproof.imagery.sharpness import measure_sensor
+        from skyproof.scenes.backgrounds import BackgroundSet, write_sensor
+
+        backgrounds = BackgroundSet.open(self.folder)
+        sensor = backgrounds.sensor
+        if self.measure_sensor:
+            sensor = measure_sensor(
+                backgrounds.pixels(tile.id) for tile in backgrounds.tiles("train")
+            )
+        sensor = replace(sensor, **self._given())
+        write_sensor(self.folder, sensor)
+        say(f"Blur {sensor.blur_sigma_px:g} px, noise {sensor.noise:g}: {self.folder.resolve()}")

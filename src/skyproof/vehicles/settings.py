@@ -1,0 +1,65 @@
+"""How meshes become vehicles. Imports no torch, so that the command line answers at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from skyproof.errors import ConfigurationError
+
+__all__ = ["Axis", "WrapSettings"]
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+"""A direction in a mesh file."""
+
+
+@dataclass(frozen=True)
+class WrapSettings:
+    """How meshes are read and named.
+
+    Attributes:
+        scale: metres per unit of the mesh, one value for all meshes or one for each; without any, what the file says
+            is taken, else 1.
+        up: which axis points up; without one, the format's is taken, or guessed.
+        forward: where the nose points; without one, it is guessed, and how is said.
+        names: body type of each mesh; without any, the names of the files. Ids are <body type>-<number>.
+        first_number: number of the first vehicle.
+        paintable: picture on the mesh's own UVs, bright where there is paint; without one, the textures' alpha is
+            taken, if there is any.
+        licence: whose the meshes are and under which terms; it is stored with every vehicle.
+        minimum_iou: a vehicle whose outline from above fits worse is refused.
+    """
+
+    scale: tuple[float, ...] = ()
+    up: Axis | None = None
+    forward: Axis | None = None
+    names: tuple[str, ...] = ()
+    first_number: int = 1000
+    paintable: Path | None = None
+    licence: str = "not stated"
+    minimum_iou: float = 0.97
+
+    def __post_init__(self) -> None:
+        if any(not 0 < scale < math.inf for scale in self.scale):
+            raise ConfigurationError(
+                f"--wrapping.scale expects metres per unit above 0, got {min(self.scale)}."
+            )
+
+    def of_meshes(self, meshes: list[Path]) -> list[tuple[Path, str, float | None]]:
+        """Returns each mesh with its name and its metres per unit (None where the file has to say it).
+
+        Raises:
+            ConfigurationError: there are not as many names or scales as meshes.
+        """
+        for flag, given, single in (("scale", self.scale, True), ("names", self.names, False)):
+            if given and len(given) != len(meshes) and not (single and len(given) == 1):
+                raise ConfigurationError(
+                    f"--wrapping.{flag} expects one value per mesh ({len(meshes)}), got {len(given)}."
+                )
+        names = self.names or tuple(mesh.stem for mesh in meshes)
+        scales: tuple[float | None, ...] = self.scale or (None,)
+        if len(scales) == 1:
+            scales = scales * len(meshes)
+        return list(zip(meshes, names, scales, strict=True))

@@ -1,0 +1,71 @@
+"""`skyproof ground` and `skyproof vehicles` without sources: what they draw, and what they refuse."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from skyproof.cli.ground import Ground, tiling_for_images
+from skyproof.cli.vehicles import Vehicles
+from skyproof.errors import ConfigurationError
+from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.splits import SPLITS
+from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from tests.cli.conftest import Skyproof, bytes_of
+
+
+def test_ground_is_drawn_from_its_seed_and_written_whole(tmp_path, skyproof: Skyproof):
+    out = tmp_path / "ground"
+    size = ("--tiles", 1, 2, 1, 1, "--tiling.size-px", 160, "--seed", 3)
+    assert skyproof("ground", "--out", out, *size).code == 0
+    counts = dict(zip(SPLITS, (1, 2, 1, 1), strict=True))
+    write_procedural_backgrounds(tmp_path / "reference", counts, 160, seed=3)
+    assert bytes_of(out) == bytes_of(tmp_path / "reference")
+    skyproof("ground", "--out", out, *size).refused("exists already")
+    blurred = ("--blur-sigma-px", 0.7)
+    assert skyproof("ground", "--out", tmp_path / "sharper", *size, *blurred).code == 0
+    sensor = BackgroundSet.open(tmp_path / "sharper").sensor
+    assert sensor.blur_sigma_px == 0.7
+    assert sensor.noise == BackgroundSet.open(out).sensor.noise
+
+
+def test_tiles_hold_images_at_any_heading():
+    drawn = tiling_for_images(192, gsd_m=0.125, imagery=False)
+    assert drawn == TilingSettings(size_px=274 + 112)
+    cut = tiling_for_images(192, gsd_m=0.125, imagery=True)
+    assert cut == TilingSettings(size_px=411, minimum_px=274)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"tiles": (1, 0, 1, 1)},
+        {"labels": LabelSettings(Path("cars.geojson"))},
+        {"source": SourceSettings(0.125)},
+        {"tiling": TilingSettings(like=Path("tiles"))},
+    ],
+)
+def test_settings_that_cannot_work_are_refused(tmp_path, wrong):
+    with pytest.raises(ConfigurationError, match=r"at least 1|no image was named"):
+        Ground(tmp_path, **wrong)
+
+
+def test_fleets_share_no_vehicle_and_come_from_seeds_of_their_own(tmp_path, skyproof: Skyproof):
+    out = tmp_path / "fleets"
+    assert skyproof("vehicles", "--out", out, "--counts", 2, 1, 1, 2, "--seed", 4).code == 0
+    fleets = {split: Fleet.load(out / split) for split in SPLITS}
+    numbers = [
+        vehicle_id.rpartition("-")[2] for fleet in fleets.values() for vehicle_id in fleet.ids
+    ]
+    assert numbers == ["0000", "0001", "0002", "0003", "0004", "0005"]
+    # The same split of another seed, or of other counts before it, is drawn by itself.
+    (tmp_path / "again").mkdir()
+    Vehicles(tmp_path / "again" / "fleets", counts=(1, 1, 1, 2), seed=4).run()
+    again = Fleet.load(tmp_path / "again" / "fleets" / "test")
+    assert torch.equal(again.textures, fleets["test"].textures)
+    plain = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(4))
+    assert not torch.equal(plain.vertices, fleets["train"].vertices)
+    with pytest.raises(ConfigurationError, match="at least 1"):
+        Vehicles(tmp_path / "none", counts=(1, 1, 0, 1))
