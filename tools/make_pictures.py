@@ -230,7 +230,7 @@ def draw_sharpness_sheet() -> Image.Image:
 
 @torch.no_grad()
 def draw_clearing_sheet() -> Image.Image:
-    """Rendered vehicles on procedural ground, the ground that `imagery clear` fills in, and the true ground."""
+    """Rendered vehicles on procedural ground, the ground that `skyproof clear` fills in, and the true ground."""
     size_px, count = 200, 3
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     pictures = []

@@ -69,7 +69,7 @@ class Trial:
         blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
-        wrapped: real meshes are in the fleet, too: RUN/fleets/train-mixed, by `skyproof vehicles wrap` and `mix`.
+        wrapped: real meshes are in the fleet, too: RUN/fleets/train-mixed, by `skyproof vehicles`.
         jitter: of the training's augmentation.
         images, steps, seed: of the training.
     """

@@ -185,7 +185,7 @@ def test_points_come_back_to_their_pixels(dataset, tmp_path):
 
 
 def test_images_without_a_place_have_no_geojson(dataset, tmp_path):
-    with pytest.raises(ImageryError, match=r"has no place on the map .* `skyproof imagery tile`"):
+    with pytest.raises(ImageryError, match=r"has no place on the map .* `skyproof ground`"):
         export_labels(dataset, "geojson", tmp_path / "x.geojson")
     write_index(dataset, ["tile-a"])
     with pytest.raises(ImageryError, match=r"holds tile-b, which .* does not place on the map"):
