@@ -161,7 +161,7 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
     ("labels", "settings", "message"),
     [
         (pixels(box(0, 0, 5, 5)), {"classes": ("lorry",)}, "no class 'lorry'; it names car, truck"),
-        (pixels(box(0, 0, 5, 5)), {"classes": ()}, "--classes"),
+        (pixels(box(0, 0, 5, 5)), {"classes": ()}, r"--labels\.classes"),
         (pixels(box(900, 900, 910, 910)), {}, "None of the 1 labels"),
         (pixels(box(0, 0, 5, 5), stem="z"), {}, "none of these is among the imagery"),
         (pixels(box(0, 0, 5, 5), sizes={"a": (100, 100)}), {}, r"made for a of \(100, 100\) px"),
