@@ -32,5 +32,5 @@ print(
 )
 detector = sp.load_detector("runs/mine/vehicles").detector
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
-texture = sp.UniversalTexture("T-U", generator=torch.Generator().manual_seed(0))
+texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [detector], world, sp.AttackSettings(steps=200), "runs/mine/T-U-on-vehicles")

@@ -11,9 +11,7 @@ detectors = [
     sp.load_detector(folder).detector for folder in sorted(Path("runs/demo/detectors").iterdir())
 ]
 draws = torch.Generator().manual_seed(0)
-palette = sp.fit_palette(world.backgrounds.sample_pixels("attack", 1000, generator=draws), seed=0)
-camouflage = sp.make_camouflage(
-    sp.read_recipe("T-PixFcMa"), sp.Materials(palette=palette), generator=draws
-)
+palette = sp.ground_palette(world.backgrounds)
+camouflage = sp.make_camouflage("T-PixFcMa", palette=palette, generator=draws)
 sp.attack(camouflage, detectors, world, sp.AttackSettings(steps=200), "runs/mine/T-PixFcMa")
 print(sp.practicality_account(camouflage, world.fleet.batch(world.fleet.ids)))

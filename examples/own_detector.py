@@ -22,5 +22,5 @@ class MyDetector(sp.TrainableDetector):
 
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
-texture = sp.UniversalTexture("T-U", generator=torch.Generator().manual_seed(0))
+texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [MyDetector()], world, sp.AttackSettings(steps=200), "runs/mine/T-U")

@@ -1,10 +1,12 @@
 """A body that may grow by up to a fifth of its width, against one detector of the demo."""
 
+import torch
+
 import skyproof as sp
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 detector = sp.load_detector("runs/demo/detectors/retinanet").detector
-camouflage = sp.DisplacementMap("S-O@0.2", magnitude=0.2)
+camouflage = sp.make_camouflage("S-O@0.2", generator=torch.Generator().manual_seed(0))
 settings = sp.AttackSettings(steps=100)
 print(sp.sign_test(camouflage, [detector], world, settings))
 sp.attack(camouflage, [detector], world, settings, "runs/mine/S-O@0.2")

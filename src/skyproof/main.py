@@ -40,9 +40,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "bring": "skyproof.cli.bring:Bring",
     },
     "Camouflage and judgement": {
-        "palette": "skyproof.cli.camouflages:Palette",
-        "attack": "skyproof.cli.camouflages:Attack",
-        "control": "skyproof.cli.camouflages:Control",
+        "attack": "skyproof.cli.attack:Attack",
         "score": "skyproof.cli.camouflages:Score",
         "measure": "skyproof.cli.camouflages:Measure",
         "check": "skyproof.cli.check:Check",

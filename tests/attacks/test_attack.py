@@ -12,7 +12,7 @@ from skyproof.attacks.objective import balanced_weights, empty_truth_losses, fro
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
-from skyproof.camouflage.texture import UniversalTexture
+from skyproof.camouflage.make import make_camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
@@ -71,7 +71,7 @@ def world(tmp_path_factory):
 
 
 def start(seed=0):
-    return UniversalTexture("T-U", generator=torch.Generator().manual_seed(seed))
+    return make_camouflage("T-U", generator=torch.Generator().manual_seed(seed))
 
 
 def rows(folder):

@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from skyproof.attacks.attack import attack
-from skyproof.attacks.objective import paper_weights
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test, target_scores
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
@@ -87,13 +88,18 @@ def world(tmp_path_factory):
 
 
 def start(name, seed=0, turn_steps=2):
-    recipe, generator = read_recipe(name), torch.Generator().manual_seed(seed)
+    parsed = CamouflageName.parse(name)
     texture = None
-    if recipe.order == "seq":
-        texture = start(f"T-{recipe.texture.name}", seed)
+    if parsed.order == "seq":
+        texture = start(f"T-{parsed.constraints.name}", seed)
         texture.finalise()
-    materials = Materials(palette=PALETTE, texture=texture, turn_steps=turn_steps)
-    return make_camouflage(recipe, materials, generator=generator)
+    return make_camouflage(
+        name,
+        generator=torch.Generator().manual_seed(seed),
+        palette=PALETTE,
+        texture=texture,
+        settings=CamouflageSettings(turn_steps=turn_steps),
+    )
 
 
 def record(folder):
@@ -183,7 +189,7 @@ def test_snapshots_show_an_attack_growing_and_what_rounding_costs(tmp_path, worl
     learnt = attack(start("T-PixFc"), [BrightnessDetector()], world, settings, tmp_path)
     kept = {path.name: load_camouflage(path) for path in (tmp_path / "snapshots").iterdir()}
     assert set(kept) == {"T-PixFc_step1", "T-PixFc_step4", "T-PixFc_relaxed"}
-    assert all(camouflage.name == name for name, camouflage in kept.items())
+    assert all(str(camouflage.name) == name for name, camouflage in kept.items())
     losses = [mean_loss(kept[name], world) for name in ("T-PixFc_step1", "T-PixFc_step4")] + [
         mean_loss(learnt, world)
     ]
@@ -219,22 +225,3 @@ def test_a_finished_camouflage_has_nothing_to_learn(tmp_path, world):
     finished = start("T-Pix").requires_grad_(False)
     with pytest.raises(ConfigurationError, match="nothing to learn"):
         attack(finished, [BrightnessDetector()], world, FEW, tmp_path)
-
-
-def test_the_papers_weights_are_those_of_its_table():
-    three = ["faster_rcnn", "yolov5", "retinanet"]
-    assert paper_weights("T-PixFcMa-1", three) == {
-        "retinanet": 0.003,
-        "faster_rcnn": 10.0,
-        "yolov5": 2.0,
-    }
-    assert paper_weights("S-O@0.4", three) == {
-        "retinanet": 0.020,
-        "faster_rcnn": 15.0,
-        "yolov5": 32.0,
-    }
-    assert paper_weights("C-PixFc-par@0.2", three)["yolov5"] == 20.860
-    with pytest.raises(ConfigurationError, match="balanced"):
-        paper_weights("C-U-seq@0.2", three)
-    with pytest.raises(ConfigurationError, match="balanced"):
-        paper_weights("T-U", ["retinanet"])

@@ -4,9 +4,8 @@ import pytest
 import torch
 
 from skyproof.camouflage.account import practicality_account
-from skyproof.camouflage.camouflage import NoCamouflage
+from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.measures import measure_texture
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 PALETTE = (
@@ -23,8 +22,7 @@ def vehicles():
 def account(name, vehicles):
     generator = torch.Generator().manual_seed(0)
     return practicality_account(
-        make_camouflage(read_recipe(name), Materials(palette=PALETTE), generator=generator),
-        vehicles,
+        make_camouflage(name, palette=PALETTE, generator=generator), vehicles
     )
 
 
@@ -49,9 +47,7 @@ def test_sides_that_are_left_alone_are_not_accounted_for(vehicles, name, total, 
 
 def test_quantities_are_those_of_the_map_and_the_mask(vehicles):
     control = make_camouflage(
-        read_recipe("R-PixFcMa"),
-        Materials(palette=PALETTE),
-        generator=torch.Generator().manual_seed(0),
+        "R-PixFcMa", palette=PALETTE, generator=torch.Generator().manual_seed(0)
     )
     found = practicality_account(control, vehicles)["texture"]
     wanted = measure_texture(vehicles, control.bytes(), control.mask(vehicles), 16)
@@ -64,8 +60,3 @@ def test_a_random_shape_adds_volume(vehicles):
     found = account("R-S-O@0.4", vehicles)["shape"]
     assert found["added_volume_m3"] > 1
     assert 0.2 < found["largest_displacement_m"] <= 0.4 * 2.3
-
-
-def test_nothing_costs_nothing(vehicles):
-    found = practicality_account(NoCamouflage(), vehicles)
-    assert (found["score"]["total"], found["texture"], found["shape"]) == (0, None, None)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from skyproof.camouflage.displacement import DisplacementMap, sample_map
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
@@ -32,18 +33,21 @@ def cars():
     )
 
 
+def named(magnitude):
+    return CamouflageName("shape", magnitude=magnitude)
+
+
 def filled(value, magnitude=0.4, **options):
     """A map of one sigmoid value, or of a `[64, 64]` tensor of them."""
-    camouflage = DisplacementMap("S-O", magnitude, **options)
+    camouflage = DisplacementMap(named(magnitude), **options)
     with torch.no_grad():
         camouflage.displacement.copy_(torch.as_tensor(value).logit().expand(64, 64))
     return camouflage
 
 
 def random_map(magnitude, seed=0, **options):
-    return DisplacementMap(
-        "R-S-O", magnitude, generator=torch.Generator().manual_seed(seed), **options
-    )
+    generator = torch.Generator().manual_seed(seed)
+    return DisplacementMap(named(magnitude), generator=generator, **options)
 
 
 def radii(batch):
@@ -66,7 +70,7 @@ def labels_at_vertices(batch, inset=0.0):
 
 
 def test_without_a_generator_it_starts_negative_and_nearly_undeformed(cars):
-    camouflage = DisplacementMap("S-O@1.0", 1.0)
+    camouflage = DisplacementMap(named(1.0))
     assert (camouflage.displacement == -4).all()
     width = cars.vertices[..., 1].amax(1) - cars.vertices[..., 1].amin(1)
     assert (moved(camouflage, cars).norm(dim=-1).amax(1) <= 0.018 * width).all()
@@ -111,7 +115,7 @@ def test_mirrored_vertices_move_alike(cars, frozen_parts):
 
 
 def test_both_halves_of_the_map_count_alike():
-    camouflage = DisplacementMap("S-O", 0.5)
+    camouflage = DisplacementMap(named(0.5))
     with torch.no_grad():
         camouflage.displacement[20, 10] = 0.0
     shown = camouflage.map().detach()
@@ -123,7 +127,7 @@ def test_a_displacement_computed_by_hand():
     # Vertex 32 * 9 + 5 of the sphere template has u = 5/32, v = 10/32: between the centres of columns 9 and 10 and of
     # rows 19 and 20, half way each. Its mirror image has columns 53 and 54.
     batch = double(vehicles())
-    camouflage = DisplacementMap("S-O", 0.5).double()
+    camouflage = DisplacementMap(named(0.5)).double()
     with torch.no_grad():
         for row, column, value in ((19, 9, 1.0), (19, 10, 2.0), (20, 9, -3.0), (20, 10, 4.0)):
             camouflage.displacement[row, column] = value
@@ -236,7 +240,7 @@ def test_the_random_control_is_uniform_and_symmetric():
 
 
 def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
-    camouflage = DisplacementMap("S-O", 0.4)
+    camouflage = DisplacementMap(named(0.4))
     with torch.no_grad():
         camouflage.displacement.copy_(
             6 * torch.randn(64, 64, generator=torch.Generator().manual_seed(0))
@@ -252,7 +256,7 @@ def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
 
 def test_adam_lifts_the_map_within_few_steps(cars):
     # Pushing the roof out is worth something at once: the rate must bring sigmoid from 0.02 past a half.
-    camouflage = DisplacementMap("S-O", 0.4)
+    camouflage = DisplacementMap(named(0.4))
     optimiser = torch.optim.Adam(
         camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"]
     )
@@ -266,5 +270,10 @@ def test_adam_lifts_the_map_within_few_steps(cars):
 
 @pytest.mark.parametrize("magnitude", [-0.1, 1.1, math.nan, math.inf])
 def test_a_magnitude_outside_zero_to_one_is_one_clear_sentence(magnitude):
-    with pytest.raises(ConfigurationError, match=r"between 0 and 1.*but got"):
-        DisplacementMap("S-O", magnitude)
+    with pytest.raises(ConfigurationError, match=r"from 0 to 1.*got"):
+        named(magnitude)
+
+
+def test_a_name_without_a_magnitude_is_refused():
+    with pytest.raises(ConfigurationError, match=r"such as S-O@0\.4, got T-U"):
+        DisplacementMap(CamouflageName.parse("T-U"))

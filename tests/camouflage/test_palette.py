@@ -5,9 +5,10 @@ import json
 import pytest
 import torch
 
-from skyproof.camouflage.palette import fit_palette, load_palette, save_palette
+from skyproof.camouflage.palette import fit_palette, ground_palette, load_palette
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.ground.procedural import write_procedural_backgrounds
 
 CLUSTERS = torch.tensor([[40, 60, 30], [90, 80, 70], [160, 150, 140], [220, 60, 40], [30, 40, 160]])
 
@@ -60,11 +61,25 @@ def test_colours_that_look_alike_share_a_cluster():
     assert float((palette - torch.tensor([0.0, 0.0, 60 / 255])).abs().sum(1).min()) < 0.01
 
 
+def test_the_palette_of_the_ground_is_that_of_the_attack_split(tmp_path):
+    splits = {"attack": 2, "test": 1}
+    backgrounds = write_procedural_backgrounds(tmp_path / "ground", splits, 140, seed=0)
+    palette = ground_palette(backgrounds, 3, seed=1)
+    assert torch.equal(ground_palette(backgrounds, 3, seed=1), palette)
+    means = torch.stack(
+        [backgrounds.pixels(t.id).float().mean((1, 2)) / 255 for t in backgrounds.tiles("attack")]
+    )
+    assert palette.shape == (3, 3)
+    # The middle of the ground lies among its colours.
+    assert (palette.amin(0) <= means.mean(0)).all()
+    assert (palette.amax(0) >= means.mean(0)).all()
+
+
 def test_a_palette_file_reads_back(tmp_path):
     palette = fit_palette(ground(), 5, seed=0)
-    save_palette(tmp_path / "palette.json", palette, {"seed": 0})
+    rows = (palette * 255).round().int().tolist()
+    (tmp_path / "palette.json").write_text(json.dumps({"colours_srgb": rows}))
     assert torch.equal(load_palette(tmp_path / "palette.json"), palette)
-    assert json.loads((tmp_path / "palette.json").read_text())["record"] == {"seed": 0}
 
 
 def test_too_few_colours_are_refused(tmp_path):

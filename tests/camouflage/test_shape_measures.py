@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.shape_measures import measure_shape
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.render.bodies import vehicles
@@ -39,7 +40,9 @@ def test_a_stretched_body_measures_what_it_was_stretched_by():
 def test_a_body_seen_whole_from_its_middle_never_runs_through_itself():
     # Every ray from the middle meets the surface once, and displacement only slides points along their rays.
     saloon = one("saloon")
-    control = DisplacementMap("R-S-O", 1.0, generator=torch.Generator().manual_seed(0))
+    control = DisplacementMap(
+        CamouflageName.parse("R-S-O@1"), generator=torch.Generator().manual_seed(0)
+    )
     (measures,) = measure_shape(saloon, control(saloon))
     assert measures.intersections_before == measures.intersections_after == 0
     assert measures.added_volume_m3 > 5
@@ -48,7 +51,9 @@ def test_a_body_seen_whole_from_its_middle_never_runs_through_itself():
 
 def test_the_bed_of_a_pickup_does():
     pickup = one("pickup")
-    control = DisplacementMap("R-S-O", 0.4, generator=torch.Generator().manual_seed(0))
+    control = DisplacementMap(
+        CamouflageName.parse("R-S-O@0.4"), generator=torch.Generator().manual_seed(0)
+    )
     (measures,) = measure_shape(pickup, control(pickup))
     assert measures.intersections_before == 0
     assert measures.intersections_after > 50

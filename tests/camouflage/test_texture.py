@@ -10,7 +10,8 @@ from PIL import Image
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.texture import LITERAL_TEMPERATURE, UniversalTexture
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
@@ -30,10 +31,11 @@ def drawn(seed):
     return torch.Generator().manual_seed(seed)
 
 
-def texture(constraints=None, seed=0, name="T-X", **more):
+def texture(constraints=None, seed=0, **more):
+    name = CamouflageName("texture", constraints or TextureConstraints())
     if constraints and constraints.colours == "fixed":
         more = {"palette": PALETTE, **more}
-    return UniversalTexture(name, constraints, generator=drawn(seed), **more)
+    return UniversalTexture(name, generator=drawn(seed), **more)
 
 
 @pytest.fixture(scope="module")
@@ -154,38 +156,6 @@ def test_the_mixture_is_a_softmax_of_logits_over_the_temperature():
     assert not torch.allclose(camouflage.map()[:, 16, 0], wanted, atol=1e-3)
 
 
-def softmax_of_paper(p, tau):
-    """PAPER 30, written out: s(r_i) = exp(ln(r_i) / tau) / sum_j exp(ln(r_j) / tau)."""
-    powers = torch.exp(torch.log(p) / tau)
-    return powers / powers.sum(0)
-
-
-def test_the_literal_form_is_the_papers_double_softmax():
-    camouflage = texture(TextureConstraints(True, "fixed"), literal=True)
-    p = camouflage.cells.detach().clone()
-    assert torch.allclose(p.sum(0), torch.ones(32, 32), atol=1e-6)
-    weights = softmax_of_paper(softmax_of_paper(p, LITERAL_TEMPERATURE), LITERAL_TEMPERATURE)
-    wanted = torch.einsum("kij,kc->cij", weights, PALETTE)
-    assert torch.allclose(camouflage.map()[:, ::16, ::16], wanted, atol=1e-5)
-    before = float(camouflage.temperature)
-    camouflage.before_step_(4, 5)
-    assert float(camouflage.temperature) == before
-    camouflage.project_()
-    assert torch.allclose(camouflage.cells.detach(), torch.softmax(p, dim=0))
-
-
-def test_the_literal_form_forgets(vehicles):
-    """A plain softmax after every step drives p to uniform (PAPER 31); logits stay."""
-    fixed = TextureConstraints(True, "fixed")
-    literal, annealed = texture(fixed, literal=True), texture(fixed)
-    kept = annealed.cells.detach().clone()
-    for _ in range(8):
-        literal.project_()
-        annealed.project_()
-    assert (literal.cells - 0.2).abs().max() < 1e-4
-    assert torch.equal(annealed.cells, kept)
-
-
 def test_annealing_leaves_little_to_the_last_rounding(vehicles):
     annealed = learn(texture(TextureConstraints(True, "learnt")), vehicles, steps=20)
     soft = annealed.map().detach()
@@ -229,8 +199,8 @@ def test_a_palette_of_one_colour_is_refused():
 
 def test_a_palette_belongs_to_fixed_colours_alone():
     with pytest.raises(ConfigurationError, match="expect a palette"):
-        UniversalTexture("T-Fc", TextureConstraints(colours="fixed"), generator=drawn(0))
-    with pytest.raises(ConfigurationError, match="a palette for T-X"):
+        UniversalTexture(CamouflageName.parse("T-Fc"), generator=drawn(0))
+    with pytest.raises(ConfigurationError, match="a palette for T-Lc"):
         texture(TextureConstraints(colours="learnt"), palette=PALETTE)
 
 

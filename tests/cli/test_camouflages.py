@@ -1,4 +1,4 @@
-"""palette, attack, control, score and measure: what they leave, and the one sentence for what cannot work."""
+"""attack, score and measure: what they leave, and the one sentence for what cannot work."""
 
 from __future__ import annotations
 
@@ -26,31 +26,24 @@ STEPS = [
 
 @pytest.fixture
 def attack(finished: Path, tmp_path: Path, skyproof: Skyproof):
-    def call(name: str, *more: object, out: str | None = None):
+    def call(name: str, *more: object):
         world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
         detectors = ["--detectors", finished / "detectors/retinanet"]
-        place = tmp_path / "camouflages" / (out or name)
-        return skyproof("attack", "--name", name, *detectors, *world, "--out", place, *STEPS, *more)
+        place = ["--out", tmp_path / "camouflages"]
+        return skyproof("attack", name, *detectors, *world, *place, *STEPS, *more)
 
     return call
 
 
-@pytest.fixture
-def palette(finished: Path, tmp_path: Path, skyproof: Skyproof) -> Path:
-    path = tmp_path / "palette.json"
-    answer = skyproof("palette", "--backgrounds", finished / "backgrounds", "--out", path)
-    assert answer.code == 0, answer.err
-    return path
-
-
-def test_from_palette_to_table(
-    finished: Path, tmp_path: Path, skyproof: Skyproof, attack, palette: Path
-) -> None:
+def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproof, attack) -> None:
     made = tmp_path / "camouflages"
-    colours = {tuple(row) for row in json.loads(palette.read_text())["colours_srgb"]}
-    assert len(colours) == 5
-    answer = attack("T-PixFcMa-0", "--palette", palette, "--settings.keep-at", 1)
+    answer = attack("T-PixFcMa-0", "--settings.keep-at", 1)
     assert answer.code == 0, answer.err
+    # The palette is that of the backgrounds.
+    (said,) = [line for line in answer.out.splitlines() if line.startswith("Palette: ")]
+    hexadecimal = said.removeprefix("Palette: ").replace("#", "").split(", ")
+    colours = {tuple(bytes.fromhex(colour)) for colour in hexadecimal}
+    assert len(colours) == 5
     with Image.open(made / "T-PixFcMa-0" / "texture.png") as image:
         assert {tuple(pixel) for pixel in np.array(image).reshape(-1, 3).tolist()} <= colours
     record = json.loads((made / "T-PixFcMa-0" / "camouflage.json").read_text())["record"]
@@ -61,15 +54,8 @@ def test_from_palette_to_table(
     answer = attack("C-PixFcMa-seq@0.2-0", "--texture", made / "T-PixFcMa-0")
     assert answer.code == 0, answer.err
     answer = skyproof(
-        "control",
-        "--name",
-        "R-PixFcMa-0",
-        "R-PixFcMa-1",
-        "R-C-PixFcMa@0.2-0",
-        "--out",
-        made,
-        "--palette",
-        palette,
+        *("attack", "R-PixFcMa-0", "R-PixFcMa-1", "R-C-PixFcMa@0.2-0"),
+        *("--out", made, "--palette", finished / "backgrounds"),
     )
     assert answer.code == 0, answer.err
     before = bytes_of(made)
@@ -168,47 +154,64 @@ def test_a_camouflage_is_judged_under_weather(
 
 def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> None:
     assert attack("S-O@0.4").code == 0
-    assert attack("C-Lc-par@0.1", "--turn-steps", 1, "--conditions", "clear", "haze").code == 0
+    assert (
+        attack("C-Lc-par@0.1", "--camouflage.turn-steps", 1, "--conditions", "clear", "haze").code
+        == 0
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "more", "words"),
     [
         ("T-LcFc", [], ["Lc and Fc exclude each other"]),
-        ("T-Pix", ["--blocks", 1024], ["512 texels a side, got 1024"]),
+        ("T-Pix", ["--camouflage.blocks", 1024], ["512 texels a side, got 1024"]),
         ("S-O@1.2", [], ["from 0 to 1", "got 1.2"]),
         ("S-O@-0.1", [], ["from 0 to 1"]),
         ("S-O@0", [], ["magnitude 0", "nothing to learn"]),
-        ("T-Fc", [], ["T-Fc expects fixed colours", "--palette"]),
-        ("T-Lc", ["--colours", 1], ["at least 2 colours, got 1"]),
+        ("T-Fc", ["--camouflage.colours", 1], ["at least 2 colours, got 1"]),
+        ("T-Lc", ["--camouflage.colours", 1], ["at least 2 colours, got 1"]),
         ("C-Pix-seq@0.2", [], ["T-Pix", "--texture"]),
-        ("R-U", [], ["random control", "skyproof control"]),
         ("T-Invisible", [], ["Unknown texture constraints"]),
         ("T-U", ["--conditions", "hail"], ["hail", "overcast"]),
-        ("T-Pix", ["--settings.weights", "paper"], ["use balanced weights"]),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
 def test_what_cannot_work_is_one_sentence(
     attack, tmp_path: Path, name: str, more: list[object], words: list[str]
 ):
-    attack(name, *more, out="x").refused(*words)
+    attack(name, *more).refused(*words)
     assert not (tmp_path / "camouflages").exists()
 
 
-def test_palettes_that_cannot_work(
-    attack, finished: Path, tmp_path: Path, skyproof: Skyproof
-) -> None:
+def test_palettes_that_cannot_work(attack, tmp_path: Path) -> None:
     one = tmp_path / "one.json"
     one.write_text('{"colours_srgb": [[1, 2, 3]]}')
-    attack("T-Fc", "--palette", one, out="x").refused(str(one), "at least 2 colours")
-    attack("T-Fc", "--palette", tmp_path / "none.json", out="x").refused("none.json")
-    skyproof(
-        "palette", "--backgrounds", finished / "backgrounds", "--out", one, "--colours", 1
-    ).refused("at least 2")
-    skyproof("control", "--name", "T-U", "--out", tmp_path / "x").refused(
-        "T-U is learnt, not drawn"
-    )
+    attack("T-Fc", "--palette", one).refused(str(one), "at least 2 colours")
+    attack("T-Fc", "--palette", tmp_path / "none.json").refused("none.json")
+    assert not (tmp_path / "camouflages").exists()
+
+
+def test_what_is_missing_is_asked_for(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    out = tmp_path / "made"
+    skyproof("attack", "R-Fc", "--out", out).refused("--palette or --backgrounds")
+    skyproof("attack", "T-U", "--out", out).refused("T-U is learnt", "--detectors", "--fleet")
+    # Everything is read before anything is made.
+    skyproof("attack", "R-U", "T-LcFc", "--out", out).refused("Lc and Fc exclude each other")
+    assert not out.exists()
+
+
+def test_finished_camouflages_are_kept_and_others_added(
+    finished: Path, tmp_path: Path, skyproof: Skyproof, attack
+) -> None:
+    made = tmp_path / "camouflages"
+    assert attack("T-U").code == 0
+    before = bytes_of(made)
+    both = attack("R-U-0", "T-U")
+    assert both.code == 0, both.err
+    after = bytes_of(made)
+    assert {name: after[name] for name in before} == before
+    assert {name.split("/")[0] for name in after} == {"T-U", "R-U-0"}
+    attack("T-U", "--settings.learning-rate", 0.3).refused("other settings")
 
 
 def test_a_fleet_without_paint_is_refused(
@@ -221,4 +224,4 @@ def test_a_fleet_without_paint_is_refused(
     fleet = Fleet.load(folder / "fleets/attack")
     fleet.parts.fill_(Part.GLASS)
     fleet.save(tmp_path / "bare")
-    attack("T-Ma", "--fleet", tmp_path / "bare", out="x").refused("covers nothing", "leave out Ma")
+    attack("T-Ma", "--fleet", tmp_path / "bare").refused("covers nothing", "leave out Ma")

@@ -28,7 +28,7 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
     assert (
-        "15 jobs (world 1, render 3, train 1, palette 1, attack 4, control 1, measure 1, score 2, tables 1)"
+        "14 jobs (world 1, render 3, train 1, attack 4, control 1, measure 1, score 2, tables 1)"
         in answer.out
     )
     assert "-m snakemake --snakefile" in answer.out

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.camouflage.names import matched_control, pooled_name
-from skyproof.camouflage.recipe import read_recipe
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.plans.plan import PRESETS, SNAKEFILE, Plan, Preset, read_preset
 
@@ -115,23 +114,15 @@ def test_repeats_seeds_transfer_and_masked():
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_name_can_be_made_and_has_its_control(preset):
     full = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())))
-    assert (
-        len(
-            {
-                pooled_name(name)
-                for name in full.attacks
-                if name.startswith("T-") and "_" not in name
-            }
-        )
-        == 12
-    )
-    controls = {pooled_name(name) for name in full.controls}
+    parsed = {name: CamouflageName.parse(name) for name in full.attacks}
+    textures = [name for name in parsed.values() if name.kind == "texture" and not name.variant]
+    assert len({name.pooled for name in textures}) == 12
+    controls = {CamouflageName.parse(name).pooled for name in full.controls}
     for name, job in full.attacks.items():
-        recipe = read_recipe(name)
-        assert not recipe.random
-        assert (recipe.order == "seq") == (job.texture is not None)
-        assert matched_control(name) in controls
-    assert all(read_recipe(name).random for name in full.controls)
+        assert not parsed[name].random
+        assert (parsed[name].order == "seq") == (job.texture is not None)
+        assert parsed[name].control in controls
+    assert all(name.random for name in controls)
     assert full.preset.repeats >= 3
     assert full.preset.draws >= 3
 
@@ -195,7 +186,7 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
     tiny = plan()
     # By age: what a finished run leaves.
     stages = [
-        ["backgrounds", "fleets", "scenes", "palette.json"],
+        ["backgrounds", "fleets", "scenes"],
         [f"datasets/{split}" for split in ("train", "validation", "test")],
         ["detectors/retinanet/detector.json"],
         [

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.datasets.coco import read_coco
 from skyproof.errors import RunFolderError
@@ -43,7 +44,9 @@ def some_scenes(fleet):
 
 
 def random_colours(seed=0):
-    return UniversalTexture("R-U-0", generator=torch.Generator().manual_seed(seed))
+    return UniversalTexture(
+        CamouflageName.parse("R-U-0"), generator=torch.Generator().manual_seed(seed)
+    )
 
 
 def write(folder, fleet, **changed):

@@ -14,6 +14,7 @@ import pytest
 import torch
 from PIL import Image
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
@@ -57,7 +58,9 @@ def fleet_vehicles():
 
 def fleet_vehicles_in_random_colours():
     place = scene((-2.0, -1.5, 60.0), (2.2, 1.0, 240.0), size_px=80)
-    texture = UniversalTexture("R-U-0", generator=torch.Generator().manual_seed(0))
+    texture = UniversalTexture(
+        CamouflageName.parse("R-U-0"), generator=torch.Generator().manual_seed(0)
+    )
     with torch.no_grad():
         return TorchRenderer(PlainGround(0.45), SETTINGS)(
             [place], texture(van_and_car().batch(van_and_car().ids))

@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 from scipy.spatial import ConvexHull
 
+from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.measures import measure_texture
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
 from skyproof.camouflage.shape_measures import measure_shape
 from skyproof.cycles.materials import material_labels
 from skyproof.geometry.intersections import self_intersections
@@ -143,9 +143,7 @@ def test_every_camouflage_applies_to_it() -> None:
     vehicles = fleet().batch(["car-1000"])
     plain = close_up(vehicles, gsd_m=0.05, side_m=6.0)
     for name in ("T-U", "T-Ma", "S-O@0.3", "R-S-O@0.3"):
-        camouflage = make_camouflage(
-            read_recipe(name), Materials(), generator=torch.Generator().manual_seed(0)
-        )
+        camouflage = make_camouflage(name, generator=torch.Generator().manual_seed(0))
         worn = camouflage(vehicles)
         picture = close_up(worn, gsd_m=0.05, side_m=6.0)
         assert picture.shape == plain.shape

@@ -19,12 +19,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen, paper_weights
+from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.names import variant_name
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
@@ -74,7 +73,7 @@ def attack(
     """
     folder = Path(folder)
     identity = {
-        "camouflage": camouflage.name,
+        "camouflage": str(camouflage.name),
         "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
@@ -89,11 +88,7 @@ def attack(
     run.resume(folder)
     with frozen(detectors):
         if not run.weights:
-            run.weights = (
-                paper_weights(camouflage.name, [detector.name for detector in detectors])
-                if settings.weights == "paper"
-                else balanced_weights(_measure(camouflage, detectors, world, settings))
-            )
+            run.weights = balanced_weights(_measure(camouflage, detectors, world, settings))
             run.claim(folder)
         while run.step < settings.steps:
             started = time.perf_counter()
@@ -171,12 +166,11 @@ def _measure(
 def _snapshot(camouflage: Camouflage, variant: str, folder: Path, *, finalise: bool) -> None:
     """A copy of the camouflage as it is now, under a name of its own: "T-U-0" after 10 steps is "T-U_step10-0"."""
     copied = copy.deepcopy(camouflage)
-    copied.name = variant_name(camouflage.name, variant)
+    copied.name = camouflage.name.with_variant(variant)
     if finalise:
         copied.finalise()
-    save_camouflage(
-        folder / "snapshots" / copied.name, copied, {"of": camouflage.name, "variant": variant}
-    )
+    record = {"of": str(camouflage.name), "variant": variant}
+    save_camouflage(folder / "snapshots" / str(copied.name), copied, record)
 
 
 class _Run:

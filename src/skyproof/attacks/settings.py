@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from skyproof.errors import ConfigurationError
 
@@ -12,27 +11,25 @@ __all__ = ["AttackSettings"]
 
 @dataclass(frozen=True)
 class AttackSettings:
-    """How a camouflage is optimised; the paper gives none of these numbers (PAPER 25).
+    """How a camouflage is optimised; the paper gives none of these numbers.
 
     Attributes:
         steps: optimiser steps.
         batch_size: images, and so vehicles, a step.
         learning_rate: Adam's at the start; half a cosine takes it to a tenth.
-        balance_batches: batches, seen by no step, whose mean losses set the detectors' weights (PAPER 24), and
-            measure what the last rounding costs (PAPER 32).
-        weights: of the detectors' losses: "balanced" by their first values, or the paper's own numbers.
-        keep_at: steps after which a finished copy is kept in `snapshots/`, to see an attack grow stronger; then also
-            one from before the last rounding, "relaxed" (PAPER 32).
+        balance_batches: batches, seen by no step, whose mean losses set the detectors' weights, and
+            measure what the last rounding costs.
+        keep_at: steps after which a finished copy is kept in `snapshots/`, to see an attack grow
+            stronger; then also one from before the last rounding, "relaxed".
         preview_every: steps between pictures of the batch.
         checkpoint_every: steps between checkpoints.
-        seed: of all scenes; the demo adds its own seed to it.
+        seed: decides all scenes and random draws.
     """
 
     steps: int = 300
     batch_size: int = 8
     learning_rate: float = 0.05
     balance_batches: int = 4
-    weights: Literal["balanced", "paper"] = "balanced"
     keep_at: tuple[int, ...] = ()
     preview_every: int = 100
     checkpoint_every: int = 25

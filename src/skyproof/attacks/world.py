@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +31,7 @@ class AttackWorld:
         renderer: differentiable, on `backgrounds`.
         backgrounds: their split "attack" is used.
         fleet: vehicles to camouflage.
-        scenes: how scenes are drawn; exactly one vehicle an image (PAPER 5).
+        scenes: how scenes are drawn; exactly one vehicle an image (section 3.2).
     """
 
     renderer: Renderer
@@ -42,30 +43,51 @@ class AttackWorld:
         if not self.renderer.differentiable:
             raise ConfigurationError("An attack needs a differentiable renderer.")
         if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
-            raise ConfigurationError("An attack needs exactly one vehicle per image (PAPER 5).")
+            raise ConfigurationError("An attack needs exactly one vehicle per image.")
 
     @classmethod
-    def open(cls, backgrounds: str | Path, fleet: str | Path, *, size_px: int = 384) -> AttackWorld:
-        """The differentiable renderer on a background set and a fleet folder; one vehicle an image, clear sky."""
+    def open(
+        cls,
+        backgrounds: str | Path,
+        fleet: str | Path,
+        *,
+        size_px: int = 384,
+        conditions: Sequence[str] = ("clear",),
+    ) -> AttackWorld:
+        """Opens a background set and a fleet folder under the differentiable renderer.
+
+        Args:
+            backgrounds: background set folder; its resolution is the scenes'.
+            fleet: fleet folder.
+            size_px: image side.
+            conditions: weather and light that scenes are drawn from, each equally likely.
+
+        Raises:
+            ConfigurationError: scenes cannot be drawn so.
+            StoredFileError: a folder is missing or damaged.
+        """
         photographs = BackgroundSet.open(Path(backgrounds))
-        scenes = SceneSettings(size_px=size_px, vehicles_maximum=1)
+        scenes = SceneSettings(size_px=size_px, vehicles_maximum=1, conditions=tuple(conditions))
         renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
         return cls(renderer, photographs, Fleet.load(Path(fleet)), scenes)
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
-        """Random scenes on the attack backgrounds."""
+        """Draws random scenes on the attack backgrounds."""
         return sample_scenes(
             self.scenes, self.backgrounds, "attack", self.fleet.sizes_m, count, generator=generator
         )
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
-        """The scenes of one step; those of steps 0, -1, -2 ... are seen by no step, and serve to measure."""
+        """Draws the scenes of one step.
+
+        Those of steps 0, -1, -2 ... are seen by no step of an attack, and serve to measure.
+        """
         return self.draw(
             count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
         )
 
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
-        """The scenes, their vehicles in the camouflage, on its device."""
+        """Renders the scenes, their vehicles in the camouflage, on its device."""
         tensors = [*camouflage.parameters(), *camouflage.buffers()]
         vehicles = placed_vehicles(self.fleet, scenes).to(tensors[0].device)
         return self.renderer(scenes, camouflage(vehicles))

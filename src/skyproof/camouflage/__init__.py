@@ -1,1 +1,4 @@
-"""Camouflages: what is done to a vehicle's texture or shape, learnt or drawn at random, or nothing."""
+"""Camouflages: what is done to a vehicle's texture or shape, learnt or drawn at random.
+
+Here stand their names, how each changes vehicles, how it is stored, and what it would cost to make.
+"""

@@ -51,7 +51,7 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
             row.intersections_after > row.intersections_before for row in rows
         )
     return {
-        "name": camouflage.name,
+        "name": str(camouflage.name),
         "score": {
             "texture": asdict(score.texture),
             "shape": asdict(score.shape),

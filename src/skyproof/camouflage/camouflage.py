@@ -6,41 +6,38 @@ from collections.abc import Mapping
 
 from torch import nn
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Camouflage", "NoCamouflage"]
+__all__ = ["Camouflage"]
 
 
 class Camouflage(nn.Module):
-    """Changes vehicles' texture or shape. Its parameters, if any, are what an attack optimises.
+    """Changes vehicles' texture or shape; its parameters, if any, are what an attack optimises.
 
     Attributes:
-        name: "T-U", "R-U-0", "none": as tables show it.
-        learning_rates: parameter name to a multiple of the attack's learning rate, where it is not 1.
+        name: "T-U", "R-U-0": as tables show it.
+        learning_rates: multiples of the attack's learning rate by parameter name, where not 1.
     """
 
-    name: str
+    name: CamouflageName
     learning_rates: Mapping[str, float] = {}
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """The same vehicles, camouflaged; differentiable in the parameters."""
+        """Gives the same vehicles, camouflaged; differentiable in the parameters."""
         raise NotImplementedError
 
     def before_step_(self, step: int, steps: int) -> None:
-        """Sets what depends on the progress of an attack, such as a temperature; called before step 1 to `steps`."""
+        """Sets what depends on an attack's progress, such as a temperature.
+
+        Called before each step, from 1 to `steps`.
+        """
 
     def project_(self) -> None:
         """Puts the parameters back into what is allowed; called after every optimiser step."""
 
     def finalise(self) -> None:
-        """Makes the camouflage exactly what is stored and shown, such as colours of 8 bits; called once at the end."""
+        """Makes the camouflage exactly what is stored and shown, such as colours of 8 bits.
 
-
-class NoCamouflage(Camouflage):
-    """Vehicles as they are."""
-
-    name = "none"
-
-    def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """The vehicles themselves."""
-        return vehicles
+        Called once at the end.
+        """

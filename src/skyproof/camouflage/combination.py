@@ -1,4 +1,4 @@
-"""Texture and shape together, one after the other or in turns (PAPER 53)."""
+"""Texture and shape together, one after the other or in turns (section 3.5)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -16,16 +17,17 @@ __all__ = ["Combination"]
 class Combination(Camouflage):
     """A texture and a displacement map on the same vehicles.
 
-    Differences from the paper: masked textures may be combined too, because texture, part map and displacement share
-    one UV map, which a displacement leaves as it is.
+    Differences from the paper: masked textures may be combined too, because texture, part map and
+    displacement share one UV map, which a displacement leaves as it is.
 
     Attributes:
         texture, shape: its two parts.
-        turn_steps: parallel attacks change sides after so many steps (the paper's n_pll); None is sequential: the
-            texture stays as it is and the shape alone is learnt.
+        turn_steps: steps after which a parallel attack changes sides (the paper's n_pll). None is
+            sequential: the texture stays as it is and the shape alone is learnt.
 
     Args:
-        turn_steps: as the attribute.
+        name: "C-Fc-par@0.2".
+        texture, shape, turn_steps: as the attributes.
 
     Raises:
         ConfigurationError: turns of less than one step.
@@ -33,7 +35,7 @@ class Combination(Camouflage):
 
     def __init__(
         self,
-        name: str,
+        name: CamouflageName,
         texture: UniversalTexture,
         shape: DisplacementMap,
         *,
@@ -44,21 +46,24 @@ class Combination(Camouflage):
             raise ConfigurationError(
                 f"A parallel attack expects turns of at least 1 step, got {turn_steps}."
             )
-        self.name, self.texture, self.shape, self.turn_steps = name, texture, shape, turn_steps
+        self.name = name
+        self.texture = texture
+        self.shape = shape
+        self.turn_steps = turn_steps
         if turn_steps is None:
             texture.requires_grad_(False)
         self.learning_rates: Mapping[str, float] = {
-            f"{side}.{name}": rate
+            f"{side}.{parameter}": rate
             for side, part in (("texture", texture), ("shape", shape))
-            for name, rate in part.learning_rates.items()
+            for parameter, rate in part.learning_rates.items()
         }
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """The vehicles in both."""
+        """Puts the vehicles into both."""
         return self.shape(self.texture(vehicles))
 
     def before_step_(self, step: int, steps: int) -> None:
-        """Whose turn it is: the texture begins."""
+        """Says whose turn it is to be learnt; the texture begins."""
         if self.turn_steps is not None:
             texture_turn = (step - 1) // self.turn_steps % 2 == 0
             self.texture.requires_grad_(texture_turn)
@@ -67,12 +72,12 @@ class Combination(Camouflage):
         self.shape.before_step_(step, steps)
 
     def project_(self) -> None:
-        """Both parts' own."""
+        """Projects the parts that are learnt."""
         if self.turn_steps is not None:
             self.texture.project_()
         self.shape.project_()
 
     def finalise(self) -> None:
-        """Both parts' own."""
+        """Finalises both parts."""
         self.texture.finalise()
         self.shape.finalise()

@@ -1,4 +1,7 @@
-"""One universal displacement map that pushes every vehicle's surface outward: S-O when learnt, R-S-O as drawn."""
+"""One universal displacement map that pushes every vehicle's surface outward.
+
+It is called S-O when it is learnt and R-S-O as drawn.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
 
@@ -17,28 +21,31 @@ __all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "sample_map"]
 
 DISPLACEMENT_SIZE = 64
 
-_START = -4.0  # sigmoid 0.018: negative and nearly undeformed (PAPER 48)
+_START = -4.0  # sigmoid 0.018: negative (section S4.3) and nearly undeformed
 _LARGEST = 8.0  # sigmoid 0.9997; beyond it nothing moves and nothing is learnt
 
 
 class DisplacementMap(Camouflage):
-    """Moves every vertex away from the middle of its vehicle, further where the map is bright (PAPER 43-51).
+    """Moves every vertex away from the middle of its vehicle, further where the map is bright.
 
-    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV, R_i the vector from
-    the mean of the vehicle's vertices to the vertex, W the vehicle's width. The map is made symmetric first, so
-    mirrored vertices move alike.
+    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV, R_i
+    the vector from the mean of the vehicle's vertices to the vertex, W the vehicle's width (section
+    D.3). The map is made symmetric first, so mirrored vertices move alike.
 
-    Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push every vertex towards
-    one corner (PAPER 47). Wheels and underside stay where they are, and no vertex is pushed below the ground: there its
-    way ends, in the same direction. So a deformed vehicle can still roll.
+    Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push
+    every vertex towards one corner. Wheels and underside stay where they are, and no vertex is
+    pushed below the ground: there its way ends, in the same direction. So a deformed vehicle can
+    still roll.
 
-    Vertices only slide along their rays from the middle, so a body whose every point can be seen from there never runs
-    through itself. The bed of a pickup cannot be seen, and does (see `measure_shape`).
+    Vertices only slide along their rays from the middle, so a body whose every point can be seen
+    from there never runs through itself. The bed of a pickup cannot be seen, and does (see
+    `measure_shape`).
 
     Attributes:
-        magnitude: PM, the largest displacement as a fraction of the width (PAPER 49).
-        frozen_parts: whether wheels and underside stay (PAPER 51).
-        displacement: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as in `Template.uvs`.
+        magnitude: PM, the largest displacement as a fraction of the width; the name says it.
+        frozen_parts: whether wheels and underside stay.
+        displacement: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as
+            in `Template.uvs`.
     """
 
     # Sigmoid has to come up from -4 within the steps of one attack.
@@ -46,31 +53,30 @@ class DisplacementMap(Camouflage):
 
     def __init__(
         self,
-        name: str,
-        magnitude: float,
+        name: CamouflageName,
         *,
         generator: torch.Generator | None = None,
         frozen_parts: bool = True,
     ) -> None:
-        """Nearly undeformed, or the random control.
+        """Starts nearly undeformed, or as the random control.
 
         Args:
-            name: "S-O@0.4".
-            magnitude: PM, in [0, 1]; at 0 every vehicle keeps its vertices bit for bit.
-            generator: if given, sigmoid(D) is drawn uniformly from [0, 1] for every texel and its mirror image.
+            name: of a shape or a combination, such as "S-O@0.4"; at PM = 0 every vehicle keeps its
+                vertices bit for bit.
+            generator: if given, sigmoid(D) is drawn uniformly from [0, 1] for every texel and its
+                mirror image.
             frozen_parts: whether wheels and underside stay as they are.
 
         Raises:
-            ConfigurationError: PM outside [0, 1].
+            ConfigurationError: a name without a magnitude.
         """
         super().__init__()
-        if not 0.0 <= magnitude <= 1.0:
+        if name.magnitude is None:
             raise ConfigurationError(
-                f"The perturbation magnitude PM must be between 0 and 1 (a fraction of the vehicle's width), "
-                f"but got {magnitude}."
+                f"A shape expects a name with a magnitude, such as S-O@0.4, got {name}."
             )
         self.name = name
-        self.magnitude = float(magnitude)
+        self.magnitude = name.magnitude
         self.frozen_parts = frozen_parts
         start = torch.full((DISPLACEMENT_SIZE, DISPLACEMENT_SIZE), _START)
         if generator is not None:
@@ -79,13 +85,13 @@ class DisplacementMap(Camouflage):
         self.displacement = nn.Parameter(start)
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """The vehicles deformed; at PM = 0 the vehicles themselves, without a gradient."""
+        """Deforms the vehicles; at PM = 0 they are handed through, without a gradient."""
         if self.magnitude == 0.0:
             return vehicles
         return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
 
     def map(self) -> Float[Tensor, "64 64"]:
-        """sigmoid of the symmetric map, in [0, 1]: the fraction of PM * W by which each place moves."""
+        """Gives sigmoid of the symmetric map: the fraction of PM * W by which each place moves."""
         return self._symmetric().sigmoid()
 
     @torch.no_grad()
@@ -103,7 +109,8 @@ class DisplacementMap(Camouflage):
         return (self.displacement + self.displacement.flip(1)) / 2
 
     def _offsets(self, vehicles: VehicleBatch) -> Float[Tensor, "N V 3"]:
-        vertices, template = vehicles.vertices, vehicles.template
+        vertices = vehicles.vertices
+        template = vehicles.template
         radius = vertices - vertices.mean(dim=1, keepdim=True)
         direction = torch.nn.functional.normalize(radius, dim=-1)
         width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
@@ -119,11 +126,16 @@ class DisplacementMap(Camouflage):
 def sample_map(
     displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]
 ) -> Float[Tensor, " V"]:
-    """Reads a map bilinearly between its texel centres (i + 0.5) / 64: circular in u, replicated in v (PAPER 45)."""
+    """Reads a map bilinearly between its texel centres (i + 0.5) / 64.
+
+    Circular in u, replicated in v (section S4.3).
+    """
     column = uvs[:, 0] * DISPLACEMENT_SIZE - 0.5
     row = (uvs[:, 1] * DISPLACEMENT_SIZE - 0.5).clamp(0.0, DISPLACEMENT_SIZE - 1.0)
-    left, top = column.floor(), row.floor()
-    across, down = column - left, row - top
+    left = column.floor()
+    top = row.floor()
+    across = column - left
+    down = row - top
     columns = torch.stack((left, left + 1), dim=-1).long() % DISPLACEMENT_SIZE
     rows = torch.stack((top, top + 1), dim=-1).long().clamp(max=DISPLACEMENT_SIZE - 1)
     texels = displacement[rows[:, :, None], columns[:, None, :]]
@@ -133,7 +145,10 @@ def sample_map(
 
 
 def _frozen(vehicles: VehicleBatch) -> Bool[Tensor, "N V"]:
-    """Vertices on, or at the edge of, wheel or underside; a vertex and its mirror image always together."""
+    """Which vertices lie on, or at the edge of, wheel or underside.
+
+    A vertex and its mirror image always go together.
+    """
     template: Template = vehicles.template
     size = vehicles.parts.shape[-1]
     column, row = (template.vertex_uvs * size).long().clamp(max=size - 1).unbind(1)
@@ -146,6 +161,7 @@ def _frozen(vehicles: VehicleBatch) -> Bool[Tensor, "N V"]:
 def _way_to_ground(
     vertices: Float[Tensor, "N V 3"], direction: Float[Tensor, "N V 3"]
 ) -> Float[Tensor, "N V"]:
-    """How far each vertex may go along its direction before z = 0; infinite where it does not go down."""
-    height, fall = vertices[..., 2].clamp(min=0.0), -direction[..., 2]
+    """How far each vertex may go along its direction before z = 0; infinite unless it goes down."""
+    height = vertices[..., 2].clamp(min=0.0)
+    fall = -direction[..., 2]
     return torch.where(fall > 0, height / fall.clamp(min=1e-9), torch.inf)

@@ -1,4 +1,4 @@
-"""A camouflage as a folder: `camouflage.json`, `camouflage.safetensors`, and its maps as PNGs to look at."""
+"""A camouflage as a folder: `camouflage.json`, `camouflage.safetensors`, and its maps as PNGs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from skyproof.camouflage.camouflage import Camouflage, NoCamouflage
+from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json, write_beside, write_json
@@ -30,7 +30,7 @@ def save_camouflage(
 
     Args:
         folder: made if missing.
-        camouflage: finalised.
+        camouflage: a texture, a shape or both, finalised.
         record: anything that says where it comes from; kept under "record".
 
     Raises:
@@ -38,12 +38,7 @@ def save_camouflage(
     """
     folder = Path(folder)
     write_tensors(folder / "camouflage.safetensors", camouflage.state_dict())
-    parts = (
-        [camouflage.texture, camouflage.shape]
-        if isinstance(camouflage, Combination)
-        else [camouflage]
-    )
-    for part in parts:
+    for part in camouflage.modules():
         if isinstance(part, UniversalTexture):
             _write_png(folder / "texture.png", part.bytes().permute(1, 2, 0))
         elif isinstance(part, DisplacementMap):
@@ -54,24 +49,21 @@ def save_camouflage(
     )
 
 
-def load_camouflage(folder: Path) -> Camouflage:
-    """Reads what `save_camouflage` wrote.
+def load_camouflage(folder: str | Path) -> Camouflage:
+    """Reads what `save_camouflage` wrote; the camouflage is on the CPU and no longer learnt.
 
     Raises:
         StoredFileError: a file is missing, damaged or of another version.
     """
     path = Path(folder) / "camouflage.json"
     document = read_json(path)
-    if (
-        not isinstance(document, dict)
-        or document.get("format") != _FORMAT
-        or "camouflage" not in document
-    ):
+    described = document.get("camouflage") if isinstance(document, dict) else None
+    if described is None or document.get("format") != _FORMAT:
         raise StoredFileError(
             f"{path} was not written by this version of skyproof; make the camouflage again."
         )
     try:
-        camouflage = _build(document["camouflage"])
+        camouflage = _build(described)
     except (KeyError, TypeError, AttributeError, ValueError, ConfigurationError) as error:
         raise StoredFileError(
             f"{path} is damaged ({error!r}); make the camouflage again."
@@ -89,18 +81,14 @@ def load_camouflage(folder: Path) -> Camouflage:
 
 def _describe(camouflage: Camouflage) -> dict[str, Any]:
     """What is needed to build it again, but for its tensors."""
-    described: dict[str, Any] = {"kind": type(camouflage).__name__, "name": camouflage.name}
+    described: dict[str, Any] = {"kind": type(camouflage).__name__, "name": str(camouflage.name)}
     if isinstance(camouflage, UniversalTexture):
-        described |= {
-            "constraints": camouflage.constraints.name,
-            "blocks": camouflage.blocks,
-            "colours": len(camouflage.palette) if camouflage.restricted else None,
-            "literal": camouflage.literal,
-        }
-    elif isinstance(camouflage, DisplacementMap):
-        described |= {"magnitude": camouflage.magnitude, "frozen_parts": camouflage.frozen_parts}
-    elif isinstance(camouflage, Combination):
-        described |= {
+        colours = len(camouflage.palette) if camouflage.restricted else None
+        return described | {"blocks": camouflage.blocks, "colours": colours}
+    if isinstance(camouflage, DisplacementMap):
+        return described | {"frozen_parts": camouflage.frozen_parts}
+    if isinstance(camouflage, Combination):
+        return described | {
             "texture": _describe(camouflage.texture),
             "shape": _describe(camouflage.shape),
             "turn_steps": camouflage.turn_steps,
@@ -109,29 +97,23 @@ def _describe(camouflage: Camouflage) -> dict[str, Any]:
 
 
 def _build(described: dict[str, Any]) -> Camouflage:
-    kind, name = described["kind"], described["name"]
-    if not isinstance(name, str):
-        raise TypeError("its name is no text")
-    if kind == "NoCamouflage":
-        return NoCamouflage()
+    kind = described["kind"]
+    name = CamouflageName.parse(described["name"])
     if kind == "UniversalTexture":
-        constraints, colours = (
-            TextureConstraints.parse(described["constraints"]),
-            described["colours"],
-        )
+        colours = described["colours"]
+        fixed = name.constraints is not None and name.constraints.colours == "fixed"
         return UniversalTexture(
             name,
-            constraints,
             generator=torch.Generator().manual_seed(0),
-            palette=torch.zeros(colours, 3) if constraints.colours == "fixed" else None,
-            colours=colours or 5,
+            palette=torch.zeros(colours, 3) if fixed else None,
+            colours=colours or 2,
             blocks=described["blocks"],
-            literal=described["literal"],
         )
     if kind == "DisplacementMap":
-        return DisplacementMap(name, described["magnitude"], frozen_parts=described["frozen_parts"])
+        return DisplacementMap(name, frozen_parts=described["frozen_parts"])
     if kind == "Combination":
-        texture, shape = _build(described["texture"]), _build(described["shape"])
+        texture = _build(described["texture"])
+        shape = _build(described["shape"])
         if isinstance(texture, UniversalTexture) and isinstance(shape, DisplacementMap):
             return Combination(name, texture, shape, turn_steps=described["turn_steps"])
     raise ValueError(f"kind {kind!r} is unknown to this version")

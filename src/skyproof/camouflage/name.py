@@ -48,6 +48,13 @@ class CamouflageName:
     repeat: str = ""
     label: str = ""
 
+    def __post_init__(self) -> None:
+        if self.magnitude is not None and not 0 <= self.magnitude <= 1:
+            raise ConfigurationError(
+                f"{self} expects a perturbation magnitude (PM) from 0 to 1 after the @, "
+                f"got {self.magnitude:g}."
+            )
+
     @classmethod
     def parse(cls, text: str) -> CamouflageName:
         """Reads the name of a camouflage that skyproof can make.
@@ -60,15 +67,15 @@ class CamouflageName:
             constraints = TextureConstraints.parse(match["constraints"])
             name = cls("texture", constraints, random=match["kind"] == "R")
         elif match := _SHAPE.fullmatch(base):
-            magnitude = _magnitude(match["magnitude"], text)
+            magnitude = _magnitude(match["magnitude"])
             name = cls("shape", magnitude=magnitude, random=bool(match["random"]))
         elif match := _LEARNT.fullmatch(base):
             constraints = TextureConstraints.parse(match["constraints"])
             order: Order = "seq" if match["order"] == "seq" else "par"
-            name = cls("combination", constraints, _magnitude(match["magnitude"], text), order)
+            name = cls("combination", constraints, _magnitude(match["magnitude"]), order)
         elif match := _DRAWN.fullmatch(base):
             constraints = TextureConstraints.parse(match["constraints"])
-            magnitude = _magnitude(match["magnitude"], text)
+            magnitude = _magnitude(match["magnitude"])
             name = cls("combination", constraints, magnitude, random=True)
         else:
             raise ConfigurationError(
@@ -154,13 +161,10 @@ def _parts(text: str) -> tuple[str, str, str]:
     return match["base"], match["variant"] or "", match["repeat"] or ""
 
 
-def _magnitude(text: str, name: str) -> float:
+def _magnitude(text: str) -> float:
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        value = float("nan")
-    if not 0 <= value <= 1:
         raise ConfigurationError(
-            f"{name} expects a perturbation magnitude (PM) from 0 to 1 after the @, got {text}."
-        )
-    return value
+            f"A perturbation magnitude (PM) is a number from 0 to 1, but {text!r} follows the @."
+        ) from None

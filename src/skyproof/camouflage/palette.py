@@ -1,9 +1,8 @@
-"""Few colours that stand for many: K-means over the pixels of the user's ground, in CIELAB (PAPER 33)."""
+"""Few colours that stand for many: K-means over the pixels of the ground, in CIELAB."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -11,19 +10,23 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import read_json
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.randomness import generator_of
+from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["fit_palette", "load_palette", "save_palette"]
+__all__ = ["fit_palette", "ground_palette", "load_palette"]
+
+_PIXELS_PER_TILE = 4000
 
 
 def fit_palette(
     pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int
 ) -> Float[Tensor, "K 3"]:
-    """The colours of the ground, by K-means in CIELAB, the most frequent first.
+    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4).
 
-    In CIELAB equal distances look about equally different, so that dark ground does not lose its colours to bright
-    ground. The best of four seeded starts is taken.
+    In CIELAB equal distances look about equally different, so that dark ground does not lose its
+    colours to bright ground. The best of four seeded starts is taken.
 
     Differences from the paper: it names no colour space.
 
@@ -33,7 +36,7 @@ def fit_palette(
         seed: of the starts.
 
     Returns:
-        sRGB in [0, 1], rounded to 8 bits.
+        sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
 
     Raises:
         ConfigurationError: fewer than two colours are asked for, or the pixels have fewer distinct ones.
@@ -45,8 +48,8 @@ def fit_palette(
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:
         raise ConfigurationError(
-            f"A palette of {colours} colours needs ground with as many, but its pixels have {distinct}; "
-            "give other imagery or fewer colours."
+            f"A palette of {colours} colours needs ground with as many, but its pixels have "
+            f"{distinct}; give other imagery or fewer colours."
         )
     # Slow to import, and needed by one command.
     from sklearn.cluster import KMeans
@@ -58,13 +61,30 @@ def fit_palette(
     return ((centres * 255).round() / 255).float()
 
 
-def save_palette(path: Path, palette: Float[Tensor, "K 3"], record: dict[str, Any]) -> None:
-    """Writes the colours as 8-bit sRGB in JSON, with where they come from."""
-    write_json(path, {"colours_srgb": (palette * 255).round().int().tolist(), "record": record})
+def ground_palette(
+    backgrounds: BackgroundSet, colours: int = 5, *, seed: int = 0
+) -> Float[Tensor, "K 3"]:
+    """The colours of the ground that attacks see, evenly from all of its tiles (section 5.4).
+
+    Args:
+        backgrounds: the pixels of their split "attack" are looked at.
+        colours: how many.
+        seed: of the choice of pixels and of the starts of K-means.
+
+    Returns:
+        sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
+
+    Raises:
+        ConfigurationError: fewer than two colours are asked for, or the ground has fewer.
+        StoredFileError: a tile is missing or damaged.
+    """
+    generator = generator_of(seed, "palette")
+    pixels = backgrounds.sample_pixels("attack", _PIXELS_PER_TILE, generator=generator)
+    return fit_palette(pixels, colours, seed=seed)
 
 
 def load_palette(path: Path) -> Float[Tensor, "K 3"]:
-    """Reads what `save_palette` wrote, or a user's own file of the same form.
+    """Reads `[K, 3]` colours from JSON: {"colours_srgb": [[red, green, blue], ...]}, 0 to 255.
 
     Raises:
         ConfigurationError: fewer than two colours.
@@ -80,8 +100,8 @@ def load_palette(path: Path) -> Float[Tensor, "K 3"]:
     )
     if not whole:
         raise StoredFileError(
-            f'{path} is not a palette; expected {{"colours_srgb": [[red, green, blue], ...]}} with whole numbers 0 '
-            "to 255."
+            f'{path} is not a palette; expected {{"colours_srgb": [[red, green, blue], ...]}} with '
+            "whole numbers 0 to 255."
         )
     assert isinstance(rows, list)
     if len(rows) < 2:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from skyproof.camouflage.constraints import TextureConstraints
 
-__all__ = ["PUBLISHED_SCORES", "PracticalityScore", "Signs", "score_practicality"]
+__all__ = ["PracticalityScore", "Signs", "score_practicality"]
 
 
 @dataclass(frozen=True)
@@ -71,21 +71,3 @@ def score_practicality(
     production = {"fixed": 1, "learnt": 0, "free": -1}[texture.colours] if texture.pixelised else -1
     signs = Signs(production, 1 if texture.pixelised else -1, 1 if texture.masked else -1)
     return PracticalityScore(signs, shape)
-
-
-_LIKE_T_MA = score_practicality(TextureConstraints(masked=True), False)
-_LIKE_T_PIXFCMA = score_practicality(
-    TextureConstraints(pixelised=True, colours="fixed", masked=True), False
-)
-
-# Scores of other works (PAPER 55). The paper likens all but one to settings of its own, so the rules give their signs.
-# "Du OFF" lies beside the vehicle, where no rule applies: its signs are the paper's own judgement (cost unclear,
-# mobility lost; its + for installation is not explained).
-PUBLISHED_SCORES = {
-    "Du ON": _LIKE_T_PIXFCMA,
-    "Du OFF": PracticalityScore(Signs(0, 1, -1), _NO_CHANGE),
-    "EVD4UAV": _LIKE_T_PIXFCMA,
-    "FCA": _LIKE_T_MA,
-    "ACTIVE": _LIKE_T_MA,
-    "DTA": _LIKE_T_MA,
-}

@@ -1,4 +1,4 @@
-"""One universal texture map for all vehicles, under any combination of three constraints (PAPER 27-34)."""
+"""One universal texture map for all vehicles, under any combination of three constraints."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
 
-__all__ = ["LITERAL_TEMPERATURE", "UniversalTexture"]
+__all__ = ["UniversalTexture"]
 
 # Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
-_FIRST_TEMPERATURE, _LAST_TEMPERATURE = 1.0, 0.1
-# The paper's tau is not given; s(s(p)) is one softmax of ln p / tau², so this sharpens about as the annealed form ends.
-LITERAL_TEMPERATURE = 0.3
+_FIRST_TEMPERATURE = 1.0
+_LAST_TEMPERATURE = 0.1
 
 
 class UniversalTexture(Camouflage):
-    """Replaces every vehicle's texture by one map; as drawn it is its own random control (PAPER 34, 37).
+    """Replaces every vehicle's texture by one map; as drawn it is its own random control.
 
-    The map is made in three independent stages: a grid of values (512 x 512, or `blocks` x `blocks` when pixelised,
-    PAPER 28); their colours (free, or mixed from a palette, PAPER 30); and where it is laid (everywhere, or on painted
-    body parts only, PAPER 29).
+    The map is made in three independent stages (section 3.3): a grid of values (512 x 512, or
+    `blocks` x `blocks` when pixelised); their colours (free, or mixed from a palette); and where it
+    is laid (everywhere, or on painted body parts only).
 
-    With a palette every grid cell holds one logit per colour and shows the mixture softmax(logits / temperature);
-    the temperature falls geometrically during an attack, and `finalise` leaves the most likely colour alone.
+    With a palette every grid cell holds one logit per colour and shows the mixture
+    softmax(logits / temperature); the temperature falls geometrically during an attack, and
+    `finalise` leaves the most likely colour alone.
 
-    Differences from the paper: with `literal` the cells hold probabilities p, mixed by s(s(p)) and pressed through a
-    softmax after every step, as in PAPER 30; without it, logits and annealing (PAPER 31) do the same job but keep what
-    they learnt. Palettes are learnt in sRGB.
+    Differences from the paper: logits and annealing take the place of s(s(p)), which keeps little
+    of what was learnt (docs/attacks.md). Palettes are learnt in sRGB.
 
     Attributes:
-        constraints: which of the three hold.
-        cells: `[3, g, g]` sRGB in [0, 1], drawn uniformly; or `[K, g, g]` logits, at first ln of uniform draws.
+        constraints: which of the three hold; the name says it.
+        cells: `[3, g, g]` sRGB in [0, 1], drawn uniformly; or `[K, g, g]` logits, at first ln of
+            uniform draws.
         palette: `[K, 3]` sRGB in [0, 1]; a parameter when learnt; absent when colours are free.
 
     Args:
-        name: as tables show it.
-        constraints: without any: T-U.
+        name: of a texture or a combination, such as "T-PixFcMa".
+        generator: on the CPU; the cells and a learnt palette are drawn from it.
         palette: `[K, 3]` for fixed colours; not given otherwise.
-        colours: how many colours are learnt (PAPER 30: 5).
-        blocks: pixel blocks along a side of the map (PAPER 28: 32).
-        literal: the paper's own form of the colour restriction.
+        colours: how many colours are learnt.
+        blocks: pixel blocks along a side of the map.
 
     Raises:
-        ConfigurationError: blocks finer than the map, fewer than two colours, or a palette too many or missing.
+        ConfigurationError: a name without texture constraints, blocks finer than the map, fewer
+            than two colours, a missing palette, or one where colours are not fixed.
     """
 
     learning_rates: Mapping[str, float]
@@ -60,26 +60,25 @@ class UniversalTexture(Camouflage):
 
     def __init__(
         self,
-        name: str,
-        constraints: TextureConstraints | None = None,
+        name: CamouflageName,
         *,
         generator: torch.Generator,
         palette: Float[Tensor, "K 3"] | None = None,
         colours: int = 5,
         blocks: int = 32,
-        literal: bool = False,
     ) -> None:
         super().__init__()
-        self.name, self.constraints, self.literal = (
-            name,
-            constraints or TextureConstraints(),
-            literal,
-        )
+        if name.constraints is None:
+            raise ConfigurationError(
+                f"A texture expects a name with texture constraints, such as T-U, got {name}."
+            )
+        self.name = name
+        self.constraints = name.constraints
         self.blocks = blocks if self.constraints.pixelised else TEXTURE_SIZE
         if self.blocks < 1 or TEXTURE_SIZE % self.blocks:
             raise ConfigurationError(
-                f"Pix expects a number of blocks that divides the map's {TEXTURE_SIZE} texels a side, got {blocks}; "
-                "give for instance 32."
+                f"Pix expects a number of blocks that divides the map's {TEXTURE_SIZE} texels a "
+                f"side, got {blocks}; give for instance 32."
             )
         kind = self.constraints.colours
         if (palette is not None) != (kind == "fixed"):
@@ -87,30 +86,25 @@ class UniversalTexture(Camouflage):
                 "Fixed colours (Fc) expect a palette, and no other colours do; "
                 f"got {'a palette' if palette is not None else 'none'} for {name}."
             )
-        if kind == "fixed":
-            assert palette is not None
+        if palette is not None:
             self.register_buffer("palette", palette.float().clone())
-            count = len(palette)
-        else:
-            count = colours
-        if kind != "free" and count < 2:
+            colours = len(palette)
+        if kind != "free" and colours < 2:
             raise ConfigurationError(
-                f"A palette expects at least 2 colours, got {count}; give more colours."
+                f"A palette expects at least 2 colours, got {colours}; give more colours."
             )
         grid = (self.blocks, self.blocks)
         if kind == "free":
             self.cells = nn.Parameter(torch.rand(3, *grid, generator=generator))
             self.learning_rates = {}
             return
-        drawn = torch.rand(count, *grid, generator=generator).clamp(min=1e-6)
-        self.cells = nn.Parameter(drawn / drawn.sum(0) if literal else drawn.log())
+        drawn = torch.rand(colours, *grid, generator=generator).clamp(min=1e-6)
+        self.cells = nn.Parameter(drawn.log())
         # A logit has farther to go than a colour, which lies in [0, 1].
-        self.learning_rates = {} if literal else {"cells": 6.0}
+        self.learning_rates = {"cells": 6.0}
         if kind == "learnt":
-            self.palette = nn.Parameter(torch.rand(count, 3, generator=generator))
-        self.register_buffer(
-            "temperature", torch.tensor(LITERAL_TEMPERATURE**2 if literal else _FIRST_TEMPERATURE)
-        )
+            self.palette = nn.Parameter(torch.rand(colours, 3, generator=generator))
+        self.register_buffer("temperature", torch.tensor(_FIRST_TEMPERATURE))
         self.register_buffer("finished", torch.tensor(False))
 
     @property
@@ -119,7 +113,7 @@ class UniversalTexture(Camouflage):
         return self.constraints.colours != "free"
 
     def map(self) -> Float[Tensor, "3 512 512"]:
-        """The whole map in sRGB, before any mask; differentiable."""
+        """Gives the whole map in sRGB, before any mask; differentiable."""
         grid = self._coloured() if self.restricted else self.cells
         side = TEXTURE_SIZE // self.blocks
         return grid if side == 1 else _spread(grid, side)
@@ -127,17 +121,15 @@ class UniversalTexture(Camouflage):
     def _coloured(self) -> Float[Tensor, "3 g g"]:
         if self.finished:
             return self.palette[self.cells.detach().argmax(0)].permute(2, 0, 1)
-        logits = self.cells.clamp(min=1e-12).log() if self.literal else self.cells
-        return torch.einsum(
-            "kc,kij->cij", self.palette, torch.softmax(logits / self.temperature, dim=0)
-        )
+        weights = torch.softmax(self.cells / self.temperature, dim=0)
+        return torch.einsum("kc,kij->cij", self.palette, weights)
 
     def bytes(self) -> UInt8[Tensor, "3 512 512"]:
-        """The map as its PNG holds it."""
+        """Gives the map as its PNG holds it."""
         return (self.map().detach().clamp(0, 1) * 255).round().byte()
 
     def mask(self, vehicles: VehicleBatch) -> Tensor | None:
-        """`[N, 512, 512]` where the map is laid; None for everywhere.
+        """Says where the map is laid, as `[N, 512, 512]` of bools; None for everywhere.
 
         Raises:
             ConfigurationError: no painted part on any of the vehicles.
@@ -147,13 +139,14 @@ class UniversalTexture(Camouflage):
         mask = vehicles.parts == Part.BODY
         if not bool(mask.any()):
             raise ConfigurationError(
-                f"The mask of {self.name} covers nothing: {vehicles.ids[0]} and all others of its batch have no "
-                "painted body part; give vehicles whose part map has some, or leave out Ma."
+                f"The mask of {self.name} covers nothing: {vehicles.ids[0]} and all others of its "
+                "batch have no painted body part; give vehicles whose part map has some, or leave "
+                "out Ma."
             )
         return mask
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """The vehicles with this map as their common texture, or laid over their own where they are painted."""
+        """Gives the vehicles this map as their texture, or over their own where painted."""
         mask = self.mask(vehicles)
         if mask is None:
             return replace(vehicles, texture=self.map()[None], overlay=None, repainted=True)
@@ -161,7 +154,7 @@ class UniversalTexture(Camouflage):
 
     def before_step_(self, step: int, steps: int) -> None:
         """Lowers the temperature, geometrically."""
-        if self.restricted and not self.literal and not self.finished:
+        if self.restricted and not self.finished:
             share = (step - 1) / max(steps - 1, 1)
             self.temperature.fill_(
                 _FIRST_TEMPERATURE * (_LAST_TEMPERATURE / _FIRST_TEMPERATURE) ** share
@@ -169,17 +162,13 @@ class UniversalTexture(Camouflage):
 
     @torch.no_grad()
     def project_(self) -> None:
-        """Clips colours to [0, 1]; the literal form presses its probabilities through a softmax."""
-        if not self.restricted:
-            self.cells.clamp_(0.0, 1.0)
-            return
-        if self.literal:
-            self.cells.copy_(torch.softmax(self.cells, dim=0))
-        self.palette.clamp_(0.0, 1.0)
+        """Clips colours to [0, 1]."""
+        colours = self.palette if self.restricted else self.cells
+        colours.clamp_(0.0, 1.0)
 
     @torch.no_grad()
     def finalise(self) -> None:
-        """One colour per cell, of the 8 bits per channel that the PNG holds."""
+        """Leaves one colour per cell, of the 8 bits per channel that the PNG holds."""
         colours = self.palette if self.restricted else self.cells
         colours.copy_((colours.clamp(0.0, 1.0) * 255).round() / 255)
         if self.restricted:
@@ -187,7 +176,7 @@ class UniversalTexture(Camouflage):
 
 
 def _spread(grid: Float[Tensor, "C g g"], side: int) -> Float[Tensor, "C H W"]:
-    """Nearest neighbour: every cell becomes side x side texels (PAPER 28)."""
+    """Nearest neighbour: every cell becomes side x side texels."""
     channels, height, width = grid.shape
     return (
         grid[:, :, None, :, None]

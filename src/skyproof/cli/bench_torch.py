@@ -17,8 +17,7 @@ import torch
 from skyproof import __version__
 from skyproof.attacks.objective import empty_truth_losses, frozen
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
-from skyproof.camouflage.texture import UniversalTexture
+from skyproof.camouflage.make import make_camouflage
 from skyproof.cli.bench_ground import BenchGround
 from skyproof.detectors.build import build_detector
 from skyproof.randomness import generator_of
@@ -105,9 +104,9 @@ def _attack_steps(
     models = [model.to(device).to(memory_format=torch.channels_last) for model in models]
     palette = torch.rand(5, 3, generator=generator_of(0, "palette"))
     camouflages = {
-        name: make_camouflage(
-            read_recipe(recipe), Materials(palette), generator=generator_of(0, "texture")
-        ).to(device)
+        name: make_camouflage(recipe, palette=palette, generator=generator_of(0, "texture")).to(
+            device
+        )
         for name, recipe in _ATTACKS.items()
     }
 
@@ -157,7 +156,7 @@ class _Crops:
             for scene in scenes
         ]
         self.vehicles = placed_vehicles(fleet, self.scenes).to(device)
-        self.texture = UniversalTexture("T-U", generator=generator_of(0, "texture")).to(device)
+        self.texture = make_camouflage("T-U", generator=generator_of(0, "texture")).to(device)
         self.renderer = TorchRenderer(_Grey())
 
     def work(self) -> dict[str, Callable[[], None]]:

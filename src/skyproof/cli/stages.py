@@ -10,15 +10,9 @@ from typing import Any
 import torch
 from PIL import Image
 
-from skyproof.attacks.attack import attack
-from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.sign_test import sign_test
-from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.account import practicality_account
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.palette import fit_palette, save_palette
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
+from skyproof.camouflage.folder import load_camouflage
 from skyproof.cli.console import progress_bar
 from skyproof.cli.renderers import open_renderer
 from skyproof.cli.rendering import Rendering
@@ -33,28 +27,20 @@ from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
-from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.results.clean import CleanSet
 from skyproof.results.evaluation import evaluate_pairs
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
-from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = [
-    "attack_ensemble",
-    "draw_control",
     "evaluate_folders",
-    "ground_palette",
     "measure_camouflages",
     "paint_portrait",
     "render_folder",
     "score_camouflages",
     "train_detector",
 ]
-
-_PALETTE_PIXELS = 4000  # per tile
 
 
 def render_folder(
@@ -139,73 +125,6 @@ def _origin(dataset: Path) -> str:
     return (
         f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
     )
-
-
-def attack_ensemble(
-    name: str,
-    detectors: Sequence[Path],
-    backgrounds: Path,
-    fleet: Path,
-    scenes: SceneSettings,
-    settings: AttackSettings,
-    out: Path,
-    *,
-    materials: Materials | None = None,
-    device: torch.device | str,
-) -> None:
-    """Learns the camouflage of a name against an ensemble, after a sign test of its gradient."""
-    recipe, made_from = read_recipe(name), materials or Materials()
-    if recipe.random:
-        raise ConfigurationError(
-            f"{name} is a random control, which is not learnt; draw it with skyproof control."
-        )
-    if recipe.magnitude == 0:
-        raise ConfigurationError(
-            f"{name} has magnitude 0, which leaves every shape as it is: there is nothing to learn."
-        )
-    photographs = BackgroundSet.open(backgrounds)
-    ensemble = load_ensemble(detectors, device, photographs.gsd_m)
-    models = [loaded.detector for loaded in ensemble]
-    renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
-    world = AttackWorld(renderer, photographs, Fleet.load(fleet), scenes)
-    generator = generator_of(settings.seed, "texture", name)
-    camouflage = make_camouflage(recipe, made_from, generator=generator).to(device)
-    signs = (
-        {} if (out / "camouflage.json").exists() else sign_test(camouflage, models, world, settings)
-    )
-    with progress_bar(f"attack {name}") as update:
-        attack(
-            camouflage,
-            models,
-            world,
-            settings,
-            out,
-            record={"sign_test": signs},
-            on_step=lambda row: update(row["step"], settings.steps),
-        )
-
-
-def draw_control(name: str, folder: Path, seed: int, *, materials: Materials | None = None) -> None:
-    """A random draw of the same kind of camouflage, not learnt (PAPER 34, 37)."""
-    recipe = read_recipe(name)
-    if not recipe.random:
-        raise ConfigurationError(
-            f"{name} is learnt, not drawn; random controls are called R-..., such as R-PixFc."
-        )
-    control = make_camouflage(
-        recipe, materials or Materials(), generator=generator_of(seed, "control", name)
-    )
-    save_camouflage(folder, control, {"seed": seed})
-
-
-def ground_palette(backgrounds: Path, out: Path, *, colours: int, seed: int) -> None:
-    """The palette of the ground that attacks see, evenly from all of their tiles (PAPER 33)."""
-    generator = generator_of(seed, "palette")
-    pixels = BackgroundSet.open(backgrounds).sample_pixels(
-        "attack", _PALETTE_PIXELS, generator=generator
-    )
-    palette = fit_palette(pixels, colours, seed=seed)
-    save_palette(out, palette, {"backgrounds": str(backgrounds), "split": "attack", "seed": seed})
 
 
 def evaluate_folders(

@@ -10,13 +10,12 @@ from pathlib import Path
 import torch
 
 from skyproof.attacks.settings import AttackSettings
+from skyproof.cli.attack import Attack
 from skyproof.cli.console import say
 from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.stages import (
-    attack_ensemble,
-    draw_control,
     evaluate_folders,
     paint_portrait,
     render_folder,
@@ -25,7 +24,6 @@ from skyproof.cli.stages import (
 from skyproof.cli.world import (
     GSD_M,
     WorldSizes,
-    scene_settings,
     write_fleet,
     write_ground,
     write_scene_files,
@@ -172,14 +170,11 @@ def _attack_and_compare(demo: Demo, run: RunFolder, device: torch.device) -> Non
         )
     trained, (attack, *controls) = _trained(demo), _camouflages(sizes)
     learnt = out / "camouflages" / attack
-    run.stage(
-        "attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, learnt, device)
-    )
+    run.stage("attack T-U", learnt / "camouflage.json", partial(_attack, demo, trained, device))
     for name in controls:
         folder = out / "camouflages" / name
-        run.stage(
-            "random controls", folder / "camouflage.json", partial(draw_control, name, folder, seed)
-        )
+        draw = Attack((name,), folder.parent, settings=AttackSettings(seed=seed))
+        run.stage("random controls", folder / "camouflage.json", draw.run)
     worn = {name: out / "datasets" / f"test-{name}" for name in (attack, *controls)}
     for name, place in worn.items():
         camouflage = out / "camouflages" / name
@@ -293,17 +288,17 @@ def _train(demo: Demo, name: str, folder: Path, device: torch.device) -> None:
     )
 
 
-def _attack(demo: Demo, detectors: Sequence[Path], folder: Path, device: torch.device) -> None:
-    attack_ensemble(
-        "T-U",
-        detectors,
+def _attack(demo: Demo, detectors: Sequence[Path], device: torch.device) -> None:
+    Attack(
+        ("T-U",),
+        demo.out / "camouflages",
+        tuple(detectors),
         demo.out / "backgrounds",
         demo.out / "fleets" / "attack",
-        replace(scene_settings(demo.sizes), vehicles_maximum=1),
-        replace(demo.attack, seed=demo.seed + demo.attack.seed),
-        folder,
-        device=device,
-    )
+        image_px=demo.sizes.image_px,
+        settings=replace(demo.attack, seed=demo.seed + demo.attack.seed),
+        device=str(device),
+    ).run()
 
 
 def _say_answer(results: Path) -> None:

@@ -206,7 +206,6 @@ class Plan:
             "world": 1,
             "render": 3,
             "train": len(self.preset.detectors),
-            "palette": 1,
             "attack": len(self.attacks),
             "control": 1,
             "measure": 1,

@@ -1,13 +1,14 @@
-"""Names of camouflages, what they make, and combinations of texture and shape."""
+"""What is made from a name, and combinations of texture and shape."""
 
 import pytest
 import torch
 
 from skyproof.camouflage.combination import Combination
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.recipe import Materials, make_camouflage, read_recipe
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -16,16 +17,19 @@ from skyproof.vehicles.vehicle import Part
 PALETTE = (
     torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170], [255, 0, 51]]) / 255
 )
-FIXED = TextureConstraints(colours="fixed")
 
 
 def drawn(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
-def make(name, seed=0, **more):
+def make(name, seed=0, texture=None, **settings):
     return make_camouflage(
-        read_recipe(name), Materials(palette=PALETTE, **more), generator=drawn(seed)
+        name,
+        generator=drawn(seed),
+        palette=PALETTE,
+        texture=texture,
+        settings=CamouflageSettings(**settings),
     )
 
 
@@ -35,58 +39,23 @@ def vehicles():
     return fleet.batch(fleet.ids)
 
 
-@pytest.mark.parametrize(
-    ("name", "texture", "magnitude", "order", "random"),
-    [
-        ("T-U", TextureConstraints(), None, None, False),
-        ("T-PixFcMa-2", TextureConstraints(True, "fixed", True), None, None, False),
-        ("T-U_on_faster_rcnn-0", TextureConstraints(), None, None, False),
-        ("T-Fc_step10", FIXED, None, None, False),
-        ("R-Pix-1", TextureConstraints(True), None, None, True),
-        ("S-O@0.4", None, 0.4, None, False),
-        ("S-O@1.0-1", None, 1.0, None, False),
-        ("R-S-O@0.2-0", None, 0.2, None, True),
-        ("C-Fc-seq@0.2-1", FIXED, 0.2, "seq", False),
-        ("C-PixLcMa-par@1", TextureConstraints(True, "learnt", True), 1.0, "par", False),
-        ("R-C-Fc@0.2", FIXED, 0.2, None, True),
-    ],
-)
-def test_names_are_read(name, texture, magnitude, order, random):
-    recipe = read_recipe(name)
-    assert (recipe.name, recipe.texture, recipe.magnitude) == (name, texture, magnitude)
-    assert (recipe.order, recipe.random) == (order, random)
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("T-LcFc", "exclude each other"),
-        ("T-MaPix", "'PixMa'"),
-        ("T-Blue", "Unknown texture constraints"),
-        ("S-O@1.5", "from 0 to 1"),
-        ("S-O@-0.1", "from 0 to 1"),
-        ("C-Fc-seq@nan", "from 0 to 1"),
-        ("S-O@much", "from 0 to 1"),
-        ("S-O", "names no camouflage"),
-        ("C-Fc@0.2", "names no camouflage"),
-        ("C-Fc-both@0.2", "names no camouflage"),
-        ("U", "names no camouflage"),
-        ("", "names no camouflage"),
-    ],
-)
-def test_names_that_contradict_themselves_are_refused(name, said):
-    with pytest.raises(ConfigurationError, match=said):
-        read_recipe(name)
-
-
 def test_fixed_colours_need_a_palette_and_a_sequence_its_texture():
     with pytest.raises(ConfigurationError, match="--palette"):
-        make_camouflage(read_recipe("T-Fc"), Materials(), generator=drawn())
+        make_camouflage("T-Fc", generator=drawn())
     for given in (None, make("T-Pix"), make("S-O@0.2")):
         with pytest.raises(ConfigurationError, match="--texture"):
             make("C-Fc-seq@0.2", texture=given)
     with pytest.raises(ConfigurationError, match="at least 1 step"):
         make("C-Fc-par@0.2", turn_steps=0)
+
+
+def test_a_name_as_text_and_as_value_make_the_same():
+    one = make("T-PixLc-1", blocks=8, colours=3)
+    other = make(CamouflageName.parse("T-PixLc-1"), blocks=8, colours=3)
+    assert (str(one.name), one.blocks, tuple(one.palette.shape)) == ("T-PixLc-1", 8, (3, 3))
+    assert torch.equal(one.cells, other.cells)
+    with pytest.raises(ConfigurationError, match="mine names no camouflage"):
+        make(CamouflageName.read("mine"))
 
 
 def test_random_controls_are_finished_and_follow_their_seed():
@@ -115,7 +84,7 @@ def test_a_combination_wears_both(vehicles, masked):
     assert torch.equal(worn.worn_texture(), both.texture(vehicles).worn_texture())
     assert not torch.equal(worn.vertices, vehicles.vertices)
     if masked:
-        # The part map lies on the UV map, which a displacement does not touch (PAPER 53).
+        # The part map lies on the UV map, which a displacement does not touch.
         glass = vehicles.parts == Part.GLASS
         shown = (worn.worn_texture() * 255).round().byte().permute(0, 2, 3, 1)
         assert torch.equal(shown[glass], vehicles.texture.permute(0, 2, 3, 1)[glass])
@@ -166,7 +135,7 @@ def test_shapes_and_combinations_are_stored_with_pictures(tmp_path, vehicles, na
     save_camouflage(tmp_path, made, {"seed": 1})
     loaded = load_camouflage(tmp_path)
     assert type(loaded) is type(made)
-    assert loaded.name == name
+    assert str(loaded.name) == name
     assert torch.equal(loaded(vehicles).vertices, made(vehicles).vertices)
     assert torch.equal(loaded(vehicles).worn_texture(), made(vehicles).worn_texture())
     pictures = {path.name for path in tmp_path.glob("*.png")}

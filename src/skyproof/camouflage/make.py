@@ -1,0 +1,91 @@
+"""Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", and their random controls."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import CamouflageSettings
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.errors import ConfigurationError
+
+__all__ = ["make_camouflage"]
+
+
+def make_camouflage(
+    name: str | CamouflageName,
+    *,
+    generator: torch.Generator,
+    palette: Float[Tensor, "K 3"] | None = None,
+    texture: Camouflage | None = None,
+    settings: CamouflageSettings | None = None,
+) -> Camouflage:
+    """Makes any camouflage from its name: at the start of its attack, or finished if it is random.
+
+    Args:
+        name: such as "T-PixFcMa", "S-O@0.4", "C-Fc-seq@0.2" or "R-PixFc"; a variant and a repeat
+            at its end change nothing.
+        generator: on the CPU; textures, and the shapes of random controls, are drawn from it.
+        palette: `[K, 3]` sRGB in [0, 1]; fixed colours (Fc) expect one, others do without.
+        texture: a finished texture; a sequential combination expects one to put its shape on.
+        settings: what the name leaves open; the defaults where not given.
+
+    Raises:
+        ConfigurationError: the name is none, or palette or texture are missing or do not fit.
+    """
+    name = CamouflageName.parse(name) if isinstance(name, str) else name
+    settings = settings or CamouflageSettings()
+    if name.kind == "other":
+        raise ConfigurationError(f"{name} names no camouflage that skyproof can make.")
+    made: Camouflage
+    if name.order == "seq":
+        made = Combination(name, _finished(texture, name), DisplacementMap(name))
+    elif name.kind == "shape":
+        made = _shape(name, generator)
+    else:
+        made = _texture(name, generator, palette, settings)
+        if name.kind == "combination":
+            turns = None if name.random else settings.turn_steps
+            made = Combination(name, made, _shape(name, generator), turn_steps=turns)
+    if name.random:
+        made.finalise()
+    return made
+
+
+def _finished(texture: Camouflage | None, name: CamouflageName) -> UniversalTexture:
+    constraints = name.constraints
+    if isinstance(texture, UniversalTexture) and texture.constraints == constraints:
+        return texture
+    wanted = CamouflageName("texture", constraints)
+    got = "none" if texture is None else texture.name
+    raise ConfigurationError(
+        f"{name} expects the finished texture {wanted} to put the shape on, got {got}; "
+        "give its folder with --texture."
+    )
+
+
+def _shape(name: CamouflageName, generator: torch.Generator) -> DisplacementMap:
+    return DisplacementMap(name, generator=generator if name.random else None)
+
+
+def _texture(
+    name: CamouflageName,
+    generator: torch.Generator,
+    palette: Float[Tensor, "K 3"] | None,
+    settings: CamouflageSettings,
+) -> UniversalTexture:
+    fixed = name.constraints is not None and name.constraints.colours == "fixed"
+    if fixed and palette is None:
+        raise ConfigurationError(f"{name} expects fixed colours; give them with --palette.")
+    return UniversalTexture(
+        name,
+        generator=generator,
+        palette=palette if fixed else None,
+        colours=settings.colours,
+        blocks=settings.blocks,
+    )

@@ -1,0 +1,188 @@
+"""`skyproof attack`: camouflages by name, learnt against detectors or drawn at random."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from skyproof.attacks.settings import AttackSettings
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import CamouflageSettings
+from skyproof.cli.console import progress_bar, say
+from skyproof.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import torch
+
+    from skyproof.attacks.world import AttackWorld
+    from skyproof.detectors.detector import TrainableDetector
+
+__all__ = ["Attack"]
+
+
+@dataclass(frozen=True)
+class Attack:
+    """Makes camouflages by name: learnt against detectors, or drawn at random.
+
+    Names: T-U, or T- with any of Pix (blocks), Lc or Fc (few learnt or fixed colours), Ma (painted
+    parts only), such as T-PixFcMa; S-O@0.4, a shape of perturbation magnitude 0.4; C-Fc-seq@0.2, a
+    shape on a finished texture; C-Fc-par@0.2, texture and shape in turns. R-PixFcMa, R-S-O@0.4 and
+    R-C-Fc@0.2 are their random controls, drawn and not learnt. "-1", "-2" at the end number repeats.
+
+    A stopped attack goes on where it was when the command is given again; finished camouflages are
+    kept.
+
+    Attributes:
+        names: what is made, as tables show it.
+        out: folder; every camouflage gets a folder of its name in it.
+        detectors: detector folders, attacked together; needed for what is learnt.
+        backgrounds: background set folder, whose attack split is used; needed for what is learnt.
+        fleet: fleet folder; needed for what is learnt.
+        palette: the colours of Fc: a palette file, or a background set whose colours are taken; those
+            of --backgrounds where not given.
+        texture: folder of the finished texture that a sequential combination puts its shape on.
+        image_px: image side; the first detector's training size where not given.
+        conditions: weather and light that scenes are drawn from, each equally likely.
+        camouflage: what the names leave open.
+        settings: steps, batch, learning rate, seed; the seed is also that of random draws.
+        device: auto, cpu or cuda.
+    """
+
+    names: tyro.conf.Positional[tuple[str, ...]]
+    out: Path
+    detectors: tuple[Path, ...] = ()
+    backgrounds: Path | None = None
+    fleet: Path | None = None
+    palette: Path | None = None
+    texture: Path | None = None
+    image_px: int | None = None
+    conditions: tuple[str, ...] = ("clear",)
+    camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
+    settings: AttackSettings = field(default_factory=AttackSettings)
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Makes what is not finished yet."""
+        names = [CamouflageName.parse(name) for name in self.names]
+        if not names:
+            raise ConfigurationError("Expected at least one name of a camouflage, such as T-U.")
+        still = [name for name in names if name.magnitude == 0 and not name.random]
+        if still:
+            raise ConfigurationError(
+                f"{still[0]} has magnitude 0, which leaves every shape as it is: there is nothing "
+                "to learn."
+            )
+        learnt = [name for name in names if not name.random]
+        drawn = [name for name in names if name.random]
+        palette = self._palette(names)
+        if drawn:
+            self._draw(drawn, palette)
+        if learnt:
+            self._learn(learnt, palette)
+        say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
+
+    def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
+        """The fixed colours, where a name asks for them."""
+        if not any(name.constraints and name.constraints.colours == "fixed" for name in names):
+            return None
+        source = self.palette or self.backgrounds
+        if source is None:
+            raise ConfigurationError(
+                "Fixed colours (Fc) expect a palette file, or ground to take them from; give "
+                "--palette or --backgrounds."
+            )
+        from skyproof.camouflage.palette import ground_palette, load_palette
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        if source.is_dir():
+            palette = ground_palette(BackgroundSet.open(source), self.camouflage.colours)
+        else:
+            palette = load_palette(source)
+        colours = (palette * 255).round().int().tolist()
+        say(f"Palette: {', '.join('#' + bytes(colour).hex() for colour in colours)}")
+        return palette
+
+    def _draw(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
+        """Random draws of camouflages, which are not learnt (section 5.4)."""
+        from skyproof.camouflage.folder import save_camouflage
+        from skyproof.camouflage.make import make_camouflage
+        from skyproof.randomness import generator_of
+
+        seed = self.settings.seed
+        for name in names:
+            folder = self.out / str(name)
+            if (folder / "camouflage.json").exists():
+                continue
+            control = make_camouflage(
+                name,
+                generator=generator_of(seed, "control", str(name)),
+                palette=palette,
+                settings=self.camouflage,
+            )
+            save_camouflage(folder, control, {"seed": seed})
+
+    def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
+        """Attacks, each after a sign test of its gradient."""
+        if not self.detectors or self.backgrounds is None or self.fleet is None:
+            raise ConfigurationError(
+                f"{names[0]} is learnt; give --detectors, --backgrounds and --fleet."
+            )
+        from skyproof.attacks.world import AttackWorld
+        from skyproof.cli.device import choose_device
+        from skyproof.detectors.card import read_card
+        from skyproof.detectors.loaded import load_ensemble
+
+        device = choose_device(self.device)
+        world = AttackWorld.open(
+            self.backgrounds,
+            self.fleet,
+            size_px=self.image_px or min(read_card(self.detectors[0]).image_size_px),
+            conditions=self.conditions,
+        )
+        ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
+        models = [loaded.detector for loaded in ensemble]
+        for name in names:
+            self._attack(name, models, world, palette, device)
+
+    def _attack(
+        self,
+        name: CamouflageName,
+        models: Sequence[TrainableDetector],
+        world: AttackWorld,
+        palette: torch.Tensor | None,
+        device: torch.device,
+    ) -> None:
+        from skyproof.attacks.attack import attack
+        from skyproof.attacks.sign_test import sign_test
+        from skyproof.camouflage.folder import load_camouflage
+        from skyproof.camouflage.make import make_camouflage
+        from skyproof.randomness import generator_of
+
+        camouflage = make_camouflage(
+            name,
+            generator=generator_of(self.settings.seed, "texture", str(name)),
+            palette=palette,
+            texture=load_camouflage(self.texture) if self.texture else None,
+            settings=self.camouflage,
+        ).to(device)
+        folder = self.out / str(name)
+        finished = (folder / "camouflage.json").exists()
+        signs = {} if finished else sign_test(camouflage, models, world, self.settings)
+        with progress_bar(f"attack {name}") as update:
+
+            def show(row: dict[str, Any]) -> None:
+                update(row["step"], self.settings.steps)
+
+            attack(
+                camouflage,
+                models,
+                world,
+                self.settings,
+                folder,
+                record={"sign_test": signs},
+                on_step=show,
+            )

@@ -1,0 +1,143 @@
+"""Names of camouflages as values: what they say, and that they come back as they went in."""
+
+import pytest
+
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.name import CamouflageName
+from skyproof.errors import ConfigurationError
+
+FIXED = TextureConstraints(colours="fixed")
+KNOWN = [
+    ("T-U", "texture", TextureConstraints(), None, None, False),
+    ("T-PixFcMa-2", "texture", TextureConstraints(True, "fixed", True), None, None, False),
+    ("T-U_on_faster_rcnn-0", "texture", TextureConstraints(), None, None, False),
+    ("T-Fc_step10", "texture", FIXED, None, None, False),
+    ("R-Pix-1", "texture", TextureConstraints(True), None, None, True),
+    ("S-O@0.4", "shape", None, 0.4, None, False),
+    ("S-O@1-1", "shape", None, 1.0, None, False),
+    ("R-S-O@0.2-0", "shape", None, 0.2, None, True),
+    ("C-Fc-seq@0.2-1", "combination", FIXED, 0.2, "seq", False),
+    (
+        "C-PixLcMa-par@1",
+        "combination",
+        TextureConstraints(True, "learnt", True),
+        1.0,
+        "par",
+        False,
+    ),
+    ("R-C-Fc@0.2", "combination", FIXED, 0.2, None, True),
+]
+
+
+@pytest.mark.parametrize(("text", "kind", "constraints", "magnitude", "order", "random"), KNOWN)
+def test_names_are_read_and_come_back(text, kind, constraints, magnitude, order, random):
+    name = CamouflageName.parse(text)
+    assert (name.kind, name.constraints, name.magnitude) == (kind, constraints, magnitude)
+    assert (name.order, name.random) == (order, random)
+    assert str(name) == text
+    assert CamouflageName.read(text) == name
+
+
+def test_a_magnitude_has_one_way_to_be_written():
+    assert str(CamouflageName.parse("S-O@1.0-1")) == "S-O@1-1"
+    assert str(CamouflageName.parse("C-Fc-seq@0.20")) == "C-Fc-seq@0.2"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "mine",
+        "mine-2",
+        "FCA_repainted-0",
+        "none",
+        "",
+        "T-U_",
+        "T-MaPix-1",
+        "S-O",
+        "R-mine",
+        "S-O@2",
+    ],
+)
+def test_foreign_names_come_back_too(text):
+    name = CamouflageName.read(text)
+    assert name.kind == "other"
+    assert str(name) == text
+
+
+def test_a_foreign_name_has_variant_and_repeat():
+    name = CamouflageName.read("mine_on_retinanet-2")
+    assert (name.label, name.variant, name.repeat) == ("mine", "on_retinanet", "2")
+    assert str(name.pooled) == "mine_on_retinanet"
+    assert str(name.base) == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("T-LcFc", "exclude each other"),
+        ("T-MaPix", "'PixMa'"),
+        ("T-Blue", "Unknown texture constraints"),
+        ("S-O@1.5", "from 0 to 1"),
+        ("S-O@-0.1", "from 0 to 1"),
+        ("C-Fc-seq@nan", "from 0 to 1"),
+        ("S-O@much", "from 0 to 1.*'much'"),
+        ("S-O", "names no camouflage"),
+        ("C-Fc@0.2", "names no camouflage"),
+        ("C-Fc-both@0.2", "names no camouflage"),
+        ("U", "names no camouflage"),
+        ("", "names no camouflage"),
+    ],
+)
+def test_names_that_contradict_themselves_are_refused(text, said):
+    with pytest.raises(ConfigurationError, match=said):
+        CamouflageName.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "pooled"),
+    [
+        ("T-U", "T-U"),
+        ("T-U-1", "T-U"),
+        ("R-PixFc-0", "R-PixFc"),
+        ("R-PixMa-12", "R-PixMa"),
+        ("S-O@0.4", "S-O@0.4"),
+        ("S-O@0.4-1", "S-O@0.4"),
+        ("C-Fc-seq@0.2", "C-Fc-seq@0.2"),
+        ("C-Fc-seq@0.2-2", "C-Fc-seq@0.2"),
+        ("T-U_on_faster_rcnn-0", "T-U_on_faster_rcnn"),
+    ],
+)
+def test_repeats_are_pooled(text, pooled):
+    assert str(CamouflageName.read(text).pooled) == pooled
+
+
+@pytest.mark.parametrize(
+    ("text", "control"),
+    [
+        ("T-PixMa", "R-PixMa"),
+        ("T-PixMa-2", "R-PixMa"),
+        ("S-O@0.4", "R-S-O@0.4"),
+        ("C-Fc-seq@0.2", "R-C-Fc@0.2"),
+        ("C-Fc-par@0.2", "R-C-Fc@0.2"),
+        ("C-PixFcMa-seq@0.2-1", "R-C-PixFcMa@0.2"),
+        ("T-U_on_retinanet", "R-U"),
+        ("T-U_without_faster_rcnn-0", "R-U"),
+        ("S-O@0.4_step10-0", "R-S-O@0.4"),
+        ("T-mine-3", "R-mine"),
+    ],
+)
+def test_everything_learnt_has_a_random_control(text, control):
+    name = CamouflageName.read(text)
+    assert str(name.control) == control
+    assert name.control.random
+    assert not name.random
+
+
+def test_variants_and_repeats_are_added_in_their_places():
+    name = CamouflageName.parse("T-U-0")
+    assert str(name.with_variant("step10")) == "T-U_step10-0"
+    assert (
+        str(name.with_variant("on_retinanet").with_variant("step1")) == "T-U_on_retinanet_step1-0"
+    )
+    assert str(name.with_repeat(3)) == "T-U-3"
+    assert CamouflageName.parse("C-Fc-par@0.2-1").family == "C-Fc-par"
