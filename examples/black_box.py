@@ -27,7 +27,9 @@ class BlackBox:
 
 
 data = "runs/demo/datasets"
-validation = sp.read_coco(f"{data}/validation")  # any folder with annotations.json, real tiles too
+validation = sp.Dataset.open(
+    f"{data}/validation"
+)  # any folder with annotations.json, real tiles too
 threshold = sp.validate(BlackBox(), validation)["threshold"]
 judge = sp.LoadedDetector(
     BlackBox(), sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)

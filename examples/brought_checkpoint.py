@@ -7,8 +7,8 @@ from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 import skyproof as sp
 
-data, steps = sp.read_coco("runs/demo/datasets/train"), 200
-side = data.images[0].shape[-1]  # torchvision would enlarge the images to 800 px
+data, steps = sp.Dataset.open("runs/demo/datasets/train"), 200
+side = data.image(0).shape[-1]  # torchvision would enlarge the images to 800 px
 model = fasterrcnn_mobilenet_v3_large_fpn(
     weights=None, weights_backbone=None, num_classes=2, min_size=side
 )
@@ -17,7 +17,7 @@ for step in range(steps):
     boxes = data.boxes[step % len(data)]
     target = {"boxes": boxes, "labels": torch.ones(len(boxes), dtype=torch.long)}
     optimiser.zero_grad()
-    sum(model([data.images[step % len(data)] / 255], [target]).values()).backward()
+    sum(model([data.image(step % len(data)) / 255], [target]).values()).backward()
     optimiser.step()
 Path("runs/mine").mkdir(parents=True, exist_ok=True)
 torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
@@ -27,7 +27,7 @@ checkpoint = sp.Checkpoint(
 )
 print(
     sp.bring_detector(
-        checkpoint, sp.read_coco("runs/demo/datasets/validation"), "runs/mine/vehicles"
+        checkpoint, sp.Dataset.open("runs/demo/datasets/validation"), "runs/mine/vehicles"
     ).validation
 )
 detector = sp.load_detector("runs/mine/vehicles").detector

@@ -18,7 +18,7 @@ import tyro
 from PIL import Image
 from torch import Tensor
 
-from skyproof.datasets.coco import read_coco
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
@@ -61,8 +61,11 @@ class Compare:
         scenes = read_scenes(first / "scenes.jsonl")
         if read_scenes(second / "scenes.jsonl") != scenes:
             raise ConfigurationError(f"{second} does not show the scenes of {first}.")
-        torch_images, cycles_images = read_coco(first), read_coco(second)
-        pairs = list(zip(torch_images.images, cycles_images.images, strict=True))
+        torch_images, cycles_images = Dataset.open(first), Dataset.open(second)
+        pairs = [
+            (torch_images.image(index), cycles_images.image(index))
+            for index in range(len(torch_images))
+        ]
         backgrounds, fleet = (
             BackgroundSet.open(self.run_folder / "backgrounds"),
             Fleet.load(self.run_folder / "fleets/test"),
@@ -72,7 +75,7 @@ class Compare:
             detector = load_detector(folder).detector
             figures["average_precision"][detector.name] = {
                 name: average_precision(
-                    detect_all(detector, images.images), images, criterion="centre_1m"
+                    detect_all(detector, images), images, criterion="centre_1m"
                 ).ap
                 for name, images in (("torch", torch_images), ("cycles", cycles_images))
             }

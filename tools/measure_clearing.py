@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.inference import detect_all
+from skyproof.detectors.inference import detect_batch
 from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
@@ -108,7 +108,9 @@ def _found(
     counts = []
     for judge in judges:
         count = 0
-        for each, mask in zip(detect_all(judge.detector, images), masks, strict=True):
+        for each, mask in zip(
+            detect_batch(judge.detector, torch.stack(list(images))), masks, strict=True
+        ):
             boxes = each.boxes[each.scores >= judge.threshold]
             x, y = ((boxes[:, :2] + boxes[:, 2:]) / 2).long().clamp(0, SIZE_PX - 1).unbind(1)
             count += int(mask[y, x].sum())

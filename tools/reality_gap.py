@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 from unittest.mock import patch
@@ -24,8 +24,7 @@ import torch
 import tyro
 
 from skyproof.cli.frames import read_frames
-from skyproof.datasets.coco import read_coco
-from skyproof.datasets.labelled import LabelledImages, join
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import detect_all
@@ -168,7 +167,7 @@ class RealityGap:
                     _recoloured(each, frames.images) for each in (training, validation)
                 )
             trained = _train(place, "retinanet", training, validation, TRIALS[name])
-            found = detect_all(trained.detector, frames.images.images)
+            found = detect_all(trained.detector, frames.images)
             row = check_clean(trained, frames, found, generator=np.random.default_rng(0))
             row["ap_rendered"] = trained.card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
@@ -194,10 +193,10 @@ class RealityGap:
                     flush=True,
                 )
 
-    def _photographs(self) -> tuple[LabelledImages, LabelledImages]:
+    def _photographs(self) -> tuple[Dataset, Dataset]:
         """The tuning frames' tiles (docs/results/reality/README.md): one place, so three splits serve the training."""
-        parts = [read_coco(self.out / "tiles" / split) for split in ("train", "attack", "test")]
-        return join(parts), read_coco(self.out / "tiles" / "validation")
+        parts = [Dataset.open(self.out / "tiles" / split) for split in ("train", "attack", "test")]
+        return Dataset.joined(parts), Dataset.open(self.out / "tiles" / "validation")
 
     def _look(self) -> None:
         """Every final detector on the held-out frames, and on the rendered test images that are there."""
@@ -217,7 +216,7 @@ class RealityGap:
         for folder in folders:
             judge = load_detector(folder)
             for each in sets:
-                found = detect_all(judge.detector, each.images.images)
+                found = detect_all(judge.detector, each.images)
                 row = check_clean(judge, each, found, generator=np.random.default_rng(0))
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
@@ -257,9 +256,7 @@ def _fleet(run: Path, split: str, count: int) -> Fleet:
 
 
 @torch.no_grad()
-def _render(
-    run: Path, trial: Trial, split: str, count: int, least: int, most: int
-) -> LabelledImages:
+def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: int) -> Dataset:
     """A split's images with vehicles, in memory; the grounds share them out."""
     if split == "train" and trial.wrapped:
         fleet = Fleet.load(run / "fleets" / "train-mixed")
@@ -301,32 +298,34 @@ def _render(
             frames = renderer(batch, placed_vehicles(fleet, batch))
             images += list((frames.image * 255).round().byte())
             boxes += [frames.boxes[frames.scene_index == index] for index in range(len(batch))]
-    nothing = torch.zeros(0, 4)
     ids = [f"{split}-{number}" for number in range(len(images))]
-    return LabelledImages(
-        images=images, boxes=boxes, ignore=[nothing] * len(images), ids=ids, gsd_m=GSD_M
-    )
+    return Dataset.of_images(images, boxes, gsd_m=GSD_M, ids=ids)
 
 
-def _recoloured(images: LabelledImages, like: LabelledImages) -> LabelledImages:
+def _recoloured(images: Dataset, like: Dataset) -> Dataset:
     """The images with the mean and the standard deviation that each channel has over all of `like`."""
     own, wanted = (
-        torch.cat([image.flatten(1)[:, ::7].double() for image in each.images], 1)
+        torch.cat([image.flatten(1)[:, ::7].double() for image in each.images(range(len(each)))], 1)
         for each in (images, like)
     )
     scale = (wanted.std(1) / own.std(1))[:, None, None]
     shift = wanted.mean(1)[:, None, None] - scale * own.mean(1)[:, None, None]
-    changed = [(image * scale + shift).round().clamp(0, 255).byte() for image in images.images]
-    return replace(images, images=changed)
+    changed = [
+        (image * scale + shift).round().clamp(0, 255).byte()
+        for image in images.images(range(len(images)))
+    ]
+    return Dataset.of_images(
+        changed, images.boxes, gsd_m=images.gsd_m, ignore=images.ignore, ids=images.ids
+    )
 
 
-def _rendered(run: Path, trial: Trial) -> tuple[LabelledImages, LabelledImages]:
+def _rendered(run: Path, trial: Trial) -> tuple[Dataset, Dataset]:
     training = _render(run, trial, "train", trial.images, 0, trial.vehicles_maximum)
     return training, _render(run, trial, "validation", 96, 1, 5)
 
 
 def _train(
-    folder: Path, name: str, training: LabelledImages, validation: LabelledImages, trial: Trial
+    folder: Path, name: str, training: Dataset, validation: Dataset, trial: Trial
 ) -> LoadedDetector[TrainableDetector]:
     detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
     settings = TrainingSettings(

@@ -23,7 +23,7 @@ from .cycles.blender import find_blender as find_blender
 from .cycles.renderer import CyclesRenderer as CyclesRenderer
 from .cycles.settings import CyclesSettings as CyclesSettings
 from .cycles.workers import Workers as Workers
-from .datasets.coco import read_coco as read_coco
+from .datasets.dataset import Dataset as Dataset
 from .detectors.bring import Checkpoint as Checkpoint
 from .detectors.bring import bring_detector as bring_detector
 from .detectors.card import DetectorCard as DetectorCard

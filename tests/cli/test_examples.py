@@ -20,7 +20,7 @@ RESULTS = {
 SHORTER = {
     "AttackSettings(steps=200)": "AttackSettings(steps=2, batch_size=2)",
     "AttackSettings(steps=100)": "AttackSettings(steps=2, batch_size=2)",
-    'read_coco("runs/demo/datasets/train"), 200': 'read_coco("runs/demo/datasets/train"), 2',
+    'Dataset.open("runs/demo/datasets/train"), 200': 'Dataset.open("runs/demo/datasets/train"), 2',
 }
 
 

@@ -31,8 +31,8 @@ def test_each_argument_is_a_set_and_a_place(folder):
     assert [one.name for one in sets] == ["kit/a*", "kit"]
     assert [one.images.ids for one in sets] == [["a-1", "a-2"], ["a-1", "a-2", "b-1", "b-2"]]
     assert [one.places for one in sets] == [("1", "1"), ("1",) * 4]
-    assert sets[0].images.images[0].shape == (3, 80, 160)
-    assert sets[1].images.images[0].shape == (3, 200, 400)
+    assert sets[0].images.image(0).shape == (3, 80, 160)
+    assert sets[1].images.image(0).shape == (3, 200, 400)
     assert (
         sets[0].note
         == "real frames, 10.0 cm/px resampled to 12.5 cm/px; vehicles: car; 40 px border ignored"
@@ -49,7 +49,7 @@ def test_arguments_of_one_name_are_one_set_of_several_places(folder):
     assert one.images.ids == ["a-1", "a-2", "b-1", "b-2"]
     assert one.places == ("1", "1", "2", "2")
     assert "10.0 and 25.0 cm/px" in one.note
-    assert one.images.images[2].shape == (3, 200, 400)
+    assert one.images.image(2).shape == (3, 200, 400)
 
 
 def test_labels_elsewhere(folder, tmp_path):

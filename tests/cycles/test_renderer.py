@@ -13,7 +13,7 @@ from skyproof.cycles.jobs import crop_windows
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
-from skyproof.datasets.coco import read_rendering
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
@@ -263,4 +263,5 @@ def test_a_dataset_says_who_rendered_it(workers, tmp_path):
         ("torch", TorchRenderer(PlainGround())),
     ):
         render_dataset(tmp_path / name, scenes, fleet, renderer)
-        assert read_rendering(tmp_path / name) == (name, renderer.record())
+        dataset = Dataset.open(tmp_path / name)
+        assert (dataset.renderer, dataset.rendering) == (name, renderer.record())

@@ -9,10 +9,8 @@ from skyproof.datasets.coco import (
     Annotation,
     CocoWriter,
     encode_rle,
-    read_coco,
-    read_rendering,
-    read_visible_fractions,
 )
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import StoredFileError
 
 
@@ -60,19 +58,6 @@ def test_run_lengths_decode_in_the_reference():
         assert torch.equal(torch.from_numpy(reference.decode(compressed)).bool(), mask)
 
 
-def test_round_trip(tmp_path):
-    _write(tmp_path)
-    data = read_coco(tmp_path)
-    assert data.gsd_m == 0.125
-    assert list(data.ids) == ["scene-a", "scene-b"]
-    assert torch.equal(data.images[0], _image(0))
-    assert torch.equal(data.images[1], _image(1, 24, 16))
-    assert data.boxes[0].tolist() == [[10, 4, 18, 9]]
-    assert data.ignore[0].tolist() == [[0.5, 1.5, 4, 6.25]]
-    assert data.boxes[1].shape == (0, 4)
-    assert data.ignore[1].shape == (0, 4)
-
-
 def test_annotation_fields(tmp_path):
     _write(tmp_path)
     row = json.loads((tmp_path / "annotations.json").read_text())["annotations"][0]
@@ -104,46 +89,4 @@ def test_failed_block_leaves_no_annotations(tmp_path):
         _fail_midway(tmp_path)
     assert not (tmp_path / "annotations.json").exists()
     with pytest.raises(StoredFileError, match=r"annotations\.json is missing"):
-        read_coco(tmp_path)
-
-
-def test_damage_raises(tmp_path):
-    _write(tmp_path)
-    (tmp_path / "images" / "scene-b.png").write_bytes(b"gone")
-    with pytest.raises(StoredFileError, match=r"scene-b\.png"):
-        read_coco(tmp_path)
-    path = tmp_path / "annotations.json"
-    path.write_text(path.read_text().replace("gsd_m", "other"))
-    with pytest.raises(StoredFileError, match=r"annotations\.json"):
-        read_coco(tmp_path)
-
-
-def test_visible_fractions_follow_the_boxes(tmp_path):
-    image = torch.zeros(3, 8, 8, dtype=torch.uint8)
-    with CocoWriter(tmp_path, gsd_m=0.125) as writer:
-        cut = Annotation((0.0, 0.0, 2.0, 2.0), (1.0, 1.0), visible_fraction=0.25)
-        hidden = Annotation((0.0, 0.0, 8.0, 1.0), (4.0, 0.5), ignore=True)
-        whole = Annotation((4.0, 4.0, 6.0, 6.0), (5.0, 5.0))
-        writer.add(image, "first", [cut, hidden, whole])
-        writer.add(image, "second", [])
-    assert [values.tolist() for values in read_visible_fractions(tmp_path)] == [[0.25, 1.0], []]
-
-
-def test_who_rendered_it(tmp_path):
-    _write(tmp_path)
-    # Datasets of before there was a choice do not say it.
-    assert read_rendering(tmp_path) == ("torch", {})
-    source = {"renderer": "cycles", "rendering": {"samples": 32}}
-    with CocoWriter(tmp_path, gsd_m=0.125, source=source) as writer:
-        writer.add(_image(0), "scene-a", [])
-    assert read_rendering(tmp_path) == ("cycles", {"samples": 32})
-    info = json.loads((tmp_path / "annotations.json").read_text())["info"]
-    assert (info["gsd_m"], info["rendering"]) == (0.125, {"samples": 32})
-    path = tmp_path / "annotations.json"
-    for damaged in ("[]", '{"info": 3}', "{}", "{", '{"info": {"rendering": 3}}'):
-        path.write_text(damaged)
-        with pytest.raises(StoredFileError, match=r"annotations\.json"):
-            read_rendering(tmp_path)
-    path.unlink()
-    with pytest.raises(StoredFileError, match=r"annotations\.json is missing"):
-        read_rendering(tmp_path)
+        Dataset.open(tmp_path)

@@ -21,7 +21,7 @@ def trained(request: pytest.FixtureRequest) -> TrainableDetector:
             # So few steps are too few for the running statistics of eval mode to arrive (Ultralytics: 0.03).
             module.momentum = 0.3
     labelled = bar_images(6, seed=1)
-    images = torch.stack(list(labelled.images)).float() / 255
+    images = torch.stack(labelled.images(range(len(labelled)))).float() / 255
     optimiser = torch.optim.AdamW(detector.parameters(), lr=2e-3)
     for _ in range(40):
         optimiser.zero_grad()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 
 YOLO = pytest.param(
     "yolov5",
@@ -32,31 +32,7 @@ def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
 NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 
-def labelled_images(
-    images: list[torch.Tensor],
-    boxes: list[torch.Tensor],
-    ignore: list[torch.Tensor],
-    gsd_m: float = 0.125,
-) -> LabelledImages:
-    """LabelledImages of images whose counts and sizes differ.
-
-    The class allows that, but its annotations name the counts and sizes, so the run-time check of the test run wants
-    them equal over the list; filling the fields goes around the check of the constructor.
-    """
-    labelled = object.__new__(LabelledImages)
-    ids = [str(index) for index in range(len(images))]
-    for name, value in (
-        ("images", images),
-        ("boxes", boxes),
-        ("ignore", ignore),
-        ("ids", ids),
-        ("gsd_m", gsd_m),
-    ):
-        object.__setattr__(labelled, name, value)
-    return labelled
-
-
-def bar_images(count: int, size_px: int = 96, *, seed: int) -> LabelledImages:
+def bar_images(count: int, size_px: int = 96, *, seed: int) -> Dataset:
     """Images with 0 to 2 bright bars of 36x15 px, along either axis, on noise."""
     generator = torch.Generator().manual_seed(seed)
     images, boxes = [], []
@@ -75,5 +51,4 @@ def bar_images(count: int, size_px: int = 96, *, seed: int) -> LabelledImages:
             own.append([left, top, left + length, top + width])
         images.append((image.clamp(0, 1) * 255).to(torch.uint8))
         boxes.append(torch.tensor(own, dtype=torch.float32).reshape(-1, 4))
-    none = [torch.zeros(0, 4)] * count
-    return labelled_images(images, boxes, none)
+    return Dataset.of_images(images, boxes, gsd_m=0.125)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from detector_images import labelled_images
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import (
     PrecisionRecall,
     average_precision,
@@ -16,13 +15,12 @@ from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
 
-def labelled(boxes: list[torch.Tensor], ignore: list[torch.Tensor] | None = None) -> LabelledImages:
+def labelled(boxes: list[torch.Tensor], ignore: list[torch.Tensor] | None = None) -> Dataset:
     images = [torch.zeros(3, 96, 96, dtype=torch.uint8)] * len(boxes)
-    none = [torch.zeros(0, 4)] * len(boxes)
-    return labelled_images(images, boxes, ignore or none)
+    return Dataset.of_images(images, boxes, gsd_m=0.125, ignore=ignore)
 
 
-def random_case(seed: int) -> tuple[list[Detections], LabelledImages]:
+def random_case(seed: int) -> tuple[list[Detections], Dataset]:
     generator = torch.Generator().manual_seed(seed)
     found, truth = [], []
     for index in range(25):

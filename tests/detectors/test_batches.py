@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import torch
-from detector_images import bar_images, labelled_images
+from detector_images import bar_images
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.batches import WINDOW_PX, training_batch, window
 
 
@@ -92,9 +93,7 @@ def test_a_batch_of_all_sizes_shows_windows_hides_cut_vehicles_and_repeats() -> 
     for left, _, right, _ in row.long().tolist():
         wide[:, :, left:right] = 250
     small = bar_images(1, seed=0)
-    images = labelled_images(
-        [wide, small.images[0]], [row, small.boxes[0]], [torch.zeros(0, 4)] * 2
-    )
+    images = Dataset.of_images([wide, small.image(0)], [row, small.boxes[0]], gsd_m=0.125)
     batch, targets = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
     again, _ = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
     assert batch.shape == (2, 3, WINDOW_PX, WINDOW_PX)

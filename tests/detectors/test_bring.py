@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 import torch
-from detector_images import bar_images, labelled_images, needs_yolo
+from detector_images import bar_images, needs_yolo
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import read_card
@@ -26,7 +27,7 @@ from skyproof.errors import ConfigurationError, RunFolderError, SkyproofError, S
 
 SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
 VALIDATION = bar_images(3, seed=1)
-IMAGES = torch.stack(list(VALIDATION.images)).float() / 255
+IMAGES = torch.stack(VALIDATION.images(range(len(VALIDATION)))).float() / 255
 
 
 @pytest.fixture(scope="module")
@@ -290,9 +291,5 @@ def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) 
 
 def test_images_of_different_sizes_are_validated(checkpoint: Checkpoint, tmp_path: Path) -> None:
     large = bar_images(3, 128, seed=5)
-    mixed = labelled_images(
-        [*VALIDATION.images, *large.images],
-        [*VALIDATION.boxes, *large.boxes],
-        [torch.zeros(0, 4)] * 6,
-    )
+    mixed = Dataset.joined([VALIDATION, large])
     assert bring_detector(checkpoint, mixed, tmp_path / "out").validation["f1"] > 0

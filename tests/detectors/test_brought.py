@@ -22,7 +22,7 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 LABELLED = bar_images(3, seed=1)
-IMAGES = torch.stack(list(LABELLED.images)).float() / 255
+IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255
 NOTHING = [torch.zeros(0, 4)] * len(IMAGES)
 CLASSES = ["0", "1", "2", "3"]
 PLAN = Blueprint(

@@ -12,7 +12,7 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 LABELLED = bar_images(6, seed=1)
-IMAGES = torch.stack(list(LABELLED.images)).float() / 255
+IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255
 BOXES = list(LABELLED.boxes)
 NOTHING = [torch.zeros(0, 4)] * len(BOXES)
 

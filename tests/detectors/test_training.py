@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 import torch
-from detector_images import bar_images, labelled_images
+from detector_images import bar_images
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.loaded import load_detector
@@ -129,9 +130,7 @@ def test_ignored_vehicles_are_hidden_and_mixed_sizes_and_empty_images_allowed(
 ) -> None:
     small, large = bar_images(4, seed=4), bar_images(3, 128, seed=5)
     region = torch.tensor([[0.0, 0, 50, 50]])
-    mixed = labelled_images(
-        [*small.images, *large.images], [*small.boxes, *large.boxes], [region] * 7
-    )
+    mixed = replace(Dataset.joined([small, large]), ignore=[region] * 7)
     generator = torch.Generator().manual_seed(0)
     detector = build_detector("faster_rcnn", "slim", generator=generator)
     card = train(detector, mixed, mixed, replace(SETTINGS, steps=2), tmp_path, generator=generator)
@@ -143,7 +142,7 @@ def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
     for training, validation in (
         (empty, VALIDATION),
         (TRAINING, empty),
-        (TRAINING, labelled_images(VALIDATION.images, VALIDATION.boxes, VALIDATION.ignore, 0.25)),
+        (TRAINING, replace(VALIDATION, gsd_m=0.25)),
     ):
         generator = torch.Generator().manual_seed(0)
         detector = build_detector("retinanet", "slim", generator=generator)

@@ -34,15 +34,15 @@ def _read(folder, **options):
 
 def test_boxes_scale_with_the_image(tmp_path):
     data = _read(_folder(tmp_path, "0 0.5 0.5 0.2 0.2\n2 0.25 0.5 0.1 0.1\n1 0.75 0.5 0.1 0.1\n"))
-    assert data.images[0].shape == (3, 50, 100)
+    assert data.image(0).shape == (3, 50, 100)
     assert data.gsd_m == 0.2
     torch.testing.assert_close(
         data.boxes[0], torch.tensor([[40.0, 20, 60, 30], [20, 22.5, 30, 27.5]])
     )
     torch.testing.assert_close(data.ignore[0], torch.tensor([[70.0, 22.5, 80, 27.5]]))
     # The bright block of the picture lies where the first box says.
-    inside = data.images[0][:, 21:29, 41:59].float().mean()
-    outside = data.images[0][:, :18].float().mean()
+    inside = data.image(0)[:, 21:29, 41:59].float().mean()
+    outside = data.image(0)[:, :18].float().mean()
     assert inside > 230
     assert outside < 65
 
@@ -70,7 +70,7 @@ def test_resampling_does_not_alias(tmp_path):
     rows, columns = np.indices((100, 200))
     board = np.where((rows + columns) % 2 == 0, 20, 220).astype(np.uint8)
     Image.fromarray(np.stack([board] * 3, -1)).save(folder / "one.png")
-    pixels = _read(folder, target_gsd_m=0.31).images[0].float()
+    pixels = _read(folder, target_gsd_m=0.31).image(0).float()
     assert float(pixels.mean()) == pytest.approx(120, abs=2)
     assert float(pixels.std()) < 8
 
@@ -189,4 +189,4 @@ def test_damaged_image_raises(tmp_path, damage):
     folder = _folder(tmp_path, "")
     (folder / "one.png").write_bytes((folder / "one.png").read_bytes()[damage])
     with pytest.raises(ImageryError, match=r"one\.png cannot be read"):
-        _read(folder)
+        _read(folder).image(0)

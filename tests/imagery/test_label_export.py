@@ -11,7 +11,8 @@ import pytest
 import torch
 from rasterio.warp import transform
 
-from skyproof.datasets.coco import Annotation, CocoWriter, read_coco
+from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ImageryError, RunFolderError, StoredFileError
 from skyproof.files import write_json
 from skyproof.imagery.frames import read_frames_folder
@@ -56,11 +57,11 @@ def test_upright_boxes_come_back(dataset, tmp_path, form):
     out = tmp_path / ("labels.json" if form == "coco" else "yolo")
     done = export_labels(dataset, form, out)
     assert done == (Exported(2, 3, 1) if form == "coco" else Exported(2, 3, 0, left_out=1))
-    before = read_coco(dataset)
+    before = Dataset.open(dataset)
     after = frames(dataset, out) if form == "coco" else frames(out)
     assert after.ids == ["tile-a", "tile-b"]
     for index in range(2):
-        assert torch.equal(after.images[index], before.images[index])
+        assert torch.equal(after.image(index), before.image(index))
         torch.testing.assert_close(after.boxes[index], before.boxes[index], atol=1e-3, rtol=0)
     assert after.ignore[0].tolist() == (before.ignore[0].tolist() if form == "coco" else [])
 
@@ -77,7 +78,7 @@ def test_oriented_boxes_come_back(dataset, tmp_path):
     assert bounds(cut) == (0, 60, 4, 70)
     assert bounds(ignored) == (80, 50, 120, 96)
     assert [label.ignore for label in labels.images["tile-a"]] == [False, False, False, True]
-    after, before = frames(tmp_path / "dota"), read_coco(dataset)
+    after, before = frames(tmp_path / "dota"), Dataset.open(dataset)
     torch.testing.assert_close(after.boxes[0][1:], before.boxes[0][1:], atol=6e-3, rtol=0)
     torch.testing.assert_close(after.ignore[0], before.ignore[0], atol=6e-3, rtol=0)
 

@@ -7,7 +7,7 @@ import pytest
 from rasterio.transform import from_origin
 from rasterio.warp import transform as transform_places
 
-from skyproof.datasets.coco import read_coco
+from skyproof.datasets.dataset import Dataset
 from skyproof.main import run
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
@@ -89,16 +89,19 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     assert any(" + " in one.source for one in all_tiles(backgrounds))
     found = 0
     for split in SPLITS:
-        dataset = read_coco(out / split)
+        dataset = Dataset.open(out / split)
         assert len(dataset) == len(backgrounds.tiles(split))
-        for image, boxes in zip(dataset.images, dataset.boxes, strict=True):
+        for index, boxes in enumerate(dataset.boxes):
+            image = dataset.image(index)
             for left, top, right, bottom in boxes.round().int().tolist():
                 found += 1
                 # The box holds the bright square that stands for the car, and nothing else.
                 assert np.mean(image[0, top:bottom, left:right].numpy() > 200) > 0.85
         # The lorry's place is ignored, not background.
     assert found == 4
-    ignored = [box for split in SPLITS for boxes in read_coco(out / split).ignore for box in boxes]
+    ignored = [
+        box for split in SPLITS for boxes in Dataset.open(out / split).ignore for box in boxes
+    ]
     assert len(ignored) >= 1
 
 

@@ -8,7 +8,7 @@ import pytest
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
-from skyproof.datasets.coco import read_coco
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.settings import LabelSettings
@@ -78,7 +78,7 @@ def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
     assert rows[0]["visible_fraction"] == pytest.approx(0.7)
     # All tiles stay, those without a vehicle as well (PAPER 1).
     assert sum(count["tiles"] for count in record.counts.values()) == 8
-    assert sum(len(read_coco(tmp_path / "set" / split)) for split in record.counts) == 8
+    assert sum(len(Dataset.open(tmp_path / "set" / split)) for split in record.counts) == 8
 
 
 def test_other_classes_and_what_the_file_ignores_become_ignore_regions(tmp_path):

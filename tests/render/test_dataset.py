@@ -9,7 +9,7 @@ import torch
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.datasets.coco import read_coco
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import RunFolderError
 from skyproof.render.dataset import ground_corners, placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
@@ -109,7 +109,7 @@ def test_a_dataset_reads_back_with_the_boxes_and_pixels_that_were_drawn(tmp_path
     scenes = some_scenes(fleet)
     assert read_scenes(tmp_path / "set" / "scenes.jsonl") == scenes
     frames = TorchRenderer(PlainGround(None))(scenes, placed_vehicles(fleet, scenes), masks=True)
-    stored = read_coco(tmp_path / "set")
+    stored = Dataset.open(tmp_path / "set")
     assert list(stored.ids) == [each.id for each in scenes]
     assert stored.gsd_m == 0.125
     for index in range(len(scenes)):
@@ -117,7 +117,7 @@ def test_a_dataset_reads_back_with_the_boxes_and_pixels_that_were_drawn(tmp_path
         torch.testing.assert_close(stored.boxes[index], boxes, atol=1e-4, rtol=0)
         drawn = (frames.image[index] * 255).round()
         # Batches of another size may round the last bit of a float otherwise.
-        assert (stored.images[index].float() - drawn).abs().max() <= 1
+        assert (stored.image(index).float() - drawn).abs().max() <= 1
     document = json.loads((tmp_path / "set" / "annotations.json").read_text())
     assert (document["info"]["renderer"], document["info"]["rendering"]) == (
         "torch",

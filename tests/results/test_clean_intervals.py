@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
@@ -28,8 +28,12 @@ def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):
         boxes.append(around(centres))
     ignore = [torch.tensor([[0.0, 500.0, 100.0, 900.0]])] * images
     names = [f"image-{index}" for index in range(images)]
-    return detections, LabelledImages(
-        [torch.zeros(3, 1, 1, dtype=torch.uint8)] * images, boxes, ignore, names, 0.125
+    return detections, Dataset.of_images(
+        [torch.zeros(3, 1, 1, dtype=torch.uint8)] * images,
+        boxes,
+        gsd_m=0.125,
+        ignore=ignore,
+        ids=names,
     )
 
 
@@ -39,12 +43,12 @@ def around(centres):
 
 
 def take(detections, labelled, indices):
-    return [detections[i] for i in indices], LabelledImages(
-        [labelled.images[i] for i in indices],
+    return [detections[i] for i in indices], Dataset.of_images(
+        [labelled.image(i) for i in indices],
         [labelled.boxes[i] for i in indices],
-        [labelled.ignore[i] for i in indices],
-        [labelled.ids[i] for i in indices],
-        labelled.gsd_m,
+        gsd_m=labelled.gsd_m,
+        ignore=[labelled.ignore[i] for i in indices],
+        ids=[labelled.ids[i] for i in indices],
     )
 
 

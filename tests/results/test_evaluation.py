@@ -1,12 +1,13 @@
 """Matched datasets to an evaluation folder, with a detector whose answers are known."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
 
-from skyproof.datasets.coco import Annotation, CocoWriter, read_coco
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
@@ -159,10 +160,10 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
         make_dataset("test", [200, 200, 200, 50]),
         make_dataset("test-T-U", [50, 50, 200, 200]),
     )
-    images = read_coco(original)
+    images = Dataset.open(original)
     # A second vehicle that is never found halves recall on the real images.
     twice = [torch.cat([boxes, boxes + 40]) for boxes in images.boxes]
-    real = LabelledImages(images.images, twice, images.ignore, images.ids, images.gsd_m)
+    real = replace(images, boxes=twice)
     clean = [
         CleanSet("two places", real, "note", places=["a", "a", "b", "b"]),
         CleanSet("one place", real, places=["a"] * 4),
@@ -202,7 +203,7 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
 
 def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp_path):
     original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
-    empty = CleanSet("empty", read_coco(make_dataset("empty", [10, 10], vehicles=0)))
+    empty = CleanSet("empty", Dataset.open(make_dataset("empty", [10, 10], vehicles=0)))
     evaluate_pairs(
         [judging(Brightest(), 0.5)],
         original,

@@ -10,7 +10,7 @@ import tyro
 
 from skyproof.cli.console import say
 from skyproof.cli.device import choose_device
-from skyproof.datasets.coco import read_coco
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.files import refuse_existing
 
@@ -55,7 +55,7 @@ class Bring:
             Checkpoint(
                 self.checkpoint, self.kind, self.vehicle_classes, self.architecture, self.gsd
             ),
-            read_coco(self.validation),
+            Dataset.open(self.validation),
             self.out,
             name=self.name,
             device=device,

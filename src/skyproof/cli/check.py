@@ -60,7 +60,7 @@ class Check:
         with progress_bar("check") as update:
             for folder, judge in zip(self.detectors, loaded, strict=True):
                 for each in sets:
-                    found = detect_all(judge.detector.to(device), each.images.images)
+                    found = detect_all(judge.detector.to(device), each.images)
                     row = check_clean(
                         judge, each, found, generator=np.random.default_rng(self.seed)
                     )

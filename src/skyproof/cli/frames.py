@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.datasets.labelled import join
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.results.clean import CleanSet
@@ -58,7 +58,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
         )
         parts.append(read)
         places += _sources(one.folder, read.ids) or [str(number)] * len(read)
-    images = join(parts)
+    images = Dataset.joined(parts)
     own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
     rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
     bordered = any(map(_border_px, given))

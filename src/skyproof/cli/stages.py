@@ -16,13 +16,13 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.cli.console import progress_bar
 from skyproof.cli.renderers import open_renderer
 from skyproof.cli.rendering import Rendering
-from skyproof.datasets.coco import read_coco, read_rendering
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.loaded import load_ensemble
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError
-from skyproof.files import read_json, refuse_existing, write_beside, write_json
+from skyproof.files import refuse_existing, write_beside, write_json
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
@@ -94,37 +94,13 @@ def train_detector(
 
         train(
             detector,
-            read_coco(training),
-            read_coco(validation),
+            Dataset.open(training),
+            Dataset.open(validation),
             settings,
             out,
             generator=generator_of(seed, "train", name),
-            trained_on=_origin(training),
             on_step=show,
         )
-
-
-def _origin(dataset: Path) -> str:
-    """A dataset folder's images in a few words: its name, and who rendered them or which imagery they are cut from."""
-    dataset = dataset.resolve()
-    info = read_json(dataset / "annotations.json").get("info", {})
-    names: list[str] = []
-    if "renderer" not in info and (dataset.parent / "index.json").exists():
-        # A split of a tiled folder.
-        names = list(
-            dict.fromkeys(
-                tile.source for tile in BackgroundSet.open(dataset.parent).tiles(dataset.name)
-            )
-        )
-    if names:
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        return f"{dataset.name}: tiles of real imagery ({', '.join(names[:3])}{more})"
-    # Datasets of before there was a choice of renderer say only that they are scenes.
-    drawn = info.get("renderer", "torch" if info.get("description") == "skyproof scenes" else None)
-    renderer = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}.get(drawn)
-    return (
-        f"{dataset.name}: {f'rendered by {renderer}' if renderer else 'images of unknown origin'}"
-    )
 
 
 def evaluate_folders(
@@ -169,10 +145,10 @@ def score_camouflages(
     # The evaluation refuses what follows too, but only once everything is rendered.
     refuse_existing(out)
     rendering = rendering or Rendering()
-    drawn_by, settings = read_rendering(original)
-    if drawn_by != rendering.renderer:
+    plain = Dataset.open(original)
+    if plain.renderer != rendering.renderer:
         raise ConfigurationError(
-            f"{original} was rendered by {drawn_by}, not by {rendering.renderer}; give --renderer {drawn_by}, or the "
+            f"{original} was rendered by {plain.renderer}, not by {rendering.renderer}; give --renderer {plain.renderer}, or the "
             f"same scenes rendered by {rendering.renderer}."
         )
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -181,7 +157,7 @@ def score_camouflages(
         # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering one set.
         shown, vehicles = read_scenes(scenes), Fleet.load(fleet)
         with open_renderer(rendering, BackgroundSet.open(backgrounds), out) as renderer:
-            if renderer.record() != settings:
+            if renderer.record() != plain.rendering:
                 raise ConfigurationError(
                     f"{original} was rendered with other settings than are asked for here, or by another version of "
                     "skyproof or Blender; give the same --cycles.samples and --cycles.finish, or render it anew."

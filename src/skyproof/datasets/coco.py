@@ -1,8 +1,7 @@
-"""Labelled images on disk: PNGs and one COCO annotation file."""
+"""Writing labelled images to a folder: PNGs and one COCO annotation file."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,23 +9,16 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from PIL import Image
 from torch import Tensor
 
-from skyproof.datasets.labelled import LabelledImages
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import write_json
 
-__all__ = [
-    "Annotation",
-    "CocoWriter",
-    "encode_rle",
-    "read_coco",
-    "read_rendering",
-    "read_visible_fractions",
-]
+__all__ = ["DESCRIPTION", "Annotation", "CocoWriter", "encode_rle"]
+
+DESCRIPTION = "skyproof scenes"
+"""What `info` says where nobody says otherwise: the images were rendered."""
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -73,7 +65,7 @@ class CocoWriter:
     ) -> None:
         self.folder = Path(folder)
         self._info = {
-            "description": "skyproof scenes",
+            "description": DESCRIPTION,
             "version": "1",
             "gsd_m": gsd_m,
             **(source or {}),
@@ -157,89 +149,3 @@ def encode_rle(mask: Bool[Tensor, "H W"]) -> dict[str, list[int]]:
     counts = np.diff(np.concatenate([[0], changes, [flat.size]])).tolist()
     starts_set = bool(flat.size and flat[0])
     return {"size": [height, width], "counts": [0, *counts] if starts_set else counts}
-
-
-def read_coco(folder: Path) -> LabelledImages:
-    """Reads a dataset that `CocoWriter` wrote; iscrowd annotations become ignore regions.
-
-    Raises:
-        StoredFileError: the folder is missing, damaged or without our resolution field.
-    """
-    path = Path(folder) / "annotations.json"
-    document = read_json(path)
-    try:
-        gsd_m = float(document["info"]["gsd_m"])
-        rows: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in document["images"]}
-        for annotation in document["annotations"]:
-            rows[annotation["image_id"]].append(annotation)
-        names = [
-            (Path(folder) / image["file_name"], image["scene_id"]) for image in document["images"]
-        ]
-        truths = [_boxes(rows[image["id"]], crowd=0) for image in document["images"]]
-        ignored = [_boxes(rows[image["id"]], crowd=1) for image in document["images"]]
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise StoredFileError(
-            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
-        ) from error
-    images = [_read_image(file) for file, _ in names]
-    return LabelledImages(
-        images=images, boxes=truths, ignore=ignored, ids=[name for _, name in names], gsd_m=gsd_m
-    )
-
-
-def read_visible_fractions(folder: Path) -> list[Float[Tensor, " _"]]:
-    """Per image the visible fraction of each vehicle, in the order of `read_coco`'s boxes; nan where not known.
-
-    Raises:
-        StoredFileError: the folder is missing or damaged.
-    """
-    path = Path(folder) / "annotations.json"
-    document = read_json(path)
-    try:
-        fractions: dict[int, list[float]] = {image["id"]: [] for image in document["images"]}
-        for annotation in document["annotations"]:
-            if not annotation["iscrowd"]:
-                fractions[annotation["image_id"]].append(
-                    float(annotation.get("visible_fraction", math.nan))
-                )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
-        ) from error
-    return [torch.tensor(values) for values in fractions.values()]
-
-
-def read_rendering(folder: Path) -> tuple[str, dict[str, Any]]:
-    """Who rendered a dataset ("torch" or "cycles"), and with which settings; none where the dataset does not say.
-
-    Raises:
-        StoredFileError: the folder is missing or damaged.
-    """
-    path = Path(folder) / "annotations.json"
-    document = read_json(path)
-    try:
-        # Datasets of before there was a choice do not say it.
-        return str(document["info"].get("renderer", "torch")), dict(
-            document["info"].get("rendering", {})
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
-        ) from error
-
-
-def _boxes(rows: list[dict[str, Any]], *, crowd: int) -> Tensor:
-    boxes = torch.tensor(
-        [row["bbox"] for row in rows if row["iscrowd"] == crowd], dtype=torch.float32
-    ).reshape(-1, 4)
-    return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
-
-
-def _read_image(path: Path) -> UInt8[Tensor, "3 H W"]:
-    try:
-        with Image.open(path) as image:
-            return torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1).contiguous()
-    except (OSError, SyntaxError, ValueError) as error:
-        raise StoredFileError(
-            f"{path} cannot be read ({error}); write the dataset again."
-        ) from error

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.common import LOWEST_SCORE
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import Criterion, match_detections
@@ -38,7 +38,7 @@ class PrecisionRecall:
 
 
 def average_precision(
-    detections: Sequence[Detections], labelled: LabelledImages, *, criterion: Criterion
+    detections: Sequence[Detections], labelled: Dataset, *, criterion: Criterion
 ) -> PrecisionRecall:
     """COCO's 101-point interpolated average precision, with our matcher (PAPER 17, 19).
 

@@ -3,29 +3,58 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.ahead import made_ahead
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.common import PADDING_GREY
 
-__all__ = ["WINDOW_PX", "training_batch", "window"]
+__all__ = ["WINDOW_PX", "training_batch", "training_batches", "window"]
 
 # Larger images are trained on in windows of this size: the paper's tile (PAPER 1).
 WINDOW_PX = 384
 
 
-def training_batch(
-    training: LabelledImages, step: int, *, batch_size: int, jitter_strength: float, seed: int
-) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
-    """The images and boxes of one step: they depend on seed and step alone, which is what makes resuming exact.
+def training_batches(
+    training: Dataset, steps: range, *, batch_size: int, jitter_strength: float, seed: int
+) -> Iterator[tuple[Float[Tensor, "B 3 H W"], list[Tensor]]]:
+    """Yields `training_batch` of each step; the next one is made while the present one is used."""
+    return made_ahead(
+        lambda step: training_batch(
+            training, step, batch_size=batch_size, jitter_strength=jitter_strength, seed=seed
+        ),
+        steps,
+    )
 
-    Of an image that is wider or higher than 384 px a window is shown, another one each time; smaller ones are padded
+
+def training_batch(
+    training: Dataset, step: int, *, batch_size: int, jitter_strength: float, seed: int
+) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
+    """Makes the images and boxes of one step.
+
+    They depend on seed and step alone, which is what makes resuming exact. Of an image that is
+    wider or higher than 384 px a window is shown, another one each time; smaller ones are padded
     with grey to the largest of the batch.
+
+    Args:
+        training: images of any sizes.
+        step: counted from 0.
+        batch_size: images a step.
+        jitter_strength: of the photometric augmentation; 0 is none, 1 is mild.
+        seed: of order and augmentation.
+
+    Returns:
+        sRGB images in [0, 1], and per image the boxes `[n, 4]` of its vehicles, pixel xyxy.
+
+    Raises:
+        StoredFileError: an image file is missing or damaged.
     """
+    # Which images: every epoch shuffles them anew.
     count = len(training)
     positions = range(step * batch_size, (step + 1) * batch_size)
     orders = {
@@ -35,24 +64,26 @@ def training_batch(
         for epoch in {position // count for position in positions}
     }
     generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
-    images, targets = [], []
-    for position in positions:
-        index = int(orders[position // count][position % count])
+    indices = [int(orders[position // count][position % count]) for position in positions]
+    # What is seen of each: a window, without the ignored regions, turned and mirrored.
+    images: list[Tensor] = []
+    targets: list[Tensor] = []
+    for index, decoded in zip(indices, training.images(indices), strict=True):
         shown, boxes, ignore = window(
-            training.images[index],
+            decoded,
             training.boxes[index].float(),
             training.ignore[index].float(),
             generator=generator,
         )
         image = _hide_ignored(shown.float() / 255, boxes, ignore)
-        turns, mirror = (
-            torch.randint(8, (1,), generator=generator).item() % 4,
-            bool(torch.rand(1, generator=generator) < 0.5),
-        )
-        image, boxes = turn(image, boxes, quarter_turns=int(turns), mirror=mirror)
+        turns = int(torch.randint(8, (1,), generator=generator)) % 4
+        mirror = bool(torch.rand(1, generator=generator) < 0.5)
+        image, boxes = turn(image, boxes, quarter_turns=turns, mirror=mirror)
         images.append(image)
         targets.append(boxes)
-    height, width = (max(image.shape[axis] for image in images) for axis in (1, 2))
+    # One tensor of all, with the light and the colours of each changed.
+    height = max(image.shape[1] for image in images)
+    width = max(image.shape[2] for image in images)
     batch = torch.full((len(images), 3, height, width), PADDING_GREY)
     for row, image in zip(batch, images, strict=True):
         row[:, : image.shape[1], : image.shape[2]] = image

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torchvision.models import detection
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.brought import Blueprint, BroughtDetector
 from skyproof.detectors.brought_torchvision import count_classes
 from skyproof.detectors.card import DetectorCard, installed_version
@@ -58,7 +58,7 @@ class Checkpoint:
 
 def bring_detector(
     checkpoint: Checkpoint,
-    validation: LabelledImages,
+    validation: Dataset,
     folder: str | Path,
     *,
     name: str | None = None,
@@ -115,13 +115,13 @@ def bring_detector(
             f"{checkpoint.path} finds none of the vehicles of the validation images, so no threshold can be "
             "frozen; check --vehicle-classes, and give with --gsd the metres per pixel that it was made for."
         )
-    first = validation.images[0]
+    width, height = validation.pictures[0].size_px
     card = DetectorCard(
         name=name,
         size=detector.size,
         threshold=threshold,
         gsd_m=validation.gsd_m,
-        image_size_px=(first.shape[1], first.shape[2]),
+        image_size_px=(height, width),
         parameters=sum(parameter.numel() for parameter in detector.parameters()),
         training={},
         validation=scores,

@@ -1,36 +1,166 @@
-"""A detector over many images."""
+"""A detector over many images, and over images that are too large for one look."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 
 import torch
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
+from torchvision import ops
 
+from skyproof.datasets.ahead import made_ahead
+from skyproof.datasets.dataset import Dataset
+from skyproof.datasets.pictures import Picture, Window
+from skyproof.detectors.common import SUPPRESSION_IOU
 from skyproof.detectors.detector import Detections, Detector
 
-__all__ = ["detect_all"]
+__all__ = [
+    "LARGEST_WHOLE_PX",
+    "WINDOW_OVERLAP_PX",
+    "WINDOW_PX",
+    "covering_windows",
+    "detect_all",
+    "detect_batch",
+]
+
+LARGEST_WHOLE_PX = 1024
+"""Images with a longer side are looked at in windows."""
+
+WINDOW_PX = 384
+WINDOW_OVERLAP_PX = 96
+"""The paper's tile: a window of 48 m has room for no more than the 100 vehicles that a detector
+returns at most. The overlap is two cars long."""
+
+_SEAM_PX = 8
+"""Two windows place the same vehicle a little differently: by less than this."""
+
+_BATCH_SIZE = 16
 
 
-def detect_all(
-    detector: Detector, images: Sequence[Tensor], *, batch_size: int = 16
-) -> list[Detections]:
-    """Runs `detect` over images of bytes, in batches of equal size, on the detector's own device."""
+def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
+    """Runs `detect` over all images, in batches of one size, on the detector's own device.
+
+    Images are decoded batch by batch, the next batch while the detector looks at the present one.
+    An image of more than 1024 px a side is looked at in windows of 384 px that overlap by at least
+    96 px; each detection is kept by the window whose core holds its centre, and duplicates at the
+    seams are suppressed, so that neither memory nor the most detections a detector returns limit
+    what is found in a large image.
+
+    Returns:
+        Per image its detections, sorted by falling score, boxes in the image's pixels.
+
+    Raises:
+        StoredFileError: an image file of a dataset folder is missing or damaged.
+        ImageryError: an annotated frame cannot be read.
+    """
+    sizes = dataset.sizes_px
+    results: list[Detections] = []
+
+    def decode(batch: Sequence[int]) -> list[Tensor]:
+        # Of large images only the windows are decoded, when it is their turn.
+        return [] if _is_large(sizes[batch[0]]) else dataset.images(batch)
+
+    batches = list(_batches(sizes))
+    for batch, images in zip(batches, made_ahead(decode, batches), strict=True):
+        if images:
+            results += detect_batch(detector, torch.stack(images))
+        else:
+            results.append(_detect_in_windows(detector, dataset.pictures[batch[0]]))
+    return results
+
+
+def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[Detections]:
+    """Runs `detect` on sRGB bytes, on the detector's own device."""
     parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
     device = parameter.device if parameter is not None else torch.device("cpu")
-    found: list[Detections] = []
-    start = 0
-    while start < len(images):
-        stop = start + 1
-        while (
-            stop < len(images)
-            and stop - start < batch_size
-            and images[stop].shape == images[start].shape
-        ):
-            stop += 1
-        batch = (
-            torch.stack([images[index] for index in range(start, stop)]).to(device).float() / 255
+    batch = images.to(device).float() / 255
+    return detector.detect(batch.contiguous(memory_format=torch.channels_last))
+
+
+def covering_windows(
+    size_px: tuple[int, int], *, window_px: int = WINDOW_PX, overlap_px: int = WINDOW_OVERLAP_PX
+) -> list[Window]:
+    """Lays equal windows over a picture, row by row, so that neighbours overlap.
+
+    Args:
+        size_px: width and height of the picture.
+        window_px: longest side of a window; a shorter picture side is covered by one.
+        overlap_px: neighbours share at least this much.
+    """
+    lefts, width = _starts(size_px[0], window_px, overlap_px)
+    tops, height = _starts(size_px[1], window_px, overlap_px)
+    return [Window(left, top, width, height) for top in tops for left in lefts]
+
+
+def _starts(side_px: int, window_px: int, overlap_px: int) -> tuple[list[int], int]:
+    """Where the windows along one side start, and how long they are."""
+    length = min(side_px, window_px)
+    count = 1 if side_px == length else -(-(side_px - overlap_px) // (length - overlap_px))
+    step = (side_px - length) / max(count - 1, 1)
+    return [round(index * step) for index in range(count)], length
+
+
+def _is_large(size_px: tuple[int, int]) -> bool:
+    return max(size_px) > LARGEST_WHOLE_PX
+
+
+def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
+    """Indices of neighbours of one size, a batch at most; each large image is alone."""
+    for size, group in itertools.groupby(range(len(sizes_px)), key=lambda index: sizes_px[index]):
+        yield from _cut(group, 1 if _is_large(size) else _BATCH_SIZE)
+
+
+def _cut(items: Iterable[int], length: int) -> Iterator[list[int]]:
+    waiting = iter(items)
+    while part := list(itertools.islice(waiting, length)):
+        yield part
+
+
+def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
+    """Looks at a large picture window by window and puts together what was found."""
+    windows = covering_windows(picture.size_px)
+    cores = _cores(windows)
+    views = picture.windows(windows)
+    boxes: list[Tensor] = []
+    scores: list[Tensor] = []
+    for start in range(0, len(windows), _BATCH_SIZE):
+        numbers = range(start, min(start + _BATCH_SIZE, len(windows)))
+        images = torch.stack(list(itertools.islice(views, len(numbers))))
+        for number, found in zip(numbers, detect_batch(detector, images), strict=True):
+            window = windows[number]
+            shift = torch.tensor([window.left, window.top] * 2, dtype=torch.float32)
+            moved = found.boxes.cpu() + shift
+            centres = (moved[:, :2] + moved[:, 2:]) / 2
+            kept = ((centres >= cores[number, :2]) & (centres < cores[number, 2:])).all(dim=1)
+            boxes.append(moved[kept])
+            scores.append(found.scores.cpu()[kept])
+    all_boxes = torch.cat(boxes)
+    all_scores = torch.cat(scores)
+    # Sorts by falling score, too.
+    order = ops.nms(all_boxes, all_scores, SUPPRESSION_IOU)
+    return Detections(all_boxes[order], all_scores[order])
+
+
+def _cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
+    """Per window the part that is its own: to the middle of its overlaps, and a little beyond.
+
+    At the picture's border a core has no limit, since a box may have been cut there.
+    """
+    edges = []
+    for axis in (0, 1):
+        length = windows[0][2 + axis]
+        starts = sorted({window[axis] for window in windows})
+        middles = [(second + first + length) / 2 for first, second in itertools.pairwise(starts)]
+        lows = dict(
+            zip(starts, [-torch.inf, *(middle - _SEAM_PX for middle in middles)], strict=True)
         )
-        found.extend(detector.detect(batch.contiguous(memory_format=torch.channels_last)))
-        start = stop
-    return found
+        highs = dict(
+            zip(starts, [*(middle + _SEAM_PX for middle in middles), torch.inf], strict=True)
+        )
+        edges.append((lows, highs))
+    (lefts, rights), (tops, bottoms) = edges
+    return torch.tensor(
+        [[lefts[left], tops[top], rights[left], bottoms[top]] for left, top, _, _ in windows]
+    )

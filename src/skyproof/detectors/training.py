@@ -6,7 +6,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision, best_f1_threshold
-from skyproof.detectors.batches import WINDOW_PX, training_batch
+from skyproof.detectors.batches import WINDOW_PX, training_batches
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import detect_all
@@ -39,13 +39,12 @@ CHECKPOINT = "checkpoint.safetensors"
 
 def train(
     detector: TrainableDetector,
-    training: LabelledImages,
-    validation: LabelledImages,
+    training: Dataset,
+    validation: Dataset,
     settings: TrainingSettings,
     folder: Path,
     *,
     generator: torch.Generator,
-    trained_on: str = "",
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> DetectorCard:
     """Trains `detector` where it lies, and leaves the best averaged weights in it and in `folder`.
@@ -62,7 +61,6 @@ def train(
         settings: see `TRAINING_PRESETS`.
         folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors` until finished.
         generator: one number is drawn from it: the seed of order and augmentation.
-        trained_on: what the training images are, in a few words, for `detector.json`.
         on_step: called with each row of `steps.jsonl`, for progress display.
 
     Returns:
@@ -86,9 +84,16 @@ def train(
         return _finished(detector, folder, identity)
     run = _Run(detector, settings, identity)
     run.resume(folder)
+    batches = training_batches(
+        training,
+        range(run.step, settings.steps),
+        batch_size=settings.batch_size,
+        jitter_strength=settings.jitter,
+        seed=seed,
+    )
     while run.step < settings.steps:
         started = time.perf_counter()
-        loss = run.advance(training, seed)
+        loss = run.advance(*next(batches))
         row = {
             "kind": "step",
             "step": run.step,
@@ -109,12 +114,12 @@ def train(
         for each in rows:
             if on_step is not None:
                 on_step(each)
-    return _finish(run, training, folder, trained_on)
+    return _finish(run, training, folder)
 
 
-def validate(detector: Detector, validation: LabelledImages) -> dict[str, float]:
+def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
     """Centre AP, IoU-0.5 AP, best F1 (centre) and its threshold (PAPER 17, 18)."""
-    found = detect_all(detector, validation.images)
+    found = detect_all(detector, validation)
     centre = average_precision(found, validation, criterion="centre_1m")
     overlap = average_precision(found, validation, criterion="iou_50")
     threshold, f1 = best_f1_threshold(centre)
@@ -143,17 +148,10 @@ class _Run:
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
 
-    def advance(self, training: LabelledImages, seed: int) -> float:
+    def advance(self, images: Tensor, targets: Sequence[Tensor]) -> float:
         """One optimiser step; returns the mean loss."""
         settings = self.settings
         device = next(self.detector.parameters()).device
-        images, targets = training_batch(
-            training,
-            self.step,
-            batch_size=settings.batch_size,
-            jitter_strength=settings.jitter,
-            seed=seed,
-        )
         images = images.to(device).contiguous(memory_format=torch.channels_last)
         for group in self.optimiser.param_groups:
             group["lr"] = _learning_rate(self.step, settings)
@@ -249,7 +247,7 @@ def _learning_rate(step: int, settings: TrainingSettings) -> float:
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-def _check(training: LabelledImages, validation: LabelledImages) -> None:
+def _check(training: Dataset, validation: Dataset) -> None:
     if not len(training) or not any(len(boxes) for boxes in training.boxes):
         raise ConfigurationError(
             "Training expects images with at least one vehicle; none was given."
@@ -261,7 +259,7 @@ def _check(training: LabelledImages, validation: LabelledImages) -> None:
         )
 
 
-def check_validation(validation: LabelledImages) -> None:
+def check_validation(validation: Dataset) -> None:
     """Refuses images that no threshold can be chosen on.
 
     Raises:
@@ -288,21 +286,21 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
     return stored.card
 
 
-def _finish(run: _Run, training: LabelledImages, folder: Path, trained_on: str) -> DetectorCard:
+def _finish(run: _Run, training: Dataset, folder: Path) -> DetectorCard:
     run.detector.load_state_dict(run.best_state)
     run.detector.eval()
-    first = training.images[0]
+    width, height = training.pictures[0].size_px
     card = DetectorCard(
         name=run.detector.name,
         size=run.detector.size,
         threshold=run.best["threshold"],
         gsd_m=training.gsd_m,
-        image_size_px=(min(first.shape[1], WINDOW_PX), min(first.shape[2], WINDOW_PX)),
+        image_size_px=(min(height, WINDOW_PX), min(width, WINDOW_PX)),
         parameters=sum(parameter.numel() for parameter in run.detector.parameters()),
         training={"identity": run.identity, "images": len(training), "best_step": run.best["step"]},
         validation={key: run.best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
         skyproof_version=installed_version(),
-        trained_on=trained_on,
+        trained_on=training.origin,
     )
     save_detector(folder, run.detector, card)
     (folder / CHECKPOINT).unlink(missing_ok=True)

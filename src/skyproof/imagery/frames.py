@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
+from jaxtyping import UInt8
 from PIL import Image
+from torch import Tensor
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
+from skyproof.datasets.pictures import Window, tensor_of
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
@@ -18,7 +22,60 @@ from skyproof.imagery.labels.text import IMAGE_SUFFIXES
 __all__ = ["BORDER_PX", "read_frames_folder"]
 
 BORDER_PX = 40.0
-"""Vehicles cut by an image's border are often not labelled: half a car's length at 6 cm, a whole one at 12 cm."""
+"""Vehicles cut by an image's border are often not labelled: half a car's length at 6 cm, a whole
+one at 12 cm."""
+
+
+@dataclass(frozen=True)
+class FramePicture:
+    """An annotated frame that is brought to another resolution when somebody looks at it.
+
+    Attributes:
+        path: of the image file.
+        source_size_px: width and height of the file's image.
+        size_px: width and height after resampling.
+    """
+
+    path: Path
+    source_size_px: tuple[int, int]
+    size_px: tuple[int, int]
+
+    def read(self) -> UInt8[Tensor, "3 H W"]:
+        """Decodes and resamples the whole frame, with anti-aliasing.
+
+        Raises:
+            ImageryError: the file is missing or damaged.
+        """
+        # Pillow widens its kernel when it shrinks, so this does not alias.
+        return tensor_of(self._decoded().resize(self.size_px, Image.Resampling.BICUBIC))
+
+    def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
+        """Decodes the frame and yields windows of the resampled picture, each made by itself.
+
+        Raises:
+            ImageryError: the file is missing or damaged.
+        """
+        source = self._decoded()
+        scale_x = self.source_size_px[0] / self.size_px[0]
+        scale_y = self.source_size_px[1] / self.size_px[1]
+        for left, top, width, height in windows:
+            box = (
+                left * scale_x,
+                top * scale_y,
+                min((left + width) * scale_x, self.source_size_px[0]),
+                min((top + height) * scale_y, self.source_size_px[1]),
+            )
+            # The kernel sees the pixels around the box, so that windows have no seams.
+            yield tensor_of(source.resize((width, height), Image.Resampling.BICUBIC, box=box))
+
+    def _decoded(self) -> Image.Image:
+        with _opened(self.path) as picture:
+            try:
+                # A conversion copies even where there is nothing to convert.
+                picture.load()
+                return picture if picture.mode == "RGB" else picture.convert("RGB")
+            except (OSError, SyntaxError, ValueError) as error:
+                raise _unreadable(self.path, error) from error
 
 
 def read_frames_folder(
@@ -30,8 +87,10 @@ def read_frames_folder(
     classes: Sequence[str],
     border_px: float = BORDER_PX,
     pattern: str = "*",
-) -> LabelledImages:
+) -> Dataset:
     """Reads images of 8 bits with labels in pixels: COCO, YOLO text or DOTA text.
+
+    Labels and sizes are read at once, pixels when somebody looks at an image.
 
     Args:
         folder: holds the images, or an `images` folder that does.
@@ -48,71 +107,88 @@ def read_frames_folder(
             of another form, in map coordinates, of another image size or outside their image.
     """
     folder = Path(folder)
-    files = sorted(file for file in folder.glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
-    if not files:
-        files = sorted(
-            file
-            for file in (folder / "images").glob(pattern)
-            if file.suffix.lower() in IMAGE_SUFFIXES
-        )
+    files = _image_files(folder, pattern) or _image_files(folder / "images", pattern)
     if not files:
         raise ImageryError(f"{folder} holds no image matching {pattern!r}; give another folder.")
     place = Path(labels) if labels is not None else folder
-    read = read_labels(place)
-    if isinstance(read, GroundLabels):
+    annotations = read_labels(place)
+    if isinstance(annotations, GroundLabels):
         raise ImageryError(
-            f"{place} has labels in map coordinates but frames such as {files[0].name} have no place on the map; give "
-            "labels in pixels, or cut georeferenced imagery with `skyproof ground`."
+            f"{place} has labels in map coordinates but frames such as {files[0].name} have no "
+            "place on the map; give labels in pixels, or cut georeferenced imagery with "
+            "`skyproof ground`."
         )
-    require_classes(read, classes, str(place))
-    images, boxes, ignore = [], [], []
+    require_classes(annotations, classes, str(place))
+    pictures: list[FramePicture] = []
+    boxes: list[Tensor] = []
+    ignore: list[Tensor] = []
     for file in files:
-        if file.stem not in read.images:
+        if file.stem not in annotations.images:
             raise ImageryError(
-                f"{file} has no labels in {place}; an image without vehicles needs an empty text file or an entry."
+                f"{file} has no labels in {place}; an image without vehicles needs an empty text "
+                "file or an entry."
             )
-        picture = _picture(file)
-        width, height = picture.size
-        if (stated := read.sizes_px.get(file.stem, picture.size)) != picture.size:
+        source_size = _size_px(file)
+        width, height = source_size
+        stated = annotations.sizes_px.get(file.stem, source_size)
+        if stated != source_size:
             raise ImageryError(
-                f"{file} has {width} x {height} px but {place} says {stated[0]} x {stated[1]}; give the images that "
-                "were labelled."
+                f"{file} has {width} x {height} px but {place} says {stated[0]} x {stated[1]}; "
+                "give the images that were labelled."
             )
-        own = read.images[file.stem]
-        for number, label in enumerate(own, 1):
-            require_inside(label, picture.size, f"{place}, label {number} of {file.stem},")
+        of_image = annotations.images[file.stem]
+        for number, label in enumerate(of_image, 1):
+            require_inside(label, source_size, f"{place}, label {number} of {file.stem},")
         # Labels in pixels have corners, never a point alone.
         truths, ignored = sort_labels(
-            own, classes=classes, size_px=picture.size, border_px=border_px, point_box_px=0.0
+            of_image, classes=classes, size_px=source_size, border_px=border_px, point_box_px=0.0
         )
         size = (
             max(1, round(width * gsd_m / target_gsd_m)),
             max(1, round(height * gsd_m / target_gsd_m)),
         )
-        # Pillow widens its kernel when it shrinks, so this does not alias.
-        array = np.array(picture.resize(size, Image.Resampling.BICUBIC))
-        images.append(torch.from_numpy(array).permute(2, 0, 1).contiguous())
         scale = torch.tensor([size[0] / width, size[1] / height] * 2, dtype=torch.float32)
+        pictures.append(FramePicture(file, source_size, size))
         boxes.append(truths * scale)
         ignore.append(ignored * scale)
-    return LabelledImages(
-        images=images,
+    return Dataset(
+        pictures=pictures,
         boxes=boxes,
         ignore=ignore,
         ids=[file.stem for file in files],
         gsd_m=target_gsd_m,
+        visible_fractions=[torch.full((len(truths),), torch.nan) for truths in boxes],
     )
 
 
-def _picture(path: Path) -> Image.Image:
+def _image_files(folder: Path, pattern: str) -> list[Path]:
+    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
+
+
+def _size_px(path: Path) -> tuple[int, int]:
+    """Reads width and height of an image from its header."""
+    with _opened(path) as picture:
+        if picture.mode[0] in "IF":
+            raise ImageryError(
+                f"{path} has more than 8 bits per pixel; convert it (gdal_translate -ot Byte "
+                "-scale)."
+            )
+        return picture.size
+
+
+def _opened(path: Path) -> Image.Image:
     try:
-        with Image.open(path) as picture:
-            if picture.mode[0] in "IF":
-                raise ImageryError(
-                    f"{path} has more than 8 bits per pixel; convert it (gdal_translate -ot Byte -scale)."
-                )
-            return picture.convert("RGB")
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        with warnings.catch_warnings():
+            # Aerial frames are large; only what Pillow refuses is too large.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            return Image.open(path)
+    except Image.DecompressionBombError as error:
         raise ImageryError(
-            f"{path} cannot be read as an image ({error}); replace or remove it."
+            f"{path} is too large to be read at once ({error}); cut it into smaller frames."
         ) from error
+    except (OSError, SyntaxError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> ImageryError:
+    return ImageryError(f"{path} cannot be read as an image ({error}); replace or remove it.")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.loaded import LoadedDetector
@@ -32,7 +32,7 @@ class CleanSet:
     """
 
     name: str
-    images: LabelledImages
+    images: Dataset
     note: str = ""
     places: Sequence[str] = ()
     real: bool = True

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import Criterion, match_detections
 from skyproof.errors import ConfigurationError
@@ -45,7 +45,7 @@ class _Ranked:
 
 def ap_interval(
     detections: Sequence[Detections],
-    labelled: LabelledImages,
+    labelled: Dataset,
     clusters: Sequence[str],
     *,
     criterion: Criterion,
@@ -98,7 +98,7 @@ def ap_interval(
 
 def _rank(
     detections: Sequence[Detections],
-    labelled: LabelledImages,
+    labelled: Dataset,
     cluster_of_image: Sequence[int],
     clusters: int,
     criterion: Criterion,

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from skyproof.datasets.coco import read_coco, read_rendering, read_visible_fractions
-from skyproof.datasets.labelled import LabelledImages
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import detect_all
@@ -60,18 +59,17 @@ def evaluate_pairs(
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     scenes = read_scenes(Path(original) / "scenes.jsonl")
-    before, visible, (renderer, settings) = (
-        read_coco(original),
-        read_visible_fractions(original),
-        read_rendering(original),
-    )
-    for place in camouflaged.values():
+    before = Dataset.open(original)
+    renderer, settings = before.renderer, before.rendering
+    after = {name: Dataset.open(place) for name, place in camouflaged.items()}
+    for name, place in camouflaged.items():
         # Ids alone do not tell: two runs number their scenes alike.
         if read_scenes(Path(place) / "scenes.jsonl") != scenes:
             raise ConfigurationError(
                 f"{place} does not show the scenes of {original}; render it from the same scenes."
             )
-        if (theirs := read_rendering(place)) != (renderer, settings):
+        theirs = (after[name].renderer, after[name].rendering)
+        if theirs != (renderer, settings):
             changed = sorted(
                 key for key in {*settings, *theirs[1]} if settings.get(key) != theirs[1].get(key)
             )
@@ -81,7 +79,6 @@ def evaluate_pairs(
                 "differ in more than camouflage; render both with the same --renderer and settings."
             )
     _check_names(judges, [Path(original), *map(Path, camouflaged.values())])
-    after = {name: read_coco(path) for name, path in camouflaged.items()}
     for name, images in {ORIGINAL: before, **after}.items():
         if list(images.ids) != [scene.id for scene in scenes]:
             place = camouflaged.get(name, original)
@@ -108,7 +105,7 @@ def evaluate_pairs(
         unharmed: list[list[Detections]] = []
         for judge in judges:
             name = judge.name
-            found = detect_all(judge.detector, before.images)
+            found = detect_all(judge.detector, before)
             _write_detections(
                 partial / "detections" / Path(original).name / f"{name}.jsonl", before.ids, found
             )
@@ -122,7 +119,7 @@ def evaluate_pairs(
         for judge, found in zip(judges, unharmed, strict=True):
             name = judge.name
             for camouflage, images in after.items():
-                hidden = detect_all(judge.detector, images.images)
+                hidden = detect_all(judge.detector, images)
                 place = (
                     partial / "detections" / Path(camouflaged[camouflage]).name / f"{name}.jsonl"
                 )
@@ -139,12 +136,12 @@ def evaluate_pairs(
                         hidden,
                         comparison,
                         adversarial_truth_boxes=images.boxes,
-                        visible_fractions=visible,
+                        visible_fractions=before.visible_fractions,
                     )
                     outcomes.extend(pair)
                 step()
             for each in clean:
-                found = detect_all(judge.detector, each.images.images)
+                found = detect_all(judge.detector, each.images)
                 checks.append(
                     check_clean(judge, each, found, generator=np.random.default_rng(seed))
                 )
@@ -195,7 +192,7 @@ def _scores(
     renderer: str,
     judge: LoadedDetector[Detector],
     scenes: Sequence[Scene],
-    images: LabelledImages,
+    images: Dataset,
     found: Sequence[Detections],
 ) -> list[SetScore]:
     area_m2 = (scenes[0].camera.size_px * scenes[0].camera.gsd_m) ** 2

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.inference import detect_all
+from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import read_json
@@ -19,8 +19,6 @@ from skyproof.scenes.splits import SPLITS
 
 __all__ = ["VehicleFinder", "check_resolution", "other_vehicles", "read_boxes"]
 
-WINDOW_PX, WINDOW_OVERLAP_PX = 384, 96
-"""The paper's tile: a window of 48 m holds no more than the 100 vehicles a detector returns at most."""
 SAME_VEHICLE_IOU = 0.3
 
 
@@ -38,10 +36,10 @@ class VehicleFinder:
 
     def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
         """What it finds in a tile of any size: large ones are looked at in windows that overlap."""
-        windows, found = _windows(image.shape[1], image.shape[2]), []
-        for top, left, height, width in windows:
+        found = []
+        for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
-            detections = detect_all(self.loaded.detector, [part])[0]
+            detections = detect_batch(self.loaded.detector, part[None])[0]
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             keep = detections.scores.cpu() >= lowest_score
             found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
@@ -94,17 +92,3 @@ def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
             f"The detector {finder.name} was trained at {finder.loaded.card.gsd_m} m per pixel but the tiles have "
             f"{gsd_m} m; give one of this resolution, or tile the imagery at the detector's."
         )
-
-
-def _windows(height_px: int, width_px: int) -> list[tuple[int, int, int, int]]:
-    """Top, left, height and width of equal windows that cover the picture."""
-    parts = []
-    for side in (height_px, width_px):
-        length = min(side, WINDOW_PX)
-        count = (
-            1 if side == length else -(-(side - WINDOW_OVERLAP_PX) // (length - WINDOW_OVERLAP_PX))
-        )
-        parts.append(
-            [(round(i * (side - length) / max(count - 1, 1)), length) for i in range(count)]
-        )
-    return [(top, left, height, width) for top, height in parts[0] for left, width in parts[1]]

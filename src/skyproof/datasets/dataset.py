@@ -1,0 +1,226 @@
+"""Images with known vehicles: what detectors train on and are judged by."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skyproof.datasets.coco import DESCRIPTION
+from skyproof.datasets.pictures import Picture, PictureFile, PictureInMemory
+from skyproof.errors import StoredFileError
+from skyproof.files import read_json
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.scene import Scene, read_scenes
+
+__all__ = ["Dataset"]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Images with the boxes of every vehicle in them; pixels are decoded when they are asked for.
+
+    Make one with `open`, `of_images` or `joined`.
+
+    Attributes:
+        pictures: the images; `image` and `images` decode them.
+        boxes: per image `[n, 4]` true vehicles, pixel xyxy.
+        ignore: per image `[m, 4]` regions where nothing is scored: other vehicle classes,
+            unlabelled borders.
+        ids: per image its name.
+        gsd_m: metres per pixel of all images.
+        visible_fractions: per image `[n]` the fraction of each vehicle's pixels that are inside
+            the image; nan where not known.
+        folder: where the images lie; None where they are of several places or in memory.
+        info: what the annotation file says of the whole set.
+    """
+
+    pictures: Sequence[Picture]
+    boxes: Sequence[Float[Tensor, "_n 4"]]
+    ignore: Sequence[Float[Tensor, "_m 4"]]
+    ids: Sequence[str]
+    gsd_m: float
+    visible_fractions: Sequence[Float[Tensor, " _n"]]
+    folder: Path | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Dataset:
+        """Opens a dataset folder that `CocoWriter` wrote; reads its annotations and no image.
+
+        Annotations with iscrowd become ignore regions.
+
+        Raises:
+            StoredFileError: `annotations.json` is missing, damaged or without our resolution.
+        """
+        folder = Path(folder)
+        path = folder / "annotations.json"
+        document = read_json(path)
+        try:
+            info = dict(document["info"])
+            gsd_m = float(info["gsd_m"])
+            dict(info.get("rendering", {}))
+            rows: dict[int, list[dict[str, Any]]] = {
+                image["id"]: [] for image in document["images"]
+            }
+            for annotation in document["annotations"]:
+                rows[annotation["image_id"]].append(annotation)
+            vehicles = [
+                [row for row in of_image if not row["iscrowd"]] for of_image in rows.values()
+            ]
+            crowds = [[row for row in of_image if row["iscrowd"]] for of_image in rows.values()]
+            return cls(
+                pictures=[
+                    PictureFile(
+                        folder / image["file_name"], (int(image["width"]), int(image["height"]))
+                    )
+                    for image in document["images"]
+                ],
+                boxes=[_boxes(of_image) for of_image in vehicles],
+                ignore=[_boxes(of_image) for of_image in crowds],
+                ids=[str(image["scene_id"]) for image in document["images"]],
+                gsd_m=gsd_m,
+                visible_fractions=[
+                    torch.tensor([float(row.get("visible_fraction", math.nan)) for row in of_image])
+                    for of_image in vehicles
+                ],
+                folder=folder,
+                info=info,
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise StoredFileError(
+                f"{path} is not a dataset of ours ({error!r}); write the dataset again."
+            ) from error
+
+    @classmethod
+    def of_images(
+        cls,
+        images: Sequence[UInt8[Tensor, "3 _H _W"]],
+        boxes: Sequence[Float[Tensor, "_n 4"]],
+        *,
+        gsd_m: float,
+        ignore: Sequence[Float[Tensor, "_m 4"]] | None = None,
+        ids: Sequence[str] | None = None,
+    ) -> Dataset:
+        """Makes a dataset of images in memory.
+
+        Args:
+            images: per image `[3, H, W]` sRGB bytes; sizes may differ.
+            boxes: per image `[n, 4]` true vehicles, pixel xyxy.
+            gsd_m: metres per pixel.
+            ignore: per image `[m, 4]` regions where nothing is scored; none where not given.
+            ids: per image its name; counted where not given.
+        """
+        count = len(images)
+        return cls(
+            pictures=[PictureInMemory(image) for image in images],
+            boxes=boxes,
+            ignore=[torch.zeros(0, 4)] * count if ignore is None else ignore,
+            ids=[str(index) for index in range(count)] if ids is None else ids,
+            gsd_m=gsd_m,
+            visible_fractions=[torch.full((len(of_image),), math.nan) for of_image in boxes],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Dataset]) -> Dataset:
+        """Puts several sets of one resolution together, in their order."""
+        return cls(
+            pictures=[picture for part in parts for picture in part.pictures],
+            boxes=[boxes for part in parts for boxes in part.boxes],
+            ignore=[regions for part in parts for regions in part.ignore],
+            ids=[name for part in parts for name in part.ids],
+            gsd_m=parts[0].gsd_m,
+            visible_fractions=[values for part in parts for values in part.visible_fractions],
+        )
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    @property
+    def sizes_px(self) -> list[tuple[int, int]]:
+        """Per image its width and height, known without decoding."""
+        return [picture.size_px for picture in self.pictures]
+
+    def image(self, index: int) -> UInt8[Tensor, "3 H W"]:
+        """Decodes one image, as sRGB bytes.
+
+        Raises:
+            StoredFileError: the file is missing, damaged or of another size than was stated.
+        """
+        return self.pictures[index].read()
+
+    def images(self, indices: Iterable[int]) -> list[UInt8[Tensor, "3 _H _W"]]:
+        """Decodes several images at once, each in a thread of its own.
+
+        Raises:
+            StoredFileError: as `image` does.
+        """
+        return list(_decoders().map(self.image, indices))
+
+    @cached_property
+    def scenes(self) -> list[Scene]:
+        """The scenes that the images show, in the order of the images.
+
+        Raises:
+            StoredFileError: this set has no `scenes.jsonl`, or a damaged one.
+        """
+        if self.folder is None:
+            raise StoredFileError("Images in memory have no scenes; give a rendered dataset.")
+        return read_scenes(self.folder / "scenes.jsonl")
+
+    @property
+    def renderer(self) -> str:
+        """Who rendered the images: "torch" or "cycles"; empty where nobody did."""
+        # Datasets of before there was a choice of renderer say only that they are scenes.
+        default = "torch" if self.info.get("description") == DESCRIPTION else ""
+        return str(self.info.get("renderer", default))
+
+    @property
+    def rendering(self) -> dict[str, Any]:
+        """The settings that the images were rendered with; empty where they are not known."""
+        return dict(self.info.get("rendering", {}))
+
+    @property
+    def origin(self) -> str:
+        """The set in a few words: its name, and who rendered it or which imagery it is cut from.
+
+        Empty where the images are of several places or in memory.
+
+        Raises:
+            StoredFileError: the index of the tiled folder that the set lies in is damaged.
+        """
+        if self.folder is None:
+            return ""
+        name = self.folder.resolve().name
+        above = self.folder.resolve().parent
+        if "renderer" not in self.info and (above / "index.json").exists():
+            # A split of a tiled folder.
+            tiles = BackgroundSet.open(above).tiles(name)
+            sources = list(dict.fromkeys(tile.source for tile in tiles))
+            if sources:
+                more = f" and {len(sources) - 3} more" if len(sources) > 3 else ""
+                return f"{name}: tiles of real imagery ({', '.join(sources[:3])}{more})"
+        renderers = {"torch": "the differentiable renderer", "cycles": "Blender Cycles"}
+        if self.renderer not in renderers:
+            return f"{name}: images of unknown origin"
+        return f"{name}: rendered by {renderers[self.renderer]}"
+
+
+@cache
+def _decoders() -> ThreadPoolExecutor:
+    # Pillow lets go of the interpreter's lock while it decodes.
+    return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="decoder")
+
+
+def _boxes(rows: Sequence[Mapping[str, Any]]) -> Tensor:
+    boxes = torch.tensor([row["bbox"] for row in rows], dtype=torch.float32).reshape(-1, 4)
+    return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
