@@ -13,8 +13,8 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 RESULTS = {
     "black_box": ("black_box/report.html", "docs/detectors.md"),
     "brought_checkpoint": ("T-U-on-vehicles/camouflage.json", "docs/detectors.md"),
-    "constraint_combination": ("T-PixFcMa/camouflage.json", "README.md"),
-    "own_detector": ("T-U/camouflage.json", "README.md"),
+    "constraint_combination": ("T-PixFcMa/camouflage.json", "docs/attacks.md"),
+    "own_detector": ("T-U/camouflage.json", "docs/attacks.md"),
     "shape_attack": ("S-O@0.2/camouflage.json", "README.md"),
 }
 SHORTER = {
