@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.meshes import vertex_normals
-from skyproof.render.rasterise import Visibility, rasterise
+from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import LinearTexture, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
@@ -102,7 +102,7 @@ def draw_bodies(
     corners = (
         samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
     )
-    colour = radiance(visibility.vehicle, visibility.face, _barycentric(corners, centre))
+    colour = radiance(visibility.vehicle, visibility.face, _held_weights(corners, centre))
     layers = _average(visibility, colour, factor)
     if samples.requires_grad:
         points = silhouette_points(samples, depth.detach(), template.faces, visibility)
@@ -147,19 +147,17 @@ def _texture_levels(samples: Float[Tensor, "N V 2"], vehicles: VehicleBatch) -> 
     return longest.clamp(1.0, 2.0**20).log2().round().nan_to_num(0.0).long()
 
 
-def _barycentric(
+def _held_weights(
     corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]
 ) -> Float[Tensor, "K 3"]:
-    """Weights of the three corners at `point`, differentiable in the corners."""
-    a, b, c = corners.unbind(1)
-    to_b, to_c, to_point = b - a, c - a, point - a
-    area = to_c[:, 0] * to_b[:, 1] - to_c[:, 1] * to_b[:, 0]
-    second = (to_c[:, 0] * to_point[:, 1] - to_c[:, 1] * to_point[:, 0]) / area
-    third = (to_point[:, 0] * to_b[:, 1] - to_point[:, 1] * to_b[:, 0]) / area
-    weights = torch.stack((1 - second - third, second, third), dim=-1)
+    """Returns the weights of three corners; their derivative is held where a triangle is thin."""
+    weights = barycentric(corners, point)
     if not weights.requires_grad:
         return weights
     with torch.no_grad():
+        a, b, c = corners.unbind(1)
+        to_b, to_c = b - a, c - a
+        area = to_c[:, 0] * to_b[:, 1] - to_c[:, 1] * to_b[:, 0]
         longest = torch.stack((to_b, to_c, c - b)).norm(dim=-1).amax(0)
         kept = (area / longest / _THINNEST).clamp(max=1.0)[:, None]
     return weights.detach().lerp(weights, kept)

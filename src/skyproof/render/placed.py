@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skyproof.geometry.projection import project, rotate_about_vertical
+from skyproof.geometry.rasterise import Visibility, rasterise
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Windows, windows_around
-from skyproof.render.rasterise import Visibility, rasterise
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.meshes import mesh_edges
-from skyproof.render.rasterise import Visibility, face_areas
+from skyproof.geometry.rasterise import Visibility, face_areas
 
 __all__ = ["SilhouettePoints", "silhouette_points"]
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from skyproof.render.portrait import close_up
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 from skyproof.vehicles.wrapping.meshes import SourceMesh
-from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
+from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
 __all__ = ["PART_COLOURS", "turntable_row", "turntable_sheet"]
 
@@ -100,7 +100,7 @@ def _views(
     for azimuth, elevation in _VIEWS:
         axes = view_axes(np.radians(azimuth), np.radians(elevation))
         corner = (axes @ middle)[:2] - pixel * np.array([_WIDTH_PX, _HEIGHT_PX]) / 2
-        seen = z_buffer(corners @ axes.T, corner, pixel, (_HEIGHT_PX, _WIDTH_PX))
+        seen = parallel_view(corners @ axes.T, corner, pixel, (_HEIGHT_PX, _WIDTH_PX))
         hit = seen.face >= 0
         picture = np.full((*seen.face.shape, 3), _GROUND)
         picture[hit] = colours(seen.face[hit], seen.weights[hit]) * light[seen.face[hit], None]

@@ -15,8 +15,8 @@ from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.outer import Outer
-from skyproof.vehicles.wrapping.raster import z_buffer
 from skyproof.vehicles.wrapping.surface import Wrapping
+from skyproof.vehicles.wrapping.views import parallel_view
 
 __all__ = ["Texels", "bake", "to_bytes"]
 
@@ -87,7 +87,7 @@ def _texel_places(
     template = make_template()
     uv = template.uvs[template.face_uvs].double().numpy()
     flat = np.concatenate([uv, np.zeros_like(uv[..., :1])], axis=-1)
-    seen = z_buffer(flat, np.zeros(2), 1 / TEXTURE_SIZE, (TEXTURE_SIZE, TEXTURE_SIZE))
+    seen = parallel_view(flat, np.zeros(2), 1 / TEXTURE_SIZE, (TEXTURE_SIZE, TEXTURE_SIZE))
     face, weights = seen.face, seen.weights
     face, weights = _fill(face >= 0, face, weights)
     vertices = wrapping.vertices

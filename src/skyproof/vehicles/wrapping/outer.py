@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
+from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
 __all__ = ["Outer", "look_around"]
 
@@ -64,7 +64,7 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
         view = corners @ axes.T
         low, high = view.reshape(-1, 3).min(0)[:2], view.reshape(-1, 3).max(0)[:2]
         rows, columns = np.ceil((high - low) / pixel).astype(int)[::-1] + 1
-        seen = z_buffer(view, low, pixel, (int(rows), int(columns)))
+        seen = parallel_view(view, low, pixel, (int(rows), int(columns)))
         hit = seen.face >= 0
         face = seen.face[hit]
         towards = normal[face] @ -axes[2]

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from skyproof.geometry.intersections import self_intersections
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.wrapping.outer import Outer, look_around
-from skyproof.vehicles.wrapping.raster import view_axes, z_buffer
 from skyproof.vehicles.wrapping.surface import Wrapping
+from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
 __all__ = ["measure_wrapping", "outline_iou"]
 
@@ -32,7 +32,7 @@ def outline_iou(
     low, high = points.min(0) - _PIXEL_M, points.max(0) + _PIXEL_M
     columns, rows = np.ceil((high - low) / _PIXEL_M).astype(int)
     one, other = (
-        z_buffer(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views
+        parallel_view(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views
     )
     return float((one & other).sum() / (one | other).sum())
 

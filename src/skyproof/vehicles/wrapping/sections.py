@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, median_filter
 
-from skyproof.vehicles.wrapping.raster import z_buffer
+from skyproof.vehicles.wrapping.views import parallel_view
 
 __all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull"]
 
@@ -106,7 +106,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     def look(first: int, second: int, depth: int, sign: float) -> np.ndarray:
         """The largest `sign * depth` over cells of two axes; -inf where nothing is."""
         view = corners[..., [second, first, depth]] * [1.0, 1.0, -sign]
-        seen = z_buffer(
+        seen = parallel_view(
             view, start[[second, first]], cell, (int(counts[first]), int(counts[second]))
         )
         value = np.einsum("xyk,xyk->xy", seen.weights, corners[seen.face][..., depth]) * sign

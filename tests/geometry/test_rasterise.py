@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skyproof.geometry.projection import project
-from skyproof.render.rasterise import face_areas, rasterise
+from skyproof.geometry.rasterise import barycentric, face_areas, rasterise
 from tests.render.bodies import rounded_box, sphere_template
 
 
@@ -185,8 +185,58 @@ def test_bodies_outside_their_window_draw_nothing():
         assert len(rasterise(screen + torch.tensor(shift), depth, faces, 32).covered) == 0
 
 
-def test_too_many_faces_are_refused():
-    with pytest.raises(ValueError, match="65536"):
-        rasterise(
-            torch.zeros(1, 3, 2), torch.zeros(1, 3), torch.zeros(65536, 3, dtype=torch.long), 4
-        )
+def test_two_sided_drawing_does_not_ask_how_triangles_are_wound():
+    template, body = sphere_template(9, 10), rounded_box(rings=9, columns=10)
+    screen, depth = seen_from(body, azimuth=0.7, tilt=0.6, size=64, per_sample_m=0.08)
+    generator = torch.Generator().manual_seed(2)
+    turned = torch.rand(len(template.faces), generator=generator) < 0.5
+    wound_at_random = torch.where(turned[:, None], template.faces.flip(1), template.faces)
+    closed = rasterise(screen, depth, template.faces, 64)
+    drawn = rasterise(screen, depth, wound_at_random, 64, two_sided=True)
+    # Of a closed body the insides lie behind the outsides; at its outline rounding decides.
+    assert len(closed.covered) > 300
+    bits = (1 << 31) - 1
+    assert ((drawn.keys & bits) != (closed.keys & bits)).sum() <= 2
+    assert len(rasterise(screen, depth, wound_at_random, 64).covered) < len(closed.covered)
+
+
+def test_two_sided_triangles_match_the_reference_of_the_same_triangles_turned_round():
+    generator = torch.Generator().manual_seed(7)
+    middle = torch.rand(1, 40, 1, 2, generator=generator) * 40
+    screen = (middle + torch.randn(1, 40, 3, 2, generator=generator) * 9).reshape(1, 120, 2)
+    depth = torch.rand(1, 120, generator=generator)
+    faces = torch.arange(120).view(40, 3)
+    areas = face_areas(screen, faces)[0]
+    assert 10 < int((areas < 0).sum()) < 30
+    outwards = torch.where((areas < 0)[:, None], faces.flip(1), faces)
+    compared, covered = compare(screen, depth, outwards, 40)
+    assert compared > 1300
+    assert covered > 800
+    same = rasterise(screen, depth, faces, 40, two_sided=True)
+    turned = rasterise(screen, depth, outwards, 40)
+    assert torch.equal(same.covered, turned.covered)
+    assert torch.equal(same.face, turned.face)
+
+
+def test_more_faces_than_sixteen_bits_count(monkeypatch):
+    # Tiny triangles in rows, one at every second sample, drawn in parts.
+    count = 70_000
+    number = torch.arange(count)
+    place = torch.stack((number % 300, number // 300), dim=1) + 0.5
+    corners = place[:, None] + torch.tensor([[-0.3, -0.3], [-0.3, 0.3], [0.4, 0.0]])
+    screen, faces = corners.view(1, -1, 2), torch.arange(3 * count).view(-1, 3)
+    whole = rasterise(screen, torch.zeros(1, 3 * count), faces, 300)
+    assert torch.equal(whole.face, number)
+    assert torch.equal(whole.y * 300 + whole.x, number)
+    monkeypatch.setattr("skyproof.geometry.rasterise._TRIANGLES", 4096)
+    parts = rasterise(screen, torch.zeros(1, 3 * count), faces, 300)
+    assert torch.equal(parts.keys, whole.keys)
+
+
+def test_weights_are_those_of_the_corners():
+    generator = torch.Generator().manual_seed(3)
+    corners = torch.randn(50, 3, 2, dtype=torch.float64, generator=generator)
+    weights = torch.rand(50, 3, dtype=torch.float64, generator=generator)
+    weights = weights / weights.sum(1, keepdim=True)
+    point = (weights[..., None] * corners).sum(1)
+    assert torch.allclose(barycentric(corners, point), weights, atol=1e-9)

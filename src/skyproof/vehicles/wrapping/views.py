@@ -1,0 +1,65 @@
+"""Parallel views of a mesh, whichever way its triangles are wound, for looking and measuring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from skyproof.geometry.rasterise import barycentric, rasterise
+
+__all__ = ["View", "parallel_view", "view_axes"]
+
+
+@dataclass(frozen=True)
+class View:
+    """What each pixel sees.
+
+    Attributes:
+        face: `[H, W]` triangle, -1 where nothing is.
+        weights: `[H, W, 3]` barycentric weights of the pixel's centre in it.
+    """
+
+    face: Int[np.ndarray, "H W"]
+    weights: Float[np.ndarray, "H W 3"]
+
+
+def view_axes(azimuth_rad: float, elevation_rad: float) -> Float[np.ndarray, "3 3"]:
+    """Returns image right, image down and away from a viewer at this azimuth and elevation."""
+    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    ce, se = np.cos(elevation_rad), np.sin(elevation_rad)
+    return np.array([[-s, c, 0.0], [c * se, s * se, -ce], [-c * ce, -s * ce, -se]])
+
+
+def parallel_view(
+    corners: Float[np.ndarray, "F 3 3"],
+    origin: Float[np.ndarray, " 2"],
+    pixel: float,
+    size: tuple[int, int],
+) -> View:
+    """Finds the nearest triangle at every pixel's centre, from either side.
+
+    Args:
+        corners: metres in the view's axes: right, down, away.
+        origin: right and down of the picture's top-left corner.
+        pixel: side of a pixel in metres.
+        size: height and width in pixels.
+    """
+    height, width = size
+    screen = torch.from_numpy((corners[..., :2] - origin) / pixel)
+    depth = torch.from_numpy(np.ascontiguousarray(corners[..., 2]))
+    faces = torch.arange(3 * len(corners)).view(-1, 3)
+    seen = rasterise(
+        screen.view(1, -1, 2), depth.view(1, -1), faces, max(height, width), two_sided=True
+    )
+    # The window is square; what lies beyond the picture goes.
+    held = (seen.x < width) & (seen.y < height)
+    x, y, triangle = seen.x[held], seen.y[held], seen.face[held]
+    centre = torch.stack((x, y), dim=1).double() + 0.5
+    face = torch.full((height, width), -1)
+    weights = torch.zeros(height, width, 3, dtype=torch.float64)
+    face[y, x] = triangle
+    weights[y, x] = barycentric(screen[triangle], centre)
+    return View(face.numpy(), weights.numpy())
