@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from skyproof.vehicles.wrapping.raster import z_buffer
 
 from skyproof.errors import ConfigurationError
 from skyproof.main import run
@@ -14,7 +15,6 @@ from skyproof.vehicles.wrapping.meshes import SourceMesh, find_texture
 from skyproof.vehicles.wrapping.orientation import orient
 from skyproof.vehicles.wrapping.outer import look_around
 from skyproof.vehicles.wrapping.parts import name_part
-from skyproof.vehicles.wrapping.raster import z_buffer
 from skyproof.vehicles.wrapping.reading import read_mesh
 from tests.vehicles.model_car import (
     GLASS,
