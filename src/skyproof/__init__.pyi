@@ -24,13 +24,13 @@ from .cycles.renderer import CyclesRenderer as CyclesRenderer
 from .cycles.settings import CyclesSettings as CyclesSettings
 from .cycles.workers import Workers as Workers
 from .datasets.dataset import Dataset as Dataset
-from .detectors.bring import Checkpoint as Checkpoint
-from .detectors.bring import bring_detector as bring_detector
 from .detectors.card import DetectorCard as DetectorCard
 from .detectors.detector import Candidates as Candidates
 from .detectors.detector import Detections as Detections
 from .detectors.detector import Detector as Detector
 from .detectors.detector import TrainableDetector as TrainableDetector
+from .detectors.import_checkpoint import Checkpoint as Checkpoint
+from .detectors.import_checkpoint import import_detector as import_detector
 from .detectors.loaded import LoadedDetector as LoadedDetector
 from .detectors.loaded import load_detector as load_detector
 from .detectors.training import validate as validate

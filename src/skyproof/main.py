@@ -36,8 +36,8 @@ COMMANDS: dict[str, dict[str, str]] = {
         "render": "skyproof.cli.render:Render",
     },
     "Detectors": {
-        "train": "skyproof.cli.commands:Train",
-        "bring": "skyproof.cli.bring:Bring",
+        "train": "skyproof.cli.train:Train",
+        "import": "skyproof.cli.import_detector:Import",
     },
     "Camouflage and judgement": {
         "attack": "skyproof.cli.attack:Attack",

@@ -86,7 +86,17 @@ def test_other_formats_are_named(copied, tmp_path: Path, skyproof: Skyproof) -> 
 def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "detector"
     sets = ["--data", finished / "datasets/train", "--validation", finished / "datasets/validation"]
-    call = ["train", "--detector", "retinanet", *sets, "--steps", 2, "--batch-size", 2, *CPU]
+    call = [
+        "train",
+        "--detector",
+        "retinanet",
+        *sets,
+        "--settings.steps",
+        2,
+        "--settings.batch-size",
+        2,
+        *CPU,
+    ]
     answer = skyproof(*call, "--out", out)
     assert answer.code == 0, answer.err
     assert "threshold" in answer.out

@@ -12,7 +12,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # What an example leaves in runs/mine, and the page that shows it.
 RESULTS = {
     "black_box": ("black_box/report.html", "docs/detectors.md"),
-    "brought_checkpoint": ("T-U-on-vehicles/camouflage.json", "docs/detectors.md"),
+    "imported_checkpoint": ("T-U-on-vehicles/camouflage.json", "docs/detectors.md"),
     "constraint_combination": ("T-PixFcMa/camouflage.json", "docs/attacks.md"),
     "own_detector": ("T-U/camouflage.json", "docs/attacks.md"),
     "shape_attack": ("S-O@0.2/camouflage.json", "README.md"),

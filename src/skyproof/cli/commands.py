@@ -1,4 +1,4 @@
-"""The single stages around an attack as commands: train, evaluate, report."""
+"""The single stages around an attack as commands: evaluate, report."""
 
 from __future__ import annotations
 
@@ -8,76 +8,13 @@ from pathlib import Path
 from skyproof.cli.console import say
 from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
-from skyproof.cli.stages import evaluate_folders, train_detector
+from skyproof.cli.stages import evaluate_folders
 from skyproof.detectors.card import read_card
-from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.errors import ConfigurationError
 from skyproof.report.report import write_report
 from skyproof.words import interval, percent
 
-__all__ = ["Evaluate", "Report", "Train"]
-
-
-@dataclass(frozen=True)
-class Train:
-    """Trains a detector on a dataset folder and freezes its threshold; goes on where it was stopped.
-
-    Attributes:
-        detector: retinanet, faster_rcnn or yolov5.
-        data: dataset folder to train on.
-        validation: dataset folder that chooses the best weights and the threshold.
-        out: detector folder to write.
-        size: slim (for a CPU) or full (for a GPU).
-        steps: optimiser steps; the preset's where not given.
-        batch_size: images a step; the preset's where not given.
-        learning_rate: its peak; the preset's where not given.
-        seed: of weights, order and augmentation.
-        device: auto, cpu or cuda.
-    """
-
-    detector: str
-    data: Path
-    validation: Path
-    out: Path
-    size: str = "slim"
-    steps: int | None = None
-    batch_size: int | None = None
-    learning_rate: float | None = None
-    seed: int = 0
-    device: str = "auto"
-
-    def run(self) -> None:
-        """Trains the detector."""
-        if (self.detector, self.size) not in TRAINING_PRESETS:
-            known = ", ".join(sorted({name for name, _ in TRAINING_PRESETS}))
-            raise ConfigurationError(
-                f"expected a detector out of {known} in size slim or full, got {self.detector} {self.size}."
-            )
-        given = {
-            "steps": self.steps,
-            "batch_size": self.batch_size,
-            "learning_rate": self.learning_rate,
-        }
-        preset = TRAINING_PRESETS[self.detector, self.size]
-        settings = type(preset)(
-            **{**vars(preset), **{k: v for k, v in given.items() if v is not None}}
-        )
-        device = choose_device(self.device)
-        train_detector(
-            self.detector,
-            self.size,
-            self.data,
-            self.validation,
-            settings,
-            self.out,
-            seed=self.seed,
-            device=device,
-        )
-        card = read_card(self.out)
-        say(
-            f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold {card.threshold:.3f}. "
-            f"Detector: {self.out.resolve()}"
-        )
+__all__ = ["Evaluate", "Report"]
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,9 @@ from skyproof.cli.console import progress_bar
 from skyproof.cli.renderers import open_renderer
 from skyproof.cli.rendering import Rendering
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.loaded import load_ensemble
-from skyproof.detectors.settings import TrainingSettings
-from skyproof.detectors.training import train
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing, write_beside, write_json
-from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.portrait import portrait
@@ -39,7 +35,6 @@ __all__ = [
     "paint_portrait",
     "render_folder",
     "score_camouflages",
-    "train_detector",
 ]
 
 
@@ -70,36 +65,6 @@ def _render(
     with progress_bar(f"render {out.name}") as update:
         render_dataset(
             out, scenes, fleet, renderer, camouflage=worn, device=device, progress=update
-        )
-
-
-def train_detector(
-    name: str,
-    size: str,
-    training: Path,
-    validation: Path,
-    settings: TrainingSettings,
-    out: Path,
-    *,
-    seed: int,
-    device: torch.device | str,
-) -> None:
-    """Trains one detector on dataset folders."""
-    detector = build_detector(name, size, generator=generator_of(seed, "weights", name)).to(device)
-    with progress_bar(f"train {name}") as update:
-
-        def show(row: Mapping[str, Any]) -> None:
-            if row["kind"] == "step":
-                update(row["step"], settings.steps)
-
-        train(
-            detector,
-            Dataset.open(training),
-            Dataset.open(validation),
-            settings,
-            out,
-            generator=generator_of(seed, "train", name),
-            on_step=show,
         )
 
 

@@ -39,7 +39,7 @@ class DetectorCard:
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
         skyproof_version: that wrote it.
         trained_on: what its training images were, in a few words; empty where not known.
-        brought: of an imported detector what builds its network (`brought.Blueprint`); else None.
+        brought: of an imported detector what builds its network (`imported.Blueprint`); else None.
     """
 
     name: str

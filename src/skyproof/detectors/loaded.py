@@ -87,7 +87,7 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     except RuntimeError as error:
         raise StoredFileError(
             f"{path} does not fit a {card.size} {card.name} of this version; train the detector, "
-            "or bring it in, again."
+            "or import it, again."
         ) from error
     if weights_digest(detector) != stored_digest:
         raise StoredFileError(
@@ -132,10 +132,10 @@ def load_ensemble(
 def _of_card(card: DetectorCard) -> TrainableDetector:
     if card.brought is None:
         return build_detector(card.name, card.size, generator=torch.Generator())
-    from skyproof.detectors.brought import Blueprint, BroughtDetector
+    from skyproof.detectors.imported import Blueprint, ImportedDetector
 
     try:
         blueprint = Blueprint(**card.brought)
     except (TypeError, ConfigurationError) as error:
         raise StoredFileError(f"detector.json garbles how {card.name} is built: {error}") from error
-    return BroughtDetector(card.name, blueprint)
+    return ImportedDetector(card.name, blueprint)

@@ -1,4 +1,4 @@
-"""YOLO through Ultralytics, ours and brought in: the only file that imports it.
+"""YOLO through Ultralytics, ours and imported: the only file that imports it.
 
 NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it;
 installing the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network

@@ -19,8 +19,8 @@ from skyproof.cli.stages import (
     evaluate_folders,
     paint_portrait,
     render_folder,
-    train_detector,
 )
+from skyproof.cli.train import Train
 from skyproof.cli.world import (
     GSD_M,
     WorldSizes,
@@ -276,16 +276,15 @@ def _render(
 
 def _train(demo: Demo, name: str, folder: Path, device: torch.device) -> None:
     datasets = demo.out / "datasets"
-    train_detector(
+    Train(
         name,
-        "slim",
         datasets / "train",
         datasets / "validation",
-        demo.training,
         folder,
+        settings=asdict(demo.training),
         seed=demo.seed,
-        device=device,
-    )
+        device=str(device),
+    ).run()
 
 
 def _attack(demo: Demo, detectors: Sequence[Path], device: torch.device) -> None:

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from skyproof.detectors.brought_torchvision import ARCHITECTURES, build_torchvision
 from skyproof.detectors.common import (
     PADDING_GREY,
     SMALLEST_IMAGE_PX,
@@ -20,16 +19,17 @@ from skyproof.detectors.common import (
     suppress,
 )
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.imported_torchvision import ARCHITECTURES, build_torchvision
 from skyproof.detectors.torchvision_detectors import TorchvisionDetector
 from skyproof.detectors.ultralytics_detectors import YoloNetwork, check_layers
 from skyproof.errors import ConfigurationError
 
-__all__ = ["Blueprint", "BroughtDetector"]
+__all__ = ["Blueprint", "ImportedDetector"]
 
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What builds a brought-in detector's network, but for the weights; plain values, kept in `detector.json`.
+    """What builds an imported detector's network, but for the weights; plain values, kept in `detector.json`.
 
     Attributes:
         kind: "torchvision" or "ultralytics".
@@ -73,7 +73,7 @@ class Blueprint:
             )
 
 
-class BroughtDetector(TrainableDetector):
+class ImportedDetector(TrainableDetector):
     """A network with another's weights: frozen, attacked through its loss against an empty truth.
 
     Images are brought to the network's resolution with anti-aliasing, boxes back to that of the images. Scores are of
@@ -103,12 +103,12 @@ class BroughtDetector(TrainableDetector):
         """The network's own loss per image against an empty truth, normalised (PAPER 21, 22).
 
         Raises:
-            ConfigurationError: a vehicle among the targets: a brought-in detector is not trained here.
+            ConfigurationError: a vehicle among the targets: an imported detector is not trained here.
         """
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):
             raise ConfigurationError(
-                f"{self.name} was brought in and is not trained here: its loss knows no vehicles."
+                f"{self.name} was imported and is not trained here: its loss knows no vehicles."
             )
         return self.network.loss(self._scaled(images), targets)
 

@@ -83,11 +83,15 @@ def build_torchvision(
     for layer in model.backbone.modules():
         if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = norm_eps
-    family = {"fasterrcnn": BroughtFasterRcnn, "fcos": BroughtFcos, "retinanet": BroughtRetinaNet}
+    family = {
+        "fasterrcnn": ImportedFasterRcnn,
+        "fcos": ImportedFcos,
+        "retinanet": ImportedRetinaNet,
+    }
     return family[architecture.partition("_")[0]](model, tuple(vehicle_classes))
 
 
-class _Brought(TorchvisionDetector):
+class _Imported(TorchvisionDetector):
     """torchvision's normalising, and the vehicle classes."""
 
     def __init__(self, model: nn.Module, vehicle_classes: tuple[int, ...]) -> None:
@@ -100,11 +104,11 @@ class _Brought(TorchvisionDetector):
         )
 
 
-class BroughtFasterRcnn(_Brought, FasterRcnnDetector):
+class ImportedFasterRcnn(_Imported, FasterRcnnDetector):
     """Faster R-CNN: the loss wants every region to be background, whatever class it shows."""
 
 
-class BroughtRetinaNet(_Brought, RetinaNetDetector):
+class ImportedRetinaNet(_Imported, RetinaNetDetector):
     """RetinaNet: its sigmoid scores are independent, so only those of the vehicle classes are read."""
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -115,7 +119,7 @@ class BroughtRetinaNet(_Brought, RetinaNetDetector):
         }, anchors
 
 
-class BroughtFcos(_Brought):
+class ImportedFcos(_Imported):
     """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
 
     name = "fcos"

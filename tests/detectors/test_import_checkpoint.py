@@ -17,9 +17,9 @@ from safetensors.torch import load_file, save_file
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.bring import Checkpoint, bring_detector
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import read_card
+from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.training import validate
 from skyproof.detectors.ultralytics_detectors import _quiet_import
@@ -46,11 +46,11 @@ def checkpoint(network: torch.nn.Module, tmp_path: Path) -> Checkpoint:
 
 
 @pytest.fixture(scope="module")
-def brought(network: torch.nn.Module, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stored(network: torch.nn.Module, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A detector folder; not to be changed."""
-    folder = tmp_path_factory.mktemp("brought")
+    folder = tmp_path_factory.mktemp("stored")
     torch.save({"model": network.state_dict(), "epoch": 7}, folder / "vehicles.pth")
-    card = bring_detector(
+    card = import_detector(
         Checkpoint(folder / "vehicles.pth", "torchvision", ("3", "1"), SMALL),
         VALIDATION,
         folder / "out",
@@ -59,12 +59,13 @@ def brought(network: torch.nn.Module, tmp_path_factory: pytest.TempPathFactory) 
     return folder / "out"
 
 
-def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> None:
-    assert sorted(path.name for path in brought.iterdir()) == [
+def test_a_torchvision_checkpoint(stored: Path, network: torch.nn.Module) -> None:
+    assert sorted(path.name for path in stored.iterdir()) == [
         "detector.json",
         "weights.safetensors",
     ]
-    detector, card = load_detector(brought)
+    detector = load_detector(stored).detector
+    card = read_card(stored)
     assert (card.name, card.size, card.gsd_m, card.image_size_px) == (
         "vehicles",
         "brought",
@@ -76,7 +77,7 @@ def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> No
     assert found == pytest.approx(validate(detector, VALIDATION))
     assert found["f1"] > 0
     state = {f"network.model.{name}": tensor for name, tensor in network.state_dict().items()}
-    weights = load_file(brought / "weights.safetensors")
+    weights = load_file(stored / "weights.safetensors")
     assert weights.keys() == state.keys()
     assert all(torch.equal(weights[name], state[name]) for name in state)
     assert card.brought is not None
@@ -84,7 +85,7 @@ def test_a_torchvision_checkpoint(brought: Path, network: torch.nn.Module) -> No
 
 
 def test_every_form_of_the_same_weights_gives_the_same_detector(
-    checkpoint: Checkpoint, brought: Path, network: torch.nn.Module, tmp_path: Path
+    checkpoint: Checkpoint, stored: Path, network: torch.nn.Module, tmp_path: Path
 ) -> None:
     plain = {
         name: tensor
@@ -93,9 +94,9 @@ def test_every_form_of_the_same_weights_gives_the_same_detector(
     }
     save_file(plain, tmp_path / "a.safetensors")
     torch.save(network, tmp_path / "b.pt")
-    wanted = read_card(brought)
+    wanted = read_card(stored)
     for name in ("a.safetensors", "b.pt"):
-        card = bring_detector(
+        card = import_detector(
             replace(checkpoint, path=tmp_path / name),
             VALIDATION,
             tmp_path / f"out-{name}",
@@ -105,8 +106,8 @@ def test_every_form_of_the_same_weights_gives_the_same_detector(
 
 
 def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    card = bring_detector(replace(checkpoint, gsd_m=0.0625), VALIDATION, tmp_path / "out")
-    detector, _ = load_detector(tmp_path / "out")
+    card = import_detector(replace(checkpoint, gsd_m=0.0625), VALIDATION, tmp_path / "out")
+    detector = load_detector(tmp_path / "out").detector
     assert card.gsd_m == 0.125
     shown: list[torch.Size] = []
     model: Any = detector.network.model  # type: ignore[union-attr]
@@ -140,14 +141,14 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     checkpoint: Checkpoint, change: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SkyproofError, match=message):
-        bring_detector(replace(checkpoint, **change), VALIDATION, tmp_path / "out")
+        import_detector(replace(checkpoint, **change), VALIDATION, tmp_path / "out")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["vehicles.pth"]
 
 
 def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) -> None:
     for name in ("a b", "", "../x", "mean"):
         with pytest.raises(ConfigurationError, match="--name"):
-            bring_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
+            import_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
     (tmp_path / "text.pt").write_text("not weights")
     torch.save({"epoch": 3}, tmp_path / "empty.pt")
     torch.save(
@@ -161,16 +162,16 @@ def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) ->
         ("mask.pt", ConfigurationError, "do not fit"),
     ):
         with pytest.raises(error, match=message):
-            bring_detector(replace(checkpoint, path=tmp_path / name), VALIDATION, tmp_path / "out")
+            import_detector(replace(checkpoint, path=tmp_path / name), VALIDATION, tmp_path / "out")
     empty = bar_images(1, seed=0)
     with pytest.raises(ConfigurationError, match="at least one vehicle"):
-        bring_detector(checkpoint, empty, tmp_path / "out")
+        import_detector(checkpoint, empty, tmp_path / "out")
     (tmp_path / "out").mkdir()
     with pytest.raises(RunFolderError, match="not overwritten"):
-        bring_detector(checkpoint, VALIDATION, tmp_path / "out")
+        import_detector(checkpoint, VALIDATION, tmp_path / "out")
 
 
-def test_a_detector_that_finds_nothing_is_not_brought_in(
+def test_a_detector_that_finds_nothing_is_not_imported(
     checkpoint: Checkpoint, network: torch.nn.Module, tmp_path: Path
 ) -> None:
     state = copy.deepcopy(network.state_dict())
@@ -180,7 +181,7 @@ def test_a_detector_that_finds_nothing_is_not_brought_in(
     with pytest.raises(
         ConfigurationError, match=r"(?s)none of the vehicles.*--vehicle-classes.*--gsd"
     ):
-        bring_detector(checkpoint, VALIDATION, tmp_path / "out")
+        import_detector(checkpoint, VALIDATION, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -195,9 +196,9 @@ def test_a_detector_that_finds_nothing_is_not_brought_in(
     ],
 )
 def test_a_garbled_folder_is_refused(
-    brought: Path, change: dict[str, Any], message: str, tmp_path: Path
+    stored: Path, change: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
-    path = Path(shutil.copytree(brought, tmp_path / "out")) / "detector.json"
+    path = Path(shutil.copytree(stored, tmp_path / "out")) / "detector.json"
     record = json.loads(path.read_text())
     record["brought"] |= change
     path.write_text(json.dumps(record))
@@ -226,23 +227,25 @@ def test_an_ultralytics_checkpoint(
 ) -> None:
     # An untrained network's few boxes hit nothing but by luck.
     scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
-    monkeypatch.setattr("skyproof.detectors.bring.validate", lambda *_: dict(scores))
+    monkeypatch.setattr("skyproof.detectors.import_checkpoint.validate", lambda *_: dict(scores))
     torch.manual_seed(0)
     count = 15 if "obb" in file else 80
     names = [f"class {index}" for index in range(count - 2)] + ["small vehicle", "truck"]
     theirs = stored_by_ultralytics(tmp_path / "best.pt", file, names)
     checkpoint = Checkpoint(tmp_path / "best.pt", "ultralytics", ("truck", "small vehicle"))
-    card = bring_detector(checkpoint, VALIDATION, tmp_path / "out", name="yolo8")
-    detector, stored = load_detector(tmp_path / "out")
-    assert card == stored
+    card = import_detector(checkpoint, VALIDATION, tmp_path / "out", name="yolo8")
+    loaded = load_detector(tmp_path / "out")
+    assert card == loaded.card
     assert card.brought is not None
     assert card.brought["vehicle_classes"] == [count - 1, count - 2]
     assert card.brought["classes"] == names
     assert {**card.validation, "threshold": card.threshold} == scores
     wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
-    torch.testing.assert_close(detector.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(
+        loaded.detector.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5
+    )
     with pytest.raises(ConfigurationError, match=r"small vehicle, truck; got boat"):
-        bring_detector(
+        import_detector(
             replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other"
         )
 
@@ -255,7 +258,7 @@ def test_other_networks_of_ultralytics_are_refused(tmp_path: Path) -> None:
     ):
         stored_by_ultralytics(tmp_path / "x.pt", file, ["car"])
         with pytest.raises(StoredFileError, match=f"{kind}, not a detection network"):
-            bring_detector(
+            import_detector(
                 Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out"
             )
 
@@ -267,7 +270,7 @@ def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "ultralytics", None)
     with pytest.raises(ConfigurationError, match=r"skyproof\[yolo\]"):
-        bring_detector(
+        import_detector(
             Checkpoint(tmp_path / "x.pt", "ultralytics", ("car",)), VALIDATION, tmp_path / "out"
         )
 
@@ -292,4 +295,4 @@ def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) 
 def test_images_of_different_sizes_are_validated(checkpoint: Checkpoint, tmp_path: Path) -> None:
     large = bar_images(3, 128, seed=5)
     mixed = Dataset.joined([VALIDATION, large])
-    assert bring_detector(checkpoint, mixed, tmp_path / "out").validation["f1"] > 0
+    assert import_detector(checkpoint, mixed, tmp_path / "out").validation["f1"] > 0

@@ -1,4 +1,4 @@
-"""Brought-in networks: against the libraries' own detections, and the loss tests of ours (PAPER 21-23)."""
+"""Imported networks: against the libraries' own detections, and the loss tests of ours (PAPER 21-23)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torch.nn import functional
 from torchvision.models import detection
 from torchvision.ops import box_convert
 
-from skyproof.detectors.brought import Blueprint, BroughtDetector
-from skyproof.detectors.brought_torchvision import ARCHITECTURES, BroughtFasterRcnn, BroughtFcos
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.imported import Blueprint, ImportedDetector
+from skyproof.detectors.imported_torchvision import ARCHITECTURES, ImportedFasterRcnn, ImportedFcos
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
@@ -47,7 +47,7 @@ def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
     )
 
 
-def livened(detector: BroughtDetector) -> BroughtDetector:
+def livened(detector: ImportedDetector) -> ImportedDetector:
     """Random weights that tell places and classes apart; fresh ones give every place the same low score."""
     generator = torch.Generator().manual_seed(7)
     model = detector.network.model
@@ -73,19 +73,19 @@ def livened(detector: BroughtDetector) -> BroughtDetector:
 @pytest.fixture(
     scope="module", params=[*ONE_OF_EACH, pytest.param("yolov8n.yaml", marks=YOLO.marks)]
 )
-def brought(request: pytest.FixtureRequest) -> BroughtDetector:
+def imported(request: pytest.FixtureRequest) -> ImportedDetector:
     torch.manual_seed(0)
     if request.param.endswith(".yaml"):
-        return livened(BroughtDetector("mine", yolo_plan(request.param, [1, 2])))
+        return livened(ImportedDetector("mine", yolo_plan(request.param, [1, 2])))
     return livened(
-        BroughtDetector("mine", replace(PLAN, architecture=request.param, vehicle_classes=[1, 3]))
+        ImportedDetector("mine", replace(PLAN, architecture=request.param, vehicle_classes=[1, 3]))
     )
 
 
 @pytest.mark.parametrize("architecture", ONE_OF_EACH)
 def test_detections_are_those_of_torchvision(architecture: str) -> None:
     torch.manual_seed(1)
-    ours = livened(BroughtDetector("mine", replace(PLAN, architecture=architecture)))
+    ours = livened(ImportedDetector("mine", replace(PLAN, architecture=architecture)))
     limits = {"min_size": 96, "max_size": 96}
     if architecture == SMALL:
         limits |= {"box_score_thresh": 0.01, "box_detections_per_img": 10_000}
@@ -127,7 +127,7 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
 )
 def test_candidates_are_those_of_ultralytics(file: str) -> None:
     torch.manual_seed(2)
-    ours = livened(BroughtDetector("mine", yolo_plan(file, [1])))
+    ours = livened(ImportedDetector("mine", yolo_plan(file, [1])))
     from ultralytics.utils.ops import xywhr2xyxyxyxy
 
     with torch.no_grad():
@@ -146,7 +146,7 @@ def test_candidates_are_those_of_ultralytics(file: str) -> None:
 
 @needs_yolo
 def test_loss_is_ultralytics_own_against_an_empty_truth() -> None:
-    ours = livened(BroughtDetector("mine", yolo_plan("yolov8n.yaml", [0, 1, 2])))
+    ours = livened(ImportedDetector("mine", yolo_plan("yolov8n.yaml", [0, 1, 2])))
     from ultralytics.cfg import get_cfg
     from ultralytics.utils.loss import v8DetectionLoss
 
@@ -162,20 +162,22 @@ def test_losses_by_their_formulas() -> None:
     """RetinaNet, FCOS: focal loss; Faster R-CNN: every region is background and every anchor negative."""
     torch.manual_seed(3)
     retinanet = livened(
-        BroughtDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn"))
+        ImportedDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn"))
     )
     scores = retinanet.candidates(IMAGES).scores.double()
     focal = (0.75 * scores**2 * -torch.log1p(-scores)).sum(dim=1) / 8
     torch.testing.assert_close(
         retinanet.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6
     )
-    fcos = livened(BroughtDetector("mine", replace(PLAN, architecture="fcos_resnet50_fpn")))
-    assert isinstance(fcos.network, BroughtFcos)
+    fcos = livened(ImportedDetector("mine", replace(PLAN, architecture="fcos_resnet50_fpn")))
+    assert isinstance(fcos.network, ImportedFcos)
     p = fcos.network._outputs(IMAGES)[0]["cls_logits"].sigmoid().double()
     focal = (0.75 * p**2 * -torch.log1p(-p)).sum(dim=(1, 2)) / 8
     torch.testing.assert_close(fcos.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6)
-    rcnn = livened(BroughtDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1])))
-    assert isinstance(rcnn.network, BroughtFasterRcnn)
+    rcnn = livened(
+        ImportedDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1]))
+    )
+    assert isinstance(rcnn.network, ImportedFasterRcnn)
     features, _ = rcnn.network._features(IMAGES)
     anchors = torch.cat(
         [level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1
@@ -190,15 +192,15 @@ def test_losses_by_their_formulas() -> None:
     )
 
 
-def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(brought: BroughtDetector) -> None:
-    together = brought.loss(IMAGES, NOTHING)
-    alone = torch.cat([brought.loss(image[None], NOTHING[:1]) for image in IMAGES])
+def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(imported: ImportedDetector) -> None:
+    together = imported.loss(IMAGES, NOTHING)
+    alone = torch.cat([imported.loss(image[None], NOTHING[:1]) for image in IMAGES])
     torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
     assert torch.isfinite(together).all()
     assert (together > 0).all()
-    digest = weights_digest(brought)
+    digest = weights_digest(imported)
     images = IMAGES.clone().requires_grad_()
-    losses = brought.loss(images, NOTHING)
+    losses = imported.loss(images, NOTHING)
     losses.sum().backward()
     gradient = images.grad
     assert gradient is not None
@@ -206,48 +208,48 @@ def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(brought: Brought
     # Along the gradient the loss falls as the gradient says.
     step = 1e-3 / float(gradient.norm())
     with torch.no_grad():
-        change = brought.loss(IMAGES - step * gradient, NOTHING).sum() - losses.sum()
+        change = imported.loss(IMAGES - step * gradient, NOTHING).sum() - losses.sum()
     assert float(change) == pytest.approx(-1e-3 * float(gradient.norm()), rel=0.3)
-    brought.detect(IMAGES)
-    assert weights_digest(brought) == digest
+    imported.detect(IMAGES)
+    assert weights_digest(imported) == digest
 
 
-def test_candidates_are_differentiable_and_detections_sorted(brought: BroughtDetector) -> None:
+def test_candidates_are_differentiable_and_detections_sorted(imported: ImportedDetector) -> None:
     assert isinstance(brought, Detector)
     images = IMAGES.clone().requires_grad_()
-    found = brought.candidates(images)
+    found = imported.candidates(images)
     found.scores[found.valid].max().backward()
     assert images.grad is not None
     assert torch.isfinite(images.grad).all()
     assert images.grad.abs().sum() > 0
-    for detections in brought.detect(IMAGES):
+    for detections in imported.detect(IMAGES):
         assert 0 < len(detections.scores) <= 100
         assert torch.equal(detections.scores, detections.scores.sort(descending=True).values)
         assert (detections.boxes >= 0).all()
         assert (detections.boxes <= 96).all()
 
 
-def test_several_vehicle_classes_give_the_best_of_each(brought: BroughtDetector) -> None:
-    network: Any = brought.network
+def test_several_vehicle_classes_give_the_best_of_each(imported: ImportedDetector) -> None:
+    network: Any = imported.network
     both = list(network.vehicle_classes)
     single = []
     try:
         for index in both:
             network.vehicle_classes = type(network.vehicle_classes)([index])
-            single.append(brought.candidates(IMAGES).scores)
+            single.append(imported.candidates(IMAGES).scores)
     finally:
         network.vehicle_classes = type(network.vehicle_classes)(both)
-    torch.testing.assert_close(brought.candidates(IMAGES).scores, torch.maximum(*single))
+    torch.testing.assert_close(imported.candidates(IMAGES).scores, torch.maximum(*single))
     assert (single[0] != single[1]).any()
 
 
-def test_no_training_with_a_brought_in_detector(brought: BroughtDetector) -> None:
-    with pytest.raises(ConfigurationError, match="mine was brought in"):
-        brought.loss(IMAGES, list(LABELLED.boxes))
+def test_no_training_with_a_imported_detector(imported: ImportedDetector) -> None:
+    with pytest.raises(ConfigurationError, match="mine was imported"):
+        imported.loss(IMAGES, list(LABELLED.boxes))
     with pytest.raises(ConfigurationError, match="one tensor of boxes per image"):
-        brought.loss(IMAGES, NOTHING[:1])
+        imported.loss(IMAGES, NOTHING[:1])
     with pytest.raises(ConfigurationError, match="at least 96 px"):
-        brought.detect(torch.zeros(1, 3, 64, 200))
+        imported.detect(torch.zeros(1, 3, 64, 200))
 
 
 class Blobs(TrainableDetector):
@@ -275,7 +277,7 @@ class Blobs(TrainableDetector):
 
 @pytest.mark.parametrize("scale", [1.0, 0.5, 0.417, 2.5])
 def test_images_are_brought_to_the_networks_resolution_and_boxes_back(scale: float) -> None:
-    detector = BroughtDetector("mine", replace(PLAN, image_scale=scale))
+    detector = ImportedDetector("mine", replace(PLAN, image_scale=scale))
     network = detector.network = Blobs()
     images = torch.zeros(1, 3, 150, 240)
     images[:, :, 40:80, 100:200] = 1
@@ -291,7 +293,7 @@ def test_images_are_brought_to_the_networks_resolution_and_boxes_back(scale: flo
 
 
 def test_scaling_down_does_not_alias() -> None:
-    detector = BroughtDetector("mine", replace(PLAN, image_scale=0.5))
+    detector = ImportedDetector("mine", replace(PLAN, image_scale=0.5))
     detector.network = Blobs()
     stripes = torch.zeros(1, 3, 200, 200)
     stripes[..., ::2] = 1
@@ -301,7 +303,7 @@ def test_scaling_down_does_not_alias() -> None:
 
 def test_no_proposal_at_all_has_a_finite_loss() -> None:
     """The small Faster R-CNN drops proposals of low objectness: an image may be left with none."""
-    detector = BroughtDetector("mine", PLAN).eval()
+    detector = ImportedDetector("mine", PLAN).eval()
     nn.init.constant_(detector.network.model.rpn.head.cls_logits.bias, -20.0)
     loss = detector.loss(IMAGES, NOTHING)
     assert torch.isfinite(loss).all()
@@ -310,7 +312,7 @@ def test_no_proposal_at_all_has_a_finite_loss() -> None:
 
 def test_building_leaves_the_programs_random_numbers_alone() -> None:
     state = torch.get_rng_state()
-    BroughtDetector("mine", PLAN)
+    ImportedDetector("mine", PLAN)
     assert torch.equal(state, torch.get_rng_state())
 
 
@@ -376,5 +378,5 @@ def test_every_architecture_builds(monkeypatch: pytest.MonkeyPatch) -> None:
     # Built without memory: names and shapes are what is checked.
     with torch.device("meta"):
         for architecture in ARCHITECTURES:
-            network = BroughtDetector("mine", replace(PLAN, architecture=architecture)).network
+            network = ImportedDetector("mine", replace(PLAN, architecture=architecture)).network
             assert network.vehicle_classes == (2,)

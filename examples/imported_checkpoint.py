@@ -1,4 +1,4 @@
-"""A checkpoint file of torchvision, made here by a short training, brought in, validated and attacked."""
+"""A checkpoint file of torchvision, made here by a short training, imported, validated and attacked."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ checkpoint = sp.Checkpoint(
     Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn"
 )
 print(
-    sp.bring_detector(
+    sp.import_detector(
         checkpoint, sp.Dataset.open("runs/demo/datasets/validation"), "runs/mine/vehicles"
     ).validation
 )

@@ -1,4 +1,4 @@
-"""A checkpoint brought in, and then used by evaluate, attack, score and train's neighbours like any detector."""
+"""A checkpoint imported, and then used by evaluate, attack, score and train's neighbours like any detector."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_brought_in_detector_is_used_like_any_other(
+def test_an_imported_detector_is_used_like_any_other(
     checkpoint: Path, finished: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
     out = tmp_path / "mine"
     call = [
-        "bring",
+        "import",
         checkpoint,
         *KIND,
         "--vehicle-classes",
@@ -101,7 +101,7 @@ def test_bad_input(checkpoint: Path, finished: Path, tmp_path: Path, skyproof: S
         ([*good, "--validation", tmp_path / "nowhere"], ("nowhere", "missing")),
         ([*good, "--device", "abacus"], ("--device",)),
     ):
-        skyproof("bring", *call, "--out", tmp_path / "x").refused(*words)
+        skyproof("import", *call, "--out", tmp_path / "x").refused(*words)
         assert not (tmp_path / "x").exists()
 
 
@@ -147,7 +147,9 @@ def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproo
         "--validation",
         folder / "validation",
     ]
-    answer = skyproof(*call, "--steps", 3, "--batch-size", 2, "--out", tmp_path / "out", *CPU)
+    answer = skyproof(
+        *call, "--settings.steps", 3, "--settings.batch-size", 2, "--out", tmp_path / "out", *CPU
+    )
     assert answer.code == 0, answer.err
     card = read_card(tmp_path / "out")
     assert card.trained_on == "train: tiles of real imagery (city_0.tif, city_1.tif)"
@@ -171,6 +173,16 @@ def test_what_a_detector_was_trained_on(finished: Path, tmp_path: Path, skyproof
         folder / "validation",
     ]
     assert (
-        skyproof(*call, "--steps", 1, "--batch-size", 1, "--out", tmp_path / "out", *CPU).code == 0
+        skyproof(
+            *call,
+            "--settings.steps",
+            1,
+            "--settings.batch-size",
+            1,
+            "--out",
+            tmp_path / "out",
+            *CPU,
+        ).code
+        == 0
     )
     assert read_card(tmp_path / "out").trained_on == "alone: images of unknown origin"

@@ -15,16 +15,16 @@ from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.brought import Blueprint, BroughtDetector
-from skyproof.detectors.brought_torchvision import count_classes
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
+from skyproof.detectors.imported import Blueprint, ImportedDetector
+from skyproof.detectors.imported_torchvision import count_classes
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
 
-__all__ = ["Checkpoint", "bring_detector"]
+__all__ = ["Checkpoint", "import_detector"]
 
 # Published weights whose batch norm was trained with no epsilon (torchvision's `overwrite_eps`).
 _WITHOUT_EPS = {
@@ -56,7 +56,7 @@ class Checkpoint:
     gsd_m: float | None = None
 
 
-def bring_detector(
+def import_detector(
     checkpoint: Checkpoint,
     validation: Dataset,
     folder: str | Path,
@@ -67,7 +67,7 @@ def bring_detector(
     """Converts a checkpoint to a detector folder that `load_detector` opens like any other.
 
     Args:
-        checkpoint: what to bring.
+        checkpoint: what to import.
         validation: images of the resolution that the detector will judge; they freeze its threshold (PAPER 18).
         folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
         name: as tables will show it; the file's name where None.
@@ -105,7 +105,7 @@ def bring_detector(
             f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict."
         )
     blueprint = read(checkpoint, network, state, validation.gsd_m / gsd_m)
-    detector = BroughtDetector(name, blueprint)
+    detector = ImportedDetector(name, blueprint)
     _load(detector, state, checkpoint)
     detector.eval().requires_grad_(False).to(device)
     scores = validate(detector, validation)
@@ -207,10 +207,10 @@ def _ultralytics(
             "ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path)
         )
     except ConfigurationError as error:
-        raise ConfigurationError(f"{path} cannot be brought in: {error}") from error
+        raise ConfigurationError(f"{path} cannot be imported: {error}") from error
 
 
-def _load(detector: BroughtDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
+def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
     # Ours wrap the network's model.
     wanted = {
         name.removeprefix("network.model."): tensor

@@ -1,0 +1,78 @@
+"""`skyproof train`: a detector of ours, trained on a dataset folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from skyproof.cli.console import progress_bar, say
+from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
+from skyproof.errors import ConfigurationError
+
+__all__ = ["Train"]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Trains a detector on a dataset folder and freezes its threshold; goes on where it was stopped.
+
+    Attributes:
+        detector: retinanet, faster_rcnn or yolov5.
+        data: dataset folder to train on.
+        validation: dataset folder that chooses the best weights and the threshold.
+        out: detector folder to write.
+        size: slim (for a CPU) or full (for a GPU).
+        settings: what is to differ from the usual settings of this detector and size, such as
+            `--settings.steps 300`.
+        seed: decides weights, order and augmentation.
+        device: auto, cpu or cuda.
+    """
+
+    detector: str
+    data: Path
+    validation: Path
+    out: Path
+    size: str = "slim"
+    settings: TrainingChanges = field(default_factory=dict)
+    seed: int = 0
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Trains the detector, and prints how good it is on the validation images."""
+        from skyproof.cli.device import choose_device
+        from skyproof.datasets.dataset import Dataset
+        from skyproof.detectors.build import build_detector
+        from skyproof.detectors.training import train
+        from skyproof.randomness import generator_of
+
+        if (self.detector, self.size) not in TRAINING_PRESETS:
+            known = ", ".join(sorted({name for name, _ in TRAINING_PRESETS}))
+            raise ConfigurationError(
+                f"expected a detector out of {known} in size slim or full, got {self.detector} "
+                f"{self.size}."
+            )
+        settings = replace(TRAINING_PRESETS[self.detector, self.size], **self.settings)
+        device = choose_device(self.device)
+        weights = generator_of(self.seed, "weights", self.detector)
+        network = build_detector(self.detector, self.size, generator=weights).to(device)
+        with progress_bar(f"train {self.detector}") as update:
+
+            def show(row: Mapping[str, Any]) -> None:
+                if row["kind"] == "step":
+                    update(row["step"], settings.steps)
+
+            card = train(
+                network,
+                Dataset.open(self.data),
+                Dataset.open(self.validation),
+                settings,
+                self.out,
+                generator=generator_of(self.seed, "train", self.detector),
+                on_step=show,
+            )
+        say(
+            f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
+            f"{card.threshold:.3f}. Detector: {self.out.resolve()}"
+        )
