@@ -2,8 +2,10 @@
 
 import json
 
+import geopandas
 import numpy as np
 import pytest
+import shapely
 from PIL import Image
 
 from skyproof.errors import ImageryError
@@ -328,3 +330,63 @@ def test_paths_that_hold_no_labels(tmp_path):
     (tmp_path / "x.json").write_bytes(b"\xff\xff")
     with pytest.raises(ImageryError, match="cannot be read as text"):
         read_labels(tmp_path / "x.json")
+
+
+def test_geopackage(tmp_path):
+    shapes = [shapely.Point(1576000, 5180000), shapely.box(1576010, 5180000, 1576014, 5180002)]
+    table = {"class": ["car", None], "ignore": [False, True]}
+    frame = geopandas.GeoDataFrame(table, geometry=shapes, crs="EPSG:2193")
+    frame.to_file(tmp_path / "cars.gpkg")
+    labels = read_labels(tmp_path / "cars.gpkg")
+    assert isinstance(labels, GroundLabels)
+    assert (labels.crs, labels.classes) == ("EPSG:2193", ("car", "vehicle"))
+    point, outline = labels.labels
+    assert point == Label("car", ((1576000.0, 5180000.0),))
+    assert outline.ignore
+    assert {*outline.corners} == {(x, y) for x in (1576010, 1576014) for y in (5180000, 5180002)}
+
+
+def test_shapefile(tmp_path):
+    # It has neither truth values nor long names of columns, and lies in five files.
+    shapes = [shapely.Point(1576000, 5180000), shapely.Point(1576010, 5180000)]
+    table = {"category": [3, 4], "ignore": [0, 1]}
+    geopandas.GeoDataFrame(table, geometry=shapes, crs="EPSG:2193").to_file(tmp_path / "cars.shp")
+    labels = read_labels(tmp_path / "cars.shp")
+    assert labels.crs == "EPSG:2193"
+    assert labels.labels == (
+        Label("3", ((1576000.0, 5180000.0),)),
+        Label("4", ((1576010.0, 5180000.0),), ignore=True),
+    )
+
+
+@pytest.mark.filterwarnings("ignore:'crs' was not provided")
+def test_bad_vector_files(tmp_path):
+    with pytest.raises(ImageryError, match=r"x\.gpkg cannot be read .*; replace the file"):
+        read_labels(written(tmp_path / "x.gpkg", "hello"))
+    frame = geopandas.GeoDataFrame(geometry=[shapely.Point(1, 2)])
+    frame.to_file(tmp_path / "nowhere.shp")
+    with pytest.raises(ImageryError, match=r"nowhere\.shp names no reference system"):
+        read_labels(tmp_path / "nowhere.shp")
+    for layer in ("cars", "buses"):
+        frame.set_crs("EPSG:2193").to_file(tmp_path / "two.gpkg", layer=layer)
+    with pytest.raises(ImageryError, match=r"two\.gpkg holds 2 layers"):
+        read_labels(tmp_path / "two.gpkg")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("names: [car\n", r"data\.yaml is not YAML"),
+        ("names: " + "[" * 20_000, r"data\.yaml is not YAML"),
+        ("names: [!!python/object/apply:os.system [touch ran]]\n", "names no classes"),
+        ("a: &a [x, x]\nb: &b [*a, *a]\nnames: [*b, *b]\n", "names no classes"),
+    ],
+)
+def test_hostile_yaml_is_refused_and_runs_nothing(tmp_path, monkeypatch, text, message):
+    monkeypatch.chdir(tmp_path)
+    picture(tmp_path / "one.png")
+    written(tmp_path / "one.txt", "0 0.5 0.5 0.1 0.1\n")
+    written(tmp_path / "data.yaml", text)
+    with pytest.raises(ImageryError, match=message):
+        read_labels(tmp_path)
+    assert not (tmp_path / "ran").exists()

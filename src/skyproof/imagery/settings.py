@@ -80,7 +80,7 @@ class LabelSettings:
     """Where labels of vehicles come from, and what in them counts as a vehicle.
 
     Attributes:
-        path: COCO, YOLO text, DOTA text or GeoJSON labels of vehicles in the sources.
+        path: COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile labels of vehicles.
         classes: class names that count as vehicles; all other objects become regions where nothing is scored. They may
             be left out where the labels know one class.
         border_px: width of a band along the border of each source, in its pixels, where nothing is scored: vehicles

@@ -1,4 +1,4 @@
-"""Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, GeoJSON."""
+"""Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, vector files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.coco import parse_coco_labels
 from skyproof.imagery.labels.dota import is_dota_line, read_dota_labels
-from skyproof.imagery.labels.geojson import parse_geojson_labels
+from skyproof.imagery.labels.ground import read_ground_labels
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.labels.text import LABEL_FOLDERS, text_lines
 from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
@@ -16,15 +16,15 @@ from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
 __all__ = ["read_labels"]
 
 _FORMS = (
-    "COCO (.json), GeoJSON (.geojson or .json), a folder of YOLO text with a .names file or data.yaml, "
-    "or a folder of DOTA text"
+    "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
+    "YOLO text with a .names file or data.yaml, or a folder of DOTA text"
 )
 
 
 def read_labels(path: Path) -> Labels:
     """Reads labels and finds out by itself in which form they are.
 
-    A file is COCO, or GeoJSON where it is a FeatureCollection. A folder is YOLO text where it holds `data.yaml` or one
+    A file is COCO, or GeoJSON where it is a FeatureCollection, or another vector file. A folder is YOLO text where it holds `data.yaml` or one
     `.names` file, COCO where it holds `annotations.json` (as our own datasets do), and DOTA text where its `.txt`
     files, or those in `labelTxt/`, say so.
 
@@ -37,6 +37,8 @@ def read_labels(path: Path) -> Labels:
         return _read_folder(path)
     if not path.is_file():
         raise ImageryError(f"{path} is missing; give labels as {_FORMS}.")
+    if path.suffix.lower() in (".gpkg", ".shp"):
+        return read_ground_labels(path)
     if path.suffix.lower() not in (".json", ".geojson"):
         raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
     try:
@@ -48,7 +50,7 @@ def read_labels(path: Path) -> Labels:
     except (OSError, UnicodeDecodeError) as error:
         raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
     if isinstance(document, dict) and document.get("type") == "FeatureCollection":
-        return parse_geojson_labels(document, path)
+        return read_ground_labels(path, document.get("crs"))
     if isinstance(document, dict) and {"images", "annotations"} <= document.keys():
         return parse_coco_labels(document, path)
     raise ImageryError(

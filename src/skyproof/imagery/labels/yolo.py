@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
+
+import yaml
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
@@ -109,7 +110,7 @@ def _classes(path: Path) -> tuple[str, ...]:
     except (OSError, UnicodeDecodeError) as error:
         raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
     names = (
-        _yaml_names(text)
+        _yaml_names(text, path)
         if path.suffix == ".yaml"
         else [line.strip() for line in text.splitlines()]
     )
@@ -121,24 +122,17 @@ def _classes(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _yaml_names(text: str) -> list[str]:
-    """What stands under `names:`, in the ways that YOLO data sets write it: a list or numbers with names."""
-    lines = [re.sub(r"(^|\s)#.*", "", line).rstrip() for line in text.splitlines()]
-    start = next((i for i, line in enumerate(lines) if re.match(r"names\s*:", line)), None)
-    if start is None:
+def _yaml_names(text: str, path: Path) -> list[str]:
+    """Returns what stands under `names:`: a list, or numbers from 0 with names; else nothing."""
+    try:
+        # Of this loader every value is text: a class may be called "no", and nothing is run.
+        document = yaml.load(text, yaml.BaseLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ImageryError(f"{path} is not YAML ({reason}); correct it.") from error
+    names = document.get("names") if isinstance(document, dict) else None
+    if isinstance(names, dict):
+        names = [names.get(str(number)) for number in range(len(names))]
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return []
-    own = lines[start].split(":", 1)[1].strip()
-    for line in lines[start + 1 :]:
-        # The next key begins at the margin; items of a list may do so as well.
-        if line and not line.startswith((" ", "\t", "-", "]", "}")):
-            break
-        own += "\n" + line.strip()
-    items = [item.strip() for item in re.split(r"[,\n]", own.strip().strip("[]{}")) if item.strip()]
-    items = [item.removeprefix("-").strip() for item in items]
-    pairs = [re.fullmatch(r"(\d+)\s*:\s*(.+)", item) for item in items]
-    if items and all(pairs):
-        numbered = {int(pair[1]): pair[2] for pair in pairs if pair}
-        if sorted(numbered) != list(range(len(items))):
-            return []
-        items = [numbered[number] for number in range(len(items))]
-    return [item.strip("'\"") for item in items]
+    return names

@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
+from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
@@ -208,28 +210,17 @@ def _layout(
 
 
 def _groups(sources: Sequence[Source]) -> list[list[int]]:
-    """Numbers of sources whose extents in degrees touch, directly or through others."""
+    """Returns the numbers of sources whose extents in degrees touch, directly or through others."""
     degrees = CRS.from_epsg(4326)
-    extents: dict[int, Extent] = {
-        i: extent_of(source, degrees)
-        for i, source in enumerate(sources)
-        if source.georeference.crs is not None
-    }
-    group_of = list(range(len(sources)))
+    placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
+    extents = np.array([extent_of(sources[i], degrees) for i in placed]).reshape(-1, 4)
+    low, high = extents[:, :2], extents[:, 2:]
     # Sheets that lie side by side leave gaps of rounding.
     gap = 1e-5
-    for i, a in extents.items():
-        for j, b in extents.items():
-            if j <= i or group_of[i] == group_of[j]:
-                continue
-            if (
-                a[0] <= b[2] + gap
-                and b[0] <= a[2] + gap
-                and a[1] <= b[3] + gap
-                and b[1] <= a[3] + gap
-            ):
-                old, new = sorted((group_of[i], group_of[j]), reverse=True)
-                group_of = [new if group == old else group for group in group_of]
+    touching = (low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap)
+    pairs = np.eye(len(sources), dtype=bool)
+    pairs[np.ix_(placed, placed)] |= touching.all(2)
+    _, group_of = connected_components(pairs, directed=False)
     groups: dict[int, list[int]] = {}
     for i, group in enumerate(group_of):
         groups.setdefault(group, []).append(i)
