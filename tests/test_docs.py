@@ -1,7 +1,13 @@
 """The pages that people read: lines that fit, links that lead somewhere."""
 
 import re
+import shlex
 from pathlib import Path
+
+import tyro
+
+from skyproof.errors import SkyproofError
+from skyproof.main import load_command
 
 ROOT = Path(__file__).parents[1]
 LONGEST = 100
@@ -55,6 +61,33 @@ def broken_links(path, text):
     return broken
 
 
+def commands(text):
+    """The words of every `skyproof` command line in a page's code blocks, without placeholders."""
+    found = []
+    for block in re.findall(r"^```\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
+        for line in block.replace("\\\n", " ").split("\n"):
+            line = re.sub(r"^(\.venv/bin/skyproof|\$S)\b", "skyproof", line.strip())
+            if line.startswith("skyproof ") and not re.search(r"\.\.\.|…|COMMAND", line):
+                found.append(shlex.split(line, comments=True)[1:])
+    return found
+
+
+def unparsable(text):
+    """The command lines of a page that the program would refuse: unknown commands and options."""
+    refused = []
+    for words in commands(text):
+        try:
+            tyro.cli(load_command(words[0]), args=words[1:], console_outputs=False)
+        except (SystemExit, SkyproofError):
+            refused.append(" ".join(words))
+    return refused
+
+
+def test_commands_in_the_docs_are_ones_that_the_program_takes():
+    refused = {path.name: unparsable(text) for path, text in pages().items()}
+    assert {name: lines for name, lines in refused.items() if lines} == {}
+
+
 def test_lines_fit_in_100_columns():
     assert {path.name: long_lines(text) for path, text in pages().items() if long_lines(text)} == {}
 
@@ -67,6 +100,11 @@ def test_relative_links_lead_to_a_file_and_a_heading():
 def test_these_checks_can_fail(tmp_path):
     assert long_lines("x" * 101 + "\n|" + "x" * 100) == ["x" * 101]
     assert long_lines("[a](https://" + "x" * 100 + ")") == []
+    block = "```\n$S scenes --backgrounds b \\\n  --fleet f --out o\nskyproof paint --red\n```\n"
+    assert unparsable(block + "```\nskyproof scenes --blue\n```\n") == [
+        "paint --red",
+        "scenes --blue",
+    ]
     page = tmp_path / "page.md"
     page.write_text("# What is *this*, then?\n[a](#what-is-this-then) [b](#what) [c](nowhere.md)\n")
     assert broken_links(page, page.read_text()) == ["#what", "nowhere.md"]
