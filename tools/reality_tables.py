@@ -91,7 +91,7 @@ def _final_table(rows: list[Row]) -> str:
 
 
 def _draw_blur(trials: list[Row], path: Path) -> None:
-    """AP against the blur of rendered vehicles, all else as in the recipe (PAPER 13)."""
+    """AP against the blur of rendered vehicles, all else as in the recipe (figure S5)."""
     swept = [row for row in trials if row["name"] == "recipe" or row["name"].startswith("blur ")]
     swept.sort(key=lambda row: row["trial"]["blur_sigma_px"])
     sigma = [row["trial"]["blur_sigma_px"] for row in swept]

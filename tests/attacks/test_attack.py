@@ -115,7 +115,7 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
     assert [row["step"] for row in table] == list(range(1, 16))
     losses = [row["loss"] for row in table]
     assert sum(losses[-4:]) < 0.97 * sum(losses[:4]), losses
-    # The weights bring both first losses to 1, though one is 300 times the other (PAPER 24).
+    # The weights bring both first losses to 1, though one is 300 times the other (section 3.2).
     weights, first = table[0]["weights"], table[0]["losses"]
     for name in ("one", "two"):
         assert weights[name] * first[name] == pytest.approx(1.0, abs=0.35)

@@ -45,7 +45,7 @@ def test_the_map_can_be_learnt():
 
 
 def test_a_random_control_is_where_the_attack_with_its_seed_starts():
-    # R-U and T-U from one seed are the same map, uniform in [0, 1] (PAPER 27, 34).
+    # R-U and T-U from one seed are the same map, uniform in [0, 1] (section S4.2).
     control, start = texture("R-U-0", seed=7), texture("T-U", seed=7)
     assert torch.equal(control.cells, start.cells)
     assert not torch.equal(control.cells, texture("R-U-1", seed=8).cells)

@@ -1,4 +1,4 @@
-"""The three texture constraints and all their combinations (PAPER 27-34)."""
+"""The three texture constraints and all their combinations (sections 3.3 and S4.2)."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Average precision against faster-coco-eval, and the F1 threshold by hand (PAPER 17, 18)."""
+"""Average precision against faster-coco-eval, and the F1 threshold by hand."""
 
 from __future__ import annotations
 

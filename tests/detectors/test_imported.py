@@ -1,4 +1,4 @@
-"""Imported networks: against the libraries' own detections, and the loss tests of ours (PAPER 21-23)."""
+"""Imported networks: against the libraries' own detections, and the loss tests of ours (section 3.2)."""
 
 from __future__ import annotations
 

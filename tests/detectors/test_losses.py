@@ -1,4 +1,4 @@
-"""Per-image losses, candidates and detections of every detector (PAPER 21-23)."""
+"""Per-image losses, candidates and detections of every detector (section 3.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The matcher against cases by hand and an independent brute force (PAPER 19)."""
+"""The matcher against cases by hand and an independent brute force."""
 
 from __future__ import annotations
 

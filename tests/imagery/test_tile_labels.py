@@ -76,7 +76,7 @@ def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
     ]
     assert rows[0]["centre_px"] == [60, 15]
     assert rows[0]["visible_fraction"] == pytest.approx(0.7)
-    # All tiles stay, those without a vehicle as well (PAPER 1).
+    # All tiles stay, those without a vehicle as well (section 5.2).
     assert sum(count["tiles"] for count in record.counts.values()) == 8
     assert sum(len(Dataset.open(tmp_path / "set" / split)) for split in record.counts) == 8
 

@@ -1,4 +1,4 @@
-"""Compositing and blur against a separate NumPy implementation (PAPER 12)."""
+"""Compositing and blur against a separate NumPy implementation (section S2.1)."""
 
 import math
 
@@ -60,7 +60,7 @@ def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
 
 
 def test_on_even_ground_the_blur_is_the_papers():
-    """I = I_bg + G(I_fg - I_bg) (PAPER 12), from which ours differs only where the ground has detail."""
+    """I = I_bg + G(I_fg - I_bg) (section S2.1), from which ours differs only where the ground has detail."""
     settings = RenderSettings(noise=0.0)
     photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
     image = compose(

@@ -1,4 +1,4 @@
-"""Matched pairs and datasets on disk (PAPER 9)."""
+"""Matched pairs and datasets on disk (section S5.1)."""
 
 import dataclasses
 import json

@@ -22,7 +22,7 @@ __all__ = ["practicality_account"]
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
-    """Signs (PAPER 54) and measured quantities (PAPER 55), means over the vehicles.
+    """Signs (section 4) and measured quantities, means over the vehicles.
 
     Args:
         camouflage: finished.

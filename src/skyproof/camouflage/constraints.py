@@ -1,4 +1,4 @@
-"""Which of the three texture constraints hold, and the names made of them: Pix, Lc or Fc, Ma (PAPER 28-33)."""
+"""Which of the three texture constraints hold, and the names made of them: Pix, Lc or Fc, Ma (section 3.3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a texture would take on real vehicles: painted area, blocks, colours, boundaries (PAPER 28, 55)."""
+"""What a texture would take on real vehicles: painted area, blocks, colours, boundaries."""
 
 from __future__ import annotations
 

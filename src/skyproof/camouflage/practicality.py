@@ -1,4 +1,4 @@
-"""How practical a camouflage is, in the paper's three signs, derived from its constraints (PAPER 54, 55)."""
+"""How practical a camouflage is, in the paper's three signs, derived from its constraints (section 4)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _NO_CHANGE = Signs(0, 0, 0)
 def score_practicality(
     texture: TextureConstraints | None, shape_changed: bool
 ) -> PracticalityScore:
-    """The paper's rules (PAPER 54).
+    """The paper's rules (section 4).
 
     - Installation is + with Pix, as blocks can be stuck on or painted one by one, otherwise −.
     - Operation is + with Ma, as windows, lights and wheels stay free, otherwise −.

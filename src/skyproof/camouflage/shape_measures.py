@@ -15,7 +15,7 @@ __all__ = ["ShapeMeasures", "measure_shape"]
 
 @dataclass(frozen=True)
 class ShapeMeasures:
-    """One vehicle before and after its shape was changed (PAPER 51).
+    """One vehicle before and after its shape was changed.
 
     Attributes:
         vehicle: its id.

@@ -1,1 +1,1 @@
-"""Blender Cycles: the same scenes path-traced in worker processes, as a second renderer (PAPER 7, 9, 58)."""
+"""Blender Cycles: the same scenes path-traced in worker processes, as a second renderer (section S3.2.2)."""

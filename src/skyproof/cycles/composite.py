@@ -1,4 +1,4 @@
-"""Path-traced crops laid over the photograph, in linear light, and what the sensor does to them (PAPER 11, 12)."""
+"""Path-traced crops laid over the photograph, in linear light, and what the sensor does to them (section S2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each part of a vehicle is made of, for a path tracer (PAPER 14: a stated material)."""
+"""What each part of a vehicle is made of, for a path tracer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The path tracer as a renderer: the same scenes, vehicles and labels, other light (PAPER 7, 9, 58)."""
+"""The path tracer as a renderer: the same scenes, vehicles and labels, other light (section S3.2.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sun and sky as light sources whose sum is what the photograph was exposed for (PAPER 14)."""
+"""Sun and sky as light sources whose sum is what the photograph was exposed for."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class Annotation:
         mask: `[H, W]` its visible pixels in the whole image, or None.
         vehicle: id in the fleet, or None where not known.
         placement_index: which of the scene's placements it is, or None.
-        ignore: a region where nothing is scored (PAPER 1); COCO's iscrowd.
+        ignore: a region where nothing is scored; COCO's iscrowd.
         corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left, front right, rear
             right, rear left, not cut at the border; None where not known.
     """

@@ -16,7 +16,7 @@ from skyproof.detectors.common import PADDING_GREY
 
 __all__ = ["WINDOW_PX", "training_batch", "training_batches", "window"]
 
-# Larger images are trained on in windows of this size: the paper's tile (PAPER 1).
+# Larger images are trained on in windows of this size: the paper's tile (section 5.2).
 WINDOW_PX = 384
 
 

@@ -66,7 +66,7 @@ class TrainableDetector(nn.Module):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """The detector's own training loss per image, normalised (PAPER 21, 22).
+        """The detector's own training loss per image, normalised (section 3.2).
 
         Each image's value depends on that image alone; all negatives count; with an empty truth it is finite,
         positive and of order 1 or below. Differentiable in `images` and in the weights.

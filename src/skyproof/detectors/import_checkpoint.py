@@ -68,7 +68,7 @@ def import_detector(
 
     Args:
         checkpoint: what to import.
-        validation: images of the resolution that the detector will judge; they freeze its threshold (PAPER 18).
+        validation: images of the resolution that the detector will judge; they freeze its threshold.
         folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
         name: as tables will show it; the file's name where None.
         device: to validate on.

@@ -100,7 +100,7 @@ class ImportedDetector(TrainableDetector):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """The network's own loss per image against an empty truth, normalised (PAPER 21, 22).
+        """The network's own loss per image against an empty truth, normalised (section 3.2).
 
         Raises:
             ConfigurationError: a vehicle among the targets: an imported detector is not trained here.

@@ -129,7 +129,7 @@ class ImportedFcos(_Imported):
     ) -> Float[Tensor, " B"]:
         """torchvision's focal loss of the vehicle classes against an empty truth, by the points one vehicle gets.
 
-        Centredness has no loss where there is no vehicle (PAPER 21, 22).
+        Centredness has no loss where there is no vehicle (section 3.2).
         """
         check_targets(images, targets)
         logits = self._outputs(images)[0]["cls_logits"]

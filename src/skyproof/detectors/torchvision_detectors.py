@@ -50,7 +50,7 @@ SLIM_RATIOS = (0.45, 1.0, 2.2)
 FULL_SIDES_PX = (16.0, 32.0, 64.0, 128.0, 256.0)
 FULL_RATIOS = (0.5, 1.0, 2.0)
 # Measured: anchors a vehicle makes positive in RetinaNet (slim 8.8, full 7.8). With an empty truth the focal sum is
-# divided by it, so that a seen vehicle costs about one (PAPER 22).
+# divided by it, so that a seen vehicle costs about one.
 POSITIVES_PER_VEHICLE = 8.0
 # Faster R-CNN's proposal network answers a seen vehicle from more anchors, and cross-entropy does not saturate: the sum
 # is about 60 per vehicle for the trained slim detector.
@@ -86,7 +86,7 @@ class TorchvisionDetector(TrainableDetector):
 
 
 class RetinaNetDetector(TorchvisionDetector):
-    """torchvision's RetinaNet for one class, never resizing (PAPER 15).
+    """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
     Args:
         size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from scratch).
@@ -103,7 +103,7 @@ class RetinaNetDetector(TorchvisionDetector):
         """torchvision's focal and box losses per image, each divided by that image's positive anchors.
 
         With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
-        would have, so that one seen vehicle costs about one (PAPER 21, 22). Anchors without a vehicle all count.
+        would have, so that one seen vehicle costs about one. Anchors without a vehicle all count.
         """
         check_targets(images, targets)
         outputs, anchors = self._outputs(images)
@@ -139,7 +139,7 @@ class RetinaNetDetector(TorchvisionDetector):
 
 
 class FasterRcnnDetector(TorchvisionDetector):
-    """torchvision's Faster R-CNN for one class, never resizing, nothing drawn at random (PAPER 15, 22).
+    """torchvision's Faster R-CNN for one class, never resizing, nothing drawn at random (section 5.3).
 
     Differences from torchvision: instead of a random sample of anchors and regions all of them count. The proposal
     network's sums are divided by its positive anchors (as RetinaNet's are; by a constant with an empty truth), because
@@ -159,7 +159,7 @@ class FasterRcnnDetector(TorchvisionDetector):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """Proposal loss plus region loss per image, deterministic (PAPER 21, 22)."""
+        """Proposal loss plus region loss per image, deterministic (section 3.2)."""
         check_targets(images, targets)
         features, image_list = self._features(images)
         objectness, deltas, anchors, proposals = self._proposal_outputs(features, image_list)

@@ -33,7 +33,7 @@ from skyproof.errors import ConfigurationError
 __all__ = ["YoloNetwork", "YoloV5Detector", "check_layers"]
 
 MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
-# The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many (PAPER 22).
+# The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
@@ -52,7 +52,7 @@ _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
 
 
 class YoloV5Detector(TrainableDetector):
-    """Ultralytics' YOLOv5u for one class, from its YAML, without weights and never fused (PAPER 15).
+    """Ultralytics' YOLOv5u for one class, from its YAML, without weights and never fused (section 5.3).
 
     Args:
         size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
@@ -83,7 +83,7 @@ class YoloV5Detector(TrainableDetector):
         """Ultralytics' own v8DetectionLoss (box, class, distribution) image by image on one forward pass.
 
         Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
-        ten points a vehicle gets. Called per image, its factor "batch size" is 1 (PAPER 21, 22).
+        ten points a vehicle gets. Called per image, its factor "batch size" is 1.
         """
         check_targets(images, targets)
         outputs = self._outputs(images)
@@ -215,7 +215,7 @@ class YoloNetwork(TrainableDetector):
     ) -> Float[Tensor, " B"]:
         """Ultralytics' class loss of the vehicle classes against an empty truth, by the points a vehicle gets.
 
-        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent (PAPER 21, 22).
+        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent.
         """
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]

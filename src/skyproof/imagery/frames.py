@@ -1,4 +1,4 @@
-"""Whole annotated images: read, brought to one resolution, ignore regions set (PAPER 1)."""
+"""Whole annotated images: read, brought to one resolution, ignore regions set."""
 
 from __future__ import annotations
 

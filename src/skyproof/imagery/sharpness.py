@@ -1,4 +1,4 @@
-"""How sharp and how noisy photographs are, measured on their own edges and plain places (PAPER 12, 13)."""
+"""How sharp and how noisy photographs are, measured on their own edges and plain places (section S2.1)."""
 
 from __future__ import annotations
 

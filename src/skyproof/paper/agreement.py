@@ -1,4 +1,4 @@
-"""Do our results and the paper's, or two renderers', order the attacks alike? Rank correlations (PAPER 35)."""
+"""Do our results and the paper's, or two renderers', order the attacks alike? Rank correlations (table 2)."""
 
 from __future__ import annotations
 

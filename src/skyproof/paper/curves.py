@@ -1,4 +1,4 @@
-"""Success against practicality: how much shape an attack needs, and where the two balance best (PAPER 42, 52)."""
+"""Success against practicality: how much shape an attack needs, and where the two balance best (section 5.5)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Point:
 
     @property
     def practicality(self) -> float:
-        """Pr = 1 − PM (PAPER 42)."""
+        """Pr = 1 − PM (section 5.5)."""
         return 1 - self.perturbation_magnitude
 
 
@@ -62,7 +62,7 @@ class Curve:
 def p1_score(
     easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
-    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0 (PAPER 42). nan stays nan."""
+    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0 (section 5.5). nan stays nan."""
     easr, practicality = (
         np.asarray(easr, dtype=np.float64),
         np.asarray(practicality, dtype=np.float64),
@@ -90,7 +90,7 @@ def practicality_curve(
     match: str = "centre_1m",
     detector: str | None = None,
 ) -> Curve:
-    """The curve of one family over the magnitudes that were scored (PAPER 42, 52).
+    """The curve of one family over the magnitudes that were scored (section 5.5).
 
     Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is the texture by
     itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR is 0 by definition.

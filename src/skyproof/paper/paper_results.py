@@ -1,4 +1,4 @@
-"""What the paper reports, as numbers to stand beside ours (PAPER 35, 36)."""
+"""What the paper reports, as numbers to stand beside ours (tables 2 and S3)."""
 
 from __future__ import annotations
 

@@ -252,7 +252,7 @@ def _signs(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _gap(run: Reproduction) -> list[dict[str, Any]]:
-    """Of attacks on few colours: EASR and losses before the last rounding and after it (PAPER 32)."""
+    """Of attacks on few colours: EASR and losses before the last rounding and after it."""
     rows = []
     for key in dict.fromkeys(key.camouflage for key in run.tiles.series):
         if "_relaxed-" not in key:

@@ -1,4 +1,4 @@
-"""Transfer: camouflages optimised against some detectors, judged by all (PAPER 20, 39)."""
+"""Transfer: camouflages optimised against some detectors, judged by all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them (PAPER 11, 12)."""
+"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them (section S2)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def composite(
     that nothing reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall on
     the ground alone.
 
-    Differences from the paper: I_bg + G(I_fg - I_bg) (PAPER 12) is the same on even ground, but leaves I_bg - G(I_bg)
+    Differences from the paper: I_bg + G(I_fg - I_bg) (equation 1) is the same on even ground, but leaves I_bg - G(I_bg)
     standing on top of the vehicle: lane markings shine through. The photograph is already blurred; here it is hidden
     by as much as the blurred vehicle covers it.
 

@@ -1,4 +1,4 @@
-"""Scenes drawn to disk: the same scenes with and without camouflage are matched pairs (PAPER 9)."""
+"""Scenes drawn to disk: the same scenes with and without camouflage are matched pairs (section S5.1)."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def draw_bodies(
     settings: RenderSettings,
     sky_share: Float[Tensor, " N"] | None = None,
 ) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
-    """Visibility first, then light on the visible samples, then averaging to pixels (PAPER 11).
+    """Visibility first, then light on the visible samples, then averaging to pixels (section S2.2).
 
     Args:
         window: around every vehicle.

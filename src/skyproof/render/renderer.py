@@ -1,4 +1,4 @@
-"""The differentiable renderer: vehicles onto orthophotos, in plain PyTorch (PAPER 10-14)."""
+"""The differentiable renderer: vehicles onto orthophotos, in plain PyTorch (section 3.1)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class TorchRenderer:
     """Draws vehicles onto photographs, differentiably in their texture and their vertices.
 
     Every vehicle and its shadow are rendered in small windows of their own, at `supersampling` samples a pixel side,
-    shaded by sun and sky, averaged to pixels, blurred, and laid over the photograph in linear light (PAPER 11, 12).
+    shaded by sun and sky, averaged to pixels, blurred, and laid over the photograph in linear light (section S2).
 
     Differences from the paper: the camera is the orthophoto's own parallel projection (see `Camera`), not a
     perspective one at a distance that the paper does not give; there is a cast shadow; light adds up linearly; the

@@ -1,4 +1,4 @@
-"""What the sensor does to rendered light: blur, and noise that is tied to image pixels (PAPER 12)."""
+"""What the sensor does to rendered light: blur, and noise that is tied to image pixels (section S2.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NOISE_TILE_PX = 64
 
 
 def blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Float[Tensor, "S S"]:
-    """The Gaussian blur of a row of pixels as a banded matrix, zero beyond the ends (PAPER 12)."""
+    """The Gaussian blur of a row of pixels as a banded matrix, zero beyond the ends (section S2.1)."""
     steps = torch.arange(size, device=like.device)
     distance = (steps[:, None] - steps).abs()
     if radius_px == 0:

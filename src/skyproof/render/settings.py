@@ -15,9 +15,9 @@ class RenderSettings:
     """Light, material and sensor of the differentiable renderer.
 
     Attributes:
-        supersampling: samples along a pixel's side (PAPER 11); below 3 the silhouette gradients suffer.
+        supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients suffer.
         shadow_supersampling: the same for the cast shadow.
-        blur_sigma_px: the sensor's Gaussian blur (PAPER 12, 13), as wide as the paper found best.
+        blur_sigma_px: the sensor's Gaussian blur (section S2.1), as wide as the paper found best.
         noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a photograph has its own.
         sky_share: the sky's part of the light on level ground. 0.25 is a clear day (diffuse fraction of global
             irradiance, 0.15-0.3 for a clear sky: Iqbal 1983).

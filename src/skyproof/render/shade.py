@@ -56,7 +56,7 @@ class LinearTexture:
     def sample(
         self, uv: Float[Tensor, "K 2"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
     ) -> Float[Tensor, "K 3"]:
-        """Bilinear values at (u, v) of the textures `index`; circular in u, held at the edge in v (PAPER 45)."""
+        """Bilinear values at (u, v) of the textures `index`; circular in u, held at the edge in v (section S4.3)."""
         level = level.clamp(self.finest, self.levels - 1)
         width, height = self.width >> level, self.height >> level
         index = torch.zeros_like(index) if self.count == 1 else index

@@ -1,4 +1,4 @@
-"""A scene's weather in its picture: wet ground and sky before vehicles are drawn, the rest after (PAPER 56)."""
+"""A scene's weather in its picture: wet ground and sky before vehicles are drawn, the rest after (section S7)."""
 
 from __future__ import annotations
 

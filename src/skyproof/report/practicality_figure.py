@@ -32,7 +32,7 @@ _TEXTURES = {
 
 
 def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
-    """SVG and PNG, by file ending: S-O and combinations with the six textures that are not masked (PAPER 52)."""
+    """SVG and PNG, by file ending: S-O and combinations with the six textures that are not masked (figure 4)."""
     with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
         figure, (left, right) = plt.subplots(
             1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained"

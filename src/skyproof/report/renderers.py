@@ -1,4 +1,4 @@
-"""What is left of a camouflage under a second renderer, which neither attack nor training ever saw (PAPER 37)."""
+"""What is left of a camouflage under a second renderer, which neither attack nor training ever saw."""
 
 from __future__ import annotations
 

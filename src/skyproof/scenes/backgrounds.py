@@ -40,7 +40,7 @@ class BackgroundTile:
     """One tile of a background set.
 
     Attributes:
-        id: unique in the set; the cluster of the bootstrap (PAPER 40).
+        id: unique in the set; the cluster of the bootstrap.
         file: path inside the folder.
         split: one of `SPLITS`.
         width_px, height_px: its size.

@@ -21,7 +21,7 @@ class BackgroundWindow:
     """A square window of a background tile.
 
     Attributes:
-        tile: id of the tile in its background set; the cluster of the bootstrap (PAPER 40).
+        tile: id of the tile in its background set; the cluster of the bootstrap.
         centre_x_px, centre_y_px: window centre in tile pixels, continuous, origin at the tile's top-left corner.
         rotation_rad: the window's x axis is the tile's turned by this angle, counter-clockwise on screen.
     """
@@ -40,7 +40,7 @@ class Camera:
     h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
 
     Attributes:
-        tilt_rad: angle off the vertical, 0 to 20 degrees (PAPER 6).
+        tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
         azimuth_rad: direction from the scene to the camera, in the ground plane, from x (east) towards y (north).
         gsd_m: metres per pixel.
         size_px: the image is size_px x size_px; world (0, 0) is its centre, east is right, north is up.

@@ -1,4 +1,4 @@
-"""The sensor that took a set of photographs: what vehicles drawn into them must look like (PAPER 12, 13)."""
+"""The sensor that took a set of photographs: what vehicles drawn into them must look like (section S2.1)."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ CONDITIONS: dict[str, Callable[[float], Weather]] = {
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
-    """The weather of a condition (PAPER 56).
+    """The weather of a condition (section S7).
 
     Args:
         condition: one of `CONDITIONS`.

@@ -45,7 +45,7 @@ def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
 
 
 def make_template() -> Template:
-    """The closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points (PAPER 8, 44).
+    """The closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points (sections 3.1 and S4.3).
 
     Vertex `32 ring + column` for rings from nose to tail; 992 is the nose pole, 993 the tail pole. Column 0 runs along
     the middle of the underside, 8 or so up the left side, 16 along the middle of the roof, then down the right side.

@@ -15,7 +15,7 @@ TEXTURE_SIZE = 512
 
 
 class Part(IntEnum):
-    """Labels of the part map. Paint is `BODY`; nothing else may be painted by a masked camouflage (PAPER 29)."""
+    """Labels of the part map. Paint is `BODY`; nothing else may be painted by a masked camouflage (equation 2)."""
 
     BODY = 0
     GLASS = 1
@@ -28,7 +28,7 @@ class Part(IntEnum):
 
 @dataclass(frozen=True)
 class Template:
-    """The closed, sphere-topology mesh that every vehicle shares (PAPER 8, 44), poles at the two bumpers.
+    """The closed, sphere-topology mesh that every vehicle shares (sections 3.1 and S4.3), poles at the two bumpers.
 
     Attributes:
         faces: `[F, 3]` vertex indices, counter-clockwise seen from outside; UV seam vertices share one index here.
@@ -36,7 +36,7 @@ class Template:
         uvs: `[U, 2]` in [0, 1]; u runs around the long axis and is circular, v from nose (0) to tail (1).
             Texel centre of column i, row j: u = (i + 0.5) / 512, v = (j + 0.5) / 512 (row 0 at the nose).
         mirror: `[V]` the vertex that the reflection y -> -y takes each vertex to; an involution.
-        vertex_uvs: `[V, 2]` the topology map of PAPER 44: where each unique vertex reads a map in UV space.
+        vertex_uvs: `[V, 2]` the topology map (section S4.3): where each unique vertex reads a map in UV space.
     """
 
     faces: Int[Tensor, "F 3"]
@@ -52,7 +52,7 @@ class Template:
 
 @dataclass(frozen=True)
 class Overlay:
-    """One texture that hides the vehicles' own where each vehicle's mask is true (PAPER 29).
+    """One texture that hides the vehicles' own where each vehicle's mask is true (equation 2).
 
     Kept apart from them: a renderer then needs no full map in floats for every vehicle.
 

@@ -1,4 +1,4 @@
-"""Removing vehicles from a tiled folder: find, mask with shadows, fill, check, repair or leave out (PAPER 2)."""
+"""Removing vehicles from a tiled folder: find, mask with shadows, fill, check, repair or leave out (section 5.2)."""
 
 from __future__ import annotations
 

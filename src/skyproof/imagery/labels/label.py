@@ -153,7 +153,7 @@ def sort_labels(
     border_px: float,
     point_box_px: float,
 ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "m 4"]]:
-    """Divides the labels of one image into vehicles and regions where nothing is scored (PAPER 1).
+    """Divides the labels of one image into vehicles and regions where nothing is scored.
 
     Vehicles are labels of the named classes whose centre lies in the image, inside its border band. Every other label
     that touches the image becomes an ignore region. Boxes are cut at the image's edge; what lies beyond is dropped.

@@ -1,4 +1,4 @@
-"""Dividing tiles among the splits by place (PAPER 4)."""
+"""Dividing tiles among the splits by place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BlockKey = tuple[str, int, int]
 def assign_splits(
     cells: Sequence[Cell], *, block_m: float | None, generator: torch.Generator
 ) -> tuple[dict[str, str], dict[str, float]]:
-    """Divides cells among the splits by `SPLIT_SHARES`, in square blocks of neighbours (PAPER 4).
+    """Divides cells among the splits by `SPLIT_SHARES`, in square blocks of neighbours.
 
     The grid is cut into blocks of k x k cells, k so that a block is about `block_m` wide. A block goes to one split, so
     splits meet only where blocks do. Blocks are shuffled, put in order of their size, the largest first, and handed

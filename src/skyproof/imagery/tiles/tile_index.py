@@ -55,7 +55,7 @@ def write_ground_index(
 
 
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:
-    """The georeferenced tiles of a tiled folder as cells for other imagery of the same ground (PAPER 3).
+    """The georeferenced tiles of a tiled folder as cells for other imagery of the same ground (section 5.2).
 
     Ids, places, sizes and splits are those of `folder`; tiles that no source touches are among them, without sources.
 

@@ -86,7 +86,7 @@ def tile_imagery(
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are (`measure_sensor`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train on. Tiles without any
-    vehicle stay (PAPER 1).
+    vehicle stay (section 5.2).
 
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.

@@ -21,14 +21,14 @@ MATCHES: tuple[Literal["centre_1m"], Literal["iou_50"]] = ("centre_1m", "iou_50"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one vehicle under one camouflage, for one detector and one match criterion (PAPER 9, 19, 38).
+    """What became of one vehicle under one camouflage, for one detector and one match criterion (section 5.1).
 
     Attributes:
         scene, placement: which vehicle: scene id and index in `Scene.placements`.
         vehicle, body_type: fleet id ("saloon-0017") and what stands before its last hyphen.
-        background: the scene's background tile: the cluster of the bootstrap (PAPER 40).
+        background: the scene's background tile: the cluster of the bootstrap.
         camouflage, renderer, detector, match: what was compared; `match` is one of `MATCHES`.
-        detected_original, detected_adversarial: matched by a detection at or above the frozen threshold (PAPER 18).
+        detected_original, detected_adversarial: matched by a detection at or above the frozen threshold.
         score_original, score_adversarial: score of the matched detection, whatever the threshold; 0 where none.
         distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan where none.
         visible_fraction: share of the vehicle inside the image; nan where not known.
@@ -36,7 +36,7 @@ class Outcome:
         tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
         heading_deg: of the vehicle, from east towards north, in [0, 360).
         heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving into the sun.
-        condition: of the weather ("clear", "haze", ...; PAPER 56).
+        condition: of the weather ("clear", "haze", ...).
     """
 
     scene: str

@@ -39,7 +39,7 @@ _SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class TileCounts:
-    """Vehicles per series and background tile (PAPER 38, 40).
+    """Vehicles per series and background tile.
 
     Attributes:
         tiles: names of the C background tiles.

@@ -1,4 +1,4 @@
-"""How sure a success rate is: bootstrap over background tiles, McNemar's exact test, Holm's correction (PAPER 40).
+"""How sure a success rate is: bootstrap over background tiles, McNemar's exact test, Holm's correction.
 
 Vehicles on one background tile share ground, light and neighbours, so they are not independent: tiles are resampled,
 not vehicles. All detectors and camouflages see the same resampled tiles, which is what makes differences between them
@@ -230,7 +230,7 @@ def _levels(
 
 
 def mcnemar_p(lost: int, gained: int) -> float:
-    """Two-sided exact McNemar test of "as many vehicles are lost as gained" from the discordant pairs (PAPER 40).
+    """Two-sided exact McNemar test of "as many vehicles are lost as gained" from the discordant pairs.
 
     Vehicles count as independent here; trust the cluster interval more where a tile holds many of them.
     """

@@ -1,4 +1,4 @@
-"""How many test vehicles a wanted precision needs, from assumptions or from a pilot evaluation (PAPER 40)."""
+"""How many test vehicles a wanted precision needs, from assumptions or from a pilot evaluation."""
 
 from __future__ import annotations
 
