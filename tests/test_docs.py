@@ -1,7 +1,10 @@
 """The pages that people read: lines that fit, links that lead somewhere."""
 
+import ast
 import re
 import shlex
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import tyro
@@ -67,7 +70,7 @@ def commands(text):
     for block in re.findall(r"^```\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
         for line in block.replace("\\\n", " ").split("\n"):
             line = re.sub(r"^(\.venv/bin/skyproof|\$S)\b", "skyproof", line.strip())
-            if line.startswith("skyproof ") and not re.search(r"\.\.\.|…|COMMAND", line):
+            if line.startswith("skyproof ") and not re.search(r"\.\.\.|…|COMMAND|\w\|\w", line):
                 found.append(shlex.split(line, comments=True)[1:])
     return found
 
@@ -81,6 +84,31 @@ def unparsable(text):
         except (SystemExit, SkyproofError):
             refused.append(" ".join(words))
     return refused
+
+
+def missing_names(text):
+    """Names of skyproof that a page's Python uses, and that do not exist."""
+    missing = []
+    for block in re.findall(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("skyproof"):
+                place, names = node.module, [alias.name for alias in node.names]
+            elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "sp":
+                place, names = "skyproof", [node.attr]
+            else:
+                continue
+            module = import_module(place) if find_spec(place) else None
+            missing += [f"{place}.{name}" for name in names if not hasattr(module, name)]
+    return missing
+
+
+def test_python_in_the_docs_names_what_exists():
+    missing = {path.name: missing_names(text) for path, text in pages().items()}
+    assert {name: names for name, names in missing.items() if names} == {}
+
+
+def test_the_readme_is_short():
+    assert (ROOT / "README.md").read_text(encoding="utf-8").count("\n") <= 130
 
 
 def test_commands_in_the_docs_are_ones_that_the_program_takes():
@@ -104,6 +132,11 @@ def test_these_checks_can_fail(tmp_path):
     assert unparsable(block + "```\nskyproof scenes --blue\n```\n") == [
         "paint --red",
         "scenes --blue",
+    ]
+    block = "```python\nimport skyproof as sp\nfrom skyproof.errors import Sorry\nsp.attack\n```\n"
+    assert missing_names(block + "```python\nsp.surrender\n```\n") == [
+        "skyproof.errors.Sorry",
+        "skyproof.surrender",
     ]
     page = tmp_path / "page.md"
     page.write_text("# What is *this*, then?\n[a](#what-is-this-then) [b](#what) [c](nowhere.md)\n")
