@@ -109,7 +109,8 @@ def test_two_cubes_through_each_other():
 
 
 def test_a_beam_through_a_plate_counts_all_its_sides():
-    # A square beam, its 8 side triangles through one large triangle, its 4 end triangles clear of it.
+    # A square beam, its 8 side triangles through one large triangle, its 4 end triangles clear of
+    # it.
     beam = CORNERS * torch.tensor([0.2, 0.2, 2.0]) + torch.tensor([1.013, 1.007, -1.0])
     points = torch.cat((beam, torch.tensor(FLOOR, dtype=torch.float32)))
     assert self_intersections(points, torch.cat((CUBE, torch.tensor([[8, 9, 10]])))) == 8
@@ -143,7 +144,8 @@ def test_the_volume_of_boxes_wherever_they_stand():
 
 
 def test_the_volume_of_a_ball_from_its_rings():
-    # Each slice between two rings is a frustum of a regular polygon: area * (r1^2 + r1 r2 + r2^2) * h / 3.
+    # Each slice between two rings is a frustum of a regular polygon: area * (r1^2 + r1 r2 + r2^2) *
+    # h / 3.
     rings, columns = 20, 24
     polar = np.linspace(0, np.pi, rings + 1)[1:-1]
     around = 2 * np.pi * np.arange(columns) / columns

@@ -126,7 +126,8 @@ def test_ground_points_of_two_systems(tmp_path, crs):
         xs, ys = transform_places(NZTM, crs, xs, ys)
     labels = ground(*zip(xs, ys, strict=True), crs=crs), LabelSettings(WHERE, point_box_m=2.0)
     _, record = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
-    # Tiles begin at the image's corner: 10 m is pixel 80, in the second tile pixel 16; the box is 16 px wide.
+    # Tiles begin at the image's corner: 10 m is pixel 80, in the second tile pixel 16; the box is
+    # 16 px wide.
     found = boxes(tmp_path / "set", 0)
     assert len(found) == 2
     expected = {

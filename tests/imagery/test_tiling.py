@@ -38,7 +38,8 @@ def bounds_of(folder):
 
 @pytest.mark.parametrize("case", CASES)
 def test_every_pixel_shows_the_ground_its_bounds_say(tmp_path, case):
-    # The picture codes the place: red and green are column and row, so that a wrong scale, shift or turn is seen.
+    # The picture codes the place: red and green are column and row, so that a wrong scale, shift or
+    # turn is seen.
     crs, affine = CASES[case]
     rows, columns = np.indices((400, 500))
     write_image(
@@ -125,7 +126,8 @@ def test_large_shrinking_is_read_in_pieces_without_seams(tmp_path, monkeypatch):
 
 
 def test_overlapping_sources_share_cells_and_splits(tmp_path):
-    # Two sheets of one landscape that overlap, with an odd shift, in two reference systems' order of naming.
+    # Two sheets of one landscape that overlap, with an odd shift, in two reference systems' order
+    # of naming.
     scene = smooth_noise(700, 1200)
     for name, start in (("a", 0), ("b", 450)):
         part = scene[:, :, start : start + 750]

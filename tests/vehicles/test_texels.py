@@ -59,8 +59,9 @@ def test_lengths_add_up_to_girth_and_mirrored_sides_agree():
     length_u, length_v, area = texel_metric(fleet.batch(fleet.ids))
     for values in (length_u, length_v, area):
         assert torch.allclose(values, values.flip(2), rtol=1e-3)
-    # A row's girth lies between those of the two rings it runs between, measured on the vertices; it may be a little
-    # less, because halfway between two unlike rings the surface is smoother than either.
+    # A row's girth lies between those of the two rings it runs between, measured on the vertices;
+    # it may be a little less, because halfway between two unlike rings the surface is smoother than
+    # either.
     rings = fleet.vertices[0, :992].view(31, 32, 3)
     girth = (rings.roll(-1, 1) - rings).norm(dim=-1).sum(1)
     rows = length_u[0, 16:496].sum(1).view(30, 16)

@@ -36,7 +36,8 @@ from tests.vehicles.model_car import (
     write_obj,
 )
 
-# Half a turn about z, then z to the side: length along -y, so nothing of the frame is right by chance.
+# Half a turn about z, then z to the side: length along -y, so nothing of the frame is right by
+# chance.
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 TEMPLATE = make_template()
 
@@ -63,7 +64,8 @@ def test_it_stands_in_the_vehicle_frame() -> None:
     assert (high - low).tolist() == pytest.approx([LENGTH_M, WIDTH_M, HEIGHT_M], abs=0.03)
     assert float(low[2]) == 0.0
     assert ((high + low) / 2)[:2].abs().max() < 0.02
-    # The bonnet is in front: at the nose the roof line is lower than at the tail's end of the cabin.
+    # The bonnet is in front: at the nose the roof line is lower than at the tail's end of the
+    # cabin.
     roof = vertices[16 : 31 * 32 : 32]
     assert roof[roof[:, 0] > 1.0, 2].max() < 0.95
     assert roof[(roof[:, 0] > -1.5) & (roof[:, 0] < 0.0), 2].min() > 1.4
@@ -82,7 +84,8 @@ def test_its_outline_from_above_is_the_cars() -> None:
 def test_it_is_a_sound_template() -> None:
     vertices = wrapped().vertices
     assert self_intersections(vertices, TEMPLATE.faces) == wrapped().report["crossings"] == 0
-    # Outward faces; body, cabin and wheels by hand: 5.1 + 2.0 m3, and what the skin closes round the wheels.
+    # Outward faces; body, cabin and wheels by hand: 5.1 + 2.0 m3, and what the skin closes round
+    # the wheels.
     assert 6.5 < float(enclosed_volume_m3(vertices[None], TEMPLATE.faces)[0]) < 8.0
     mirrored = vertices[TEMPLATE.mirror] * torch.tensor([1.0, -1.0, 1.0])
     assert (mirrored - vertices).abs().max() < 0.03

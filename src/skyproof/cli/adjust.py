@@ -17,11 +17,13 @@ __all__ = ["Adjust"]
 class Adjust:
     """Takes rejected tiles out of a background set, and says how sharp vehicles are to be drawn on it.
 
-    Datasets rendered before keep their blur and noise; `skyproof score` refuses to mix them with later ones.
+    Datasets rendered before keep their blur and noise; `skyproof score` refuses to mix them with
+    later ones.
 
     Attributes:
         folder: background set, as `skyproof ground` or `skyproof clear` wrote it.
-        drop: ids of the tiles to take out, as on the sheets of `skyproof clear`; their pictures stay on disk.
+        drop: ids of the tiles to take out, as on the sheets of `skyproof clear`; their pictures
+            stay on disk.
         measure_sensor: measure blur and noise of the imagery anew, but for what is given.
         blur_sigma_px: standard deviation of the Gaussian blur; the paper's is 2.4.
         noise: standard deviation of the noise, in sRGB units from 0 to 1.
@@ -36,7 +38,8 @@ class Adjust:
     def __post_init__(self) -> None:
         if not (self.drop or self.measure_sensor or self._given()):
             raise ConfigurationError(
-                "Nothing to adjust was named; give --drop with tiles, --measure-sensor, --blur-sigma-px or --noise."
+                "Nothing to adjust was named; give --drop with tiles, --measure-sensor, "
+                "--blur-sigma-px or --noise."
             )
 
     def run(self) -> None:
@@ -57,7 +60,8 @@ class Adjust:
         say(f"Dropped {len(set(self.drop))} tiles from {self.folder.resolve()}")
         for split in emptied:
             say(
-                f"No tile of the split {split} is left; give more imagery before using this folder for it."
+                f"No tile of the split {split} is left; give more imagery before using this folder "
+                "for it."
             )
 
     def _set_sensor(self) -> None:

@@ -24,17 +24,18 @@ __all__ = ["Clear"]
 class Clear:
     """Removes the vehicles from tiled imagery, so that it can serve as backgrounds.
 
-    Labelled vehicles and what a detector finds are masked with their shadows and filled with ground; a detector checks
-    the result, and sheets/index.html shows a person what was done.
+    Labelled vehicles and what a detector finds are masked with their shadows and filled with
+    ground; a detector checks the result, and sheets/index.html shows a person what was done.
 
     Attributes:
         folder: tiled folder, as `skyproof ground` writes it from imagery.
         out: tiled folder to write.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default.
-        inpainting: TorchScript or torch.export file of a network that takes image and mask, such as LaMa.
-        method: how ground is filled without a network: exemplar (ground copied from nearby), or telea or
-            navier-stokes (OpenCV's).
+        inpainting: TorchScript or torch.export file of a network that takes image and mask, such as
+            LaMa.
+        method: how ground is filled without a network: exemplar (ground copied from nearby), or
+            telea or navier-stokes (OpenCV's).
         device: auto, cpu or cuda; where the detectors run.
         settings: how vehicles are removed.
     """
@@ -93,7 +94,8 @@ class Clear:
         say(f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}.")
         for split in totals["splits_without_tiles"]:
             say(
-                f"No tile of the split {split} is left; give more imagery before using this folder for it."
+                f"No tile of the split {split} is left; give more imagery before using this folder "
+                "for it."
             )
         removed = totals["labelled_removed"] + totals["detected_removed"]
         say(f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled.")

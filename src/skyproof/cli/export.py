@@ -18,9 +18,11 @@ class Export:
     """Writes a dataset's labels in the form of other tools.
 
     Attributes:
-        dataset: folder with images and annotations.json, as `skyproof render` and `skyproof ground` write it.
-        format: coco (one plain JSON file), yolo (images, text and data.yaml, as Ultralytics trains from), dota (images
-            and text of oriented boxes) or geojson (points on the map; only for georeferenced tiles).
+        dataset: folder with images and annotations.json, as `skyproof render` and `skyproof ground`
+            write it.
+        format: coco (one plain JSON file), yolo (images, text and data.yaml, as Ultralytics trains
+            from), dota (images and text of oriented boxes) or geojson (points on the map; only for
+            georeferenced tiles).
         out: file (coco, geojson) or folder (yolo, dota) to write.
     """
 
@@ -40,8 +42,8 @@ class Export:
         )
         if done.left_out:
             say(
-                f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they count "
-                "as background."
+                f"{done.left_out} ignore regions left out: YOLO text cannot say them, so they "
+                "count as background."
             )
         if done.upright:
             say(

@@ -31,12 +31,15 @@ class Ground:
     With labels, the tiles of every split also become a dataset to train on.
 
     Attributes:
-        sources: GeoTIFF, JPEG, PNG, JPEG 2000 or VRT images, or folders of them; without any, ground is drawn.
+        sources: GeoTIFF, JPEG, PNG, JPEG 2000 or VRT images, or folders of them; without any,
+            ground is drawn.
         out: background set to write.
-        tiles: how many tiles are drawn per split (train, validation, attack, test), where no sources are given.
-        blur_sigma_px: blur of vehicles on this ground; where it is not given, the paper's 2.4 on procedural ground, and
-            what is measured on imagery.
-        seed: seed of procedural ground, and of the order in which blocks of imagery go to the splits.
+        tiles: how many tiles are drawn per split (train, validation, attack, test), where no
+            sources are given.
+        blur_sigma_px: blur of vehicles on this ground; where it is not given, the paper's 2.4 on
+            procedural ground, and what is measured on imagery.
+        seed: seed of procedural ground, and of the order in which blocks of imagery go to the
+            splits.
         tiling: how the ground is cut.
         source: what the sources do not say themselves.
         labels: where labels of vehicles in the sources come from.
@@ -57,8 +60,8 @@ class Ground:
         about_imagery = (self.labels.path, self.tiling.like, self.source.gsd_m, self.source.crs)
         if not self.sources and any(value is not None for value in about_imagery):
             raise ConfigurationError(
-                "--labels.path, --tiling.like and --source.* speak of imagery, but no image was named; name images, or "
-                "folders of them."
+                "--labels.path, --tiling.like and --source.* speak of imagery, but no image was "
+                "named; name images, or folders of them."
             )
 
     def run(self) -> None:

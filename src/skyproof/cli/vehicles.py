@@ -35,13 +35,15 @@ _COLUMNS = {
 class Vehicles:
     """Draws four fleets, one per split; or makes one fleet of real meshes and of other fleets.
 
-    Meshes are wrapped onto the shared template with their colours and part labels. wrap.json says how well each fits,
-    and turntable.png shows them.
+    Meshes are wrapped onto the shared template with their colours and part labels. wrap.json says
+    how well each fits, and turntable.png shows them.
 
     Attributes:
-        sources: mesh files (OBJ, GLB or DAE) to wrap, and fleet folders to mix in; without any, fleets are drawn.
+        sources: mesh files (OBJ, GLB or DAE) to wrap, and fleet folders to mix in; without any,
+            fleets are drawn.
         out: folder to write: one fleet, or the four fleets train, validation, attack and test.
-        counts: how many vehicles are drawn per split (train, validation, attack, test), where no sources are given.
+        counts: how many vehicles are drawn per split (train, validation, attack, test), where no
+            sources are given.
         seed: seed of the vehicles drawn.
         wrapping: how meshes are read and named.
     """
@@ -127,8 +129,8 @@ class Vehicles:
             if report["iou_above"] < self.wrapping.minimum_iou:
                 raise ConfigurationError(
                     f"{vehicle_id} ({report['mesh']}) keeps its outline from above only to IoU "
-                    f"{report['iou_above']:.3f}, asked is {self.wrapping.minimum_iou}; check --wrapping.up "
-                    "and --wrapping.forward, or lower --wrapping.minimum-iou."
+                    f"{report['iou_above']:.3f}, asked is {self.wrapping.minimum_iou}; check "
+                    "--wrapping.up and --wrapping.forward, or lower --wrapping.minimum-iou."
                 )
 
 

@@ -8,7 +8,8 @@ from torch import Tensor
 
 __all__ = ["self_intersections"]
 
-# Volumes below this share of the mesh's own cube count as touching, not crossing; float64 keeps far below it.
+# Volumes below this share of the mesh's own cube count as touching, not crossing; float64 keeps far
+# below it.
 _TOUCHING = 1e-13
 _CHUNK = 65_536
 
@@ -17,8 +18,8 @@ _CHUNK = 65_536
 def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> int:
     """How many pairs of triangles cross: an edge of one goes through the inside of the other.
 
-    Triangles that share a vertex are neighbours and never count, even if one is folded through the other. Touching and
-    lying flat on each other do not count either.
+    Triangles that share a vertex are neighbours and never count, even if one is folded through the
+    other. Touching and lying flat on each other do not count either.
 
     Args:
         vertices: metres.

@@ -98,13 +98,15 @@ def read_frames_folder(
         gsd_m: metres per pixel of the images.
         target_gsd_m: what they are resampled to, with anti-aliasing; boxes are scaled along.
         classes: names that count as vehicles; every other class becomes an ignore region.
-        border_px: in a band this wide (source pixels) nothing is scored; a box whose centre lies in it becomes an
-            ignore region.
-        pattern: only images whose file name matches, for folders of more than one resolution or place.
+        border_px: in a band this wide (source pixels) nothing is scored; a box whose centre lies in
+            it becomes an ignore region.
+        pattern: only images whose file name matches, for folders of more than one resolution or
+            place.
 
     Raises:
-        ImageryError: no images, an image that is damaged or has no labels, a class that the labels do not know, labels
-            of another form, in map coordinates, of another image size or outside their image.
+        ImageryError: no images, an image that is damaged or has no labels, a class that the labels
+            do not know, labels of another form, in map coordinates, of another image size or
+            outside their image.
     """
     folder = Path(folder)
     files = _image_files(folder, pattern) or _image_files(folder / "images", pattern)

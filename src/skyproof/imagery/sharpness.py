@@ -30,14 +30,15 @@ STEP_PX = 0.25
 def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     """Blur and noise of photographs, for vehicles to be drawn alike.
 
-    Blur: across each of the strongest edges light is read along the gradient; a step seen through a Gaussian blur
-    rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but none is sharper than the sensor:
-    the lower quartile over all edges is taken. On drawn rectangles (tests) it is within 12 % for σ of 0.6 to 1.3 px,
-    and up to a quarter too small beyond; σ below 0.45 px cannot be told from the pixel itself. Sharpened photographs
-    give the σ that looks as sharp.
+    Blur: across each of the strongest edges light is read along the gradient; a step seen through a
+    Gaussian blur rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but
+    none is sharper than the sensor: the lower quartile over all edges is taken. On drawn rectangles
+    (tests) it is within 12 % for σ of 0.6 to 1.3 px, and up to a quarter too small beyond; σ below
+    0.45 px cannot be told from the pixel itself. Sharpened photographs give the σ that looks as
+    sharp.
 
-    Noise: in each cell of 8 x 8 pixels, the spread of what a 3 x 3 median leaves over; the plainest tenth of the cells
-    counts, so that texture is not taken for noise.
+    Noise: in each cell of 8 x 8 pixels, the spread of what a 3 x 3 median leaves over; the plainest
+    tenth of the cells counts, so that texture is not taken for noise.
 
     Args:
         images: tiles at the resolution that vehicles will be drawn at.
@@ -55,8 +56,8 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     found = np.concatenate(sigmas) if sigmas else np.zeros(0)
     if len(found) < LEAST_EDGES:
         raise ImageryError(
-            f"Measuring the blur of imagery expects at least {LEAST_EDGES} clear edges but found {len(found)}; "
-            "give its blur yourself with --blur-sigma-px."
+            f"Measuring the blur of imagery expects at least {LEAST_EDGES} clear edges but found "
+            f"{len(found)}; give its blur yourself with --blur-sigma-px."
         )
     return Sensor(
         blur_sigma_px=round(float(np.quantile(found, SHARPEST_SHARE)), 2),

@@ -70,13 +70,15 @@ class BodyDimensions:
     roof_arch: float
 
 
-# Outer dimensions are set around usual models of each segment as sold in 2015-2024, quoted from memory to about 5 cm
-# and not checked against data sheets: saloons and estates of the D segment (VW Passat 4.77 x 1.83 x 1.48 m, wheelbase
-# 2.79; BMW 3 series 4.71 x 1.83 x 1.44, 2.85; Toyota Camry 4.88 x 1.84 x 1.45, 2.83), hatchbacks of B and C (VW Polo
-# 4.05 x 1.75 x 1.46, 2.55; VW Golf 4.28 x 1.79 x 1.49, 2.62), SUVs of C and D (Toyota RAV4 4.60 x 1.86 x 1.69, 2.69;
-# VW Tiguan 4.51 x 1.84 x 1.68, 2.68), one-tonne crew cab pickups (Ford Ranger 5.37 x 1.92 x 1.88, 3.27; Toyota Hilux
-# 5.33 x 1.86 x 1.82, 3.09), vans (VW Transporter 4.90 x 1.90 x 1.99, 3.00; Ford Transit Custom 5.05 x 2.03 x 2.00,
-# 3.10; Mercedes Sprinter 5.93 x 2.02 x 2.60, 3.67). Stations, rakes and heights between are our estimates.
+# Outer dimensions are set around usual models of each segment as sold in 2015-2024, quoted from
+# memory to about 5 cm and not checked against data sheets: saloons and estates of the D segment (VW
+# Passat 4.77 x 1.83 x 1.48 m, wheelbase 2.79; BMW 3 series 4.71 x 1.83 x 1.44, 2.85; Toyota Camry
+# 4.88 x 1.84 x 1.45, 2.83), hatchbacks of B and C (VW Polo 4.05 x 1.75 x 1.46, 2.55; VW Golf 4.28 x
+# 1.79 x 1.49, 2.62), SUVs of C and D (Toyota RAV4 4.60 x 1.86 x 1.69, 2.69; VW Tiguan 4.51 x 1.84 x
+# 1.68, 2.68), one-tonne crew cab pickups (Ford Ranger 5.37 x 1.92 x 1.88, 3.27; Toyota Hilux 5.33 x
+# 1.86 x 1.82, 3.09), vans (VW Transporter 4.90 x 1.90 x 1.99, 3.00; Ford Transit Custom 5.05 x 2.03
+# x 2.00, 3.10; Mercedes Sprinter 5.93 x 2.02 x 2.60, 3.67). Stations, rakes and heights between are
+# our estimates.
 BODY_RANGES: dict[str, BodyRanges] = {
     "saloon": BodyRanges(
         length=(4.55, 4.95),
@@ -195,7 +197,8 @@ BODY_RANGES: dict[str, BodyRanges] = {
     ),
 }
 
-# How much of a dimension goes with the vehicle's overall size: long cars have long wheelbases and wide bodies.
+# How much of a dimension goes with the vehicle's overall size: long cars have long wheelbases and
+# wide bodies.
 _SIZE_SHARE = 0.6
 
 

@@ -18,9 +18,10 @@ __all__ = ["export_glb"]
 def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
     """Writes one vehicle as binary glTF 2.0, its texture inside, whole or not at all.
 
-    glTF has y up and looks along +z: its (x, y, z) is our (y, z, x), so the vehicle's nose points along glTF's +z, its
-    left side along +x, and it stands on y = 0, in metres. glTF's texture origin is the top-left corner of the image, as
-    ours is (row 0 at v = 0); trimesh counts v from the bottom and turns it round in the file, so it is given 1 - v.
+    glTF has y up and looks along +z: its (x, y, z) is our (y, z, x), so the vehicle's nose points
+    along glTF's +z, its left side along +x, and it stands on y = 0, in metres. glTF's texture
+    origin is the top-left corner of the image, as ours is (row 0 at v = 0); trimesh counts v from
+    the bottom and turns it round in the file, so it is given 1 - v.
 
     Args:
         vehicles: the batch it is taken from.

@@ -74,7 +74,8 @@ class Fleet:
     Attributes:
         settings: what it was drawn from; None if some of it was wrapped or mixed.
         template: the shared mesh.
-        ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the last hyphen.
+        ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the
+            last hyphen.
         vertices: `[N, V, 3]` metres, vehicle frame.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
@@ -147,8 +148,8 @@ class Fleet:
         version = description.get("format") if isinstance(description, dict) else None
         if version != _FORMAT_VERSION:
             raise StoredFileError(
-                f"{folder} holds fleet format {json.dumps(version)}, this version reads {_FORMAT_VERSION}; "
-                "make the fleet again."
+                f"{folder} holds fleet format {json.dumps(version)}, this version reads "
+                f"{_FORMAT_VERSION}; make the fleet again."
             )
         tensors, _ = read_tensors(folder / "fleet.safetensors", "make the fleet again")
         try:
@@ -176,7 +177,8 @@ class Fleet:
             return self.ids.index(vehicle_id)
         except ValueError:
             raise ConfigurationError(
-                f"No vehicle {vehicle_id!r} in this fleet of {len(self)} ({self.ids[0]} ... {self.ids[-1]})."
+                f"No vehicle {vehicle_id!r} in this fleet of {len(self)} ({self.ids[0]} ... "
+                f"{self.ids[-1]})."
             ) from None
 
     def _check_shapes(self) -> None:
@@ -244,8 +246,8 @@ def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
     twice = [name for name, count in Counter(ids).items() if count > 1]
     if twice:
         raise ConfigurationError(
-            f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; make one of the fleets with "
-            "another first number."
+            f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; make one of "
+            "the fleets with another first number."
         )
     return Fleet(
         None,

@@ -77,7 +77,8 @@ def paint_vehicle(
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
     """Paints one vehicle.
 
-    Labels are those of the left half, mirrored: exactly symmetric. No light or shadow is painted in.
+    Labels are those of the left half, mirrored: exactly symmetric. No light or shadow is painted
+    in.
 
     Returns:
         texture: `[3, 512, 512]` sRGB as bytes.
@@ -285,7 +286,8 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
         Part.GLASS,
     )
 
-    # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding them.
+    # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding
+    # them.
     above_belt = c.upper & (c.column < 13) & (c.z > c.belt + 0.03) & (c.y > c.rail_y - 0.01)
     end = {
         "saloon": rear + 0.20,

@@ -8,9 +8,10 @@ from torch import Tensor
 
 __all__ = ["PAINT_SHARES", "sample_paint"]
 
-# Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share of cars built
-# worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black, grey and silver" 82 together, which
-# leaves silver 8. The remaining 4 % are not itemised there; we share them between brown or beige and yellow or orange.
+# Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share
+# of cars built worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black,
+# grey and silver" 82 together, which leaves silver 8. The remaining 4 % are not itemised there; we
+# share them between brown or beige and yellow or orange.
 PAINT_SHARES: dict[str, float] = {
     "white": 0.34,
     "black": 0.21,

@@ -20,14 +20,15 @@ class WrapSettings:
     """How meshes are read and named.
 
     Attributes:
-        scale: metres per unit of the mesh, one value for all meshes or one for each; without any, what the file says
-            is taken, else 1.
+        scale: metres per unit of the mesh, one value for all meshes or one for each; without any,
+            what the file says is taken, else 1.
         up: which axis points up; without one, the format's is taken, or guessed.
         forward: where the nose points; without one, it is guessed, and how is said.
-        names: body type of each mesh; without any, the names of the files. Ids are <body type>-<number>.
+        names: body type of each mesh; without any, the names of the files. Ids are <body
+            type>-<number>.
         first_number: number of the first vehicle.
-        paintable: picture on the mesh's own UVs, bright where there is paint; without one, the textures' alpha is
-            taken, if there is any.
+        paintable: picture on the mesh's own UVs, bright where there is paint; without one, the
+            textures' alpha is taken, if there is any.
         licence: whose the meshes are and under which terms; it is stored with every vehicle.
         minimum_iou: a vehicle whose outline from above fits worse is refused.
     """
@@ -56,7 +57,8 @@ class WrapSettings:
         for flag, given, single in (("scale", self.scale, True), ("names", self.names, False)):
             if given and len(given) != len(meshes) and not (single and len(given) == 1):
                 raise ConfigurationError(
-                    f"--wrapping.{flag} expects one value per mesh ({len(meshes)}), got {len(given)}."
+                    f"--wrapping.{flag} expects one value per mesh ({len(meshes)}), got "
+                    f"{len(given)}."
                 )
         names = self.names or tuple(mesh.stem for mesh in meshes)
         scales: tuple[float | None, ...] = self.scale or (None,)

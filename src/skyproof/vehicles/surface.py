@@ -36,10 +36,11 @@ class Body:
 
     Attributes:
         dimensions: what it was built from.
-        half: `[33, 17, 3]` metres, vehicle frame: nose pole, rings, tail pole; columns from the middle of the underside
-            up the left side to the middle of the roof.
+        half: `[33, 17, 3]` metres, vehicle frame: nose pole, rings, tail pole; columns from the
+            middle of the underside up the left side to the middle of the roof.
         station: `[33]` distance behind the nose of each ring's middle.
-        belt_z, rail_z, rail_y: `[33]` shoulder height, roof rail height and half width at the roof rail.
+        belt_z, rail_z, rail_y: `[33]` shoulder height, roof rail height and half width at the roof
+            rail.
     """
 
     dimensions: BodyDimensions
@@ -265,7 +266,8 @@ def _upper_side(
         - d.tumblehome * (height / (d.height - d.belt_height)).clamp(0.0, 1.0)
     )
 
-    # Where there are windows a column runs along the roof rail; on bonnet and boot the columns spread evenly.
+    # Where there are windows a column runs along the roof rail; on bonnet and boot the columns
+    # spread evenly.
     side = torch.hypot(shoulder[:, 0] - rail_y, rail_z - belt)[:, None]
     u = column_u()[TOPOLOGY_BELT : _HALF + 1]
     split = TOPOLOGY_RAIL - TOPOLOGY_BELT

@@ -27,8 +27,9 @@ TOPOLOGY_SILL = 2  # lower outer edge: sill, bottom of the tyre
 TOPOLOGY_BELT = 7  # shoulder: below it the side, above it the windows
 TOPOLOGY_RAIL = 11  # roof rail: below it the windows, above it the roof
 
-# Texels of a 512 map between two columns, for underside, lower side, window height and half roof. They share out
-# 256 texels so that a saloon's painted parts come to about 1 cm per texel; the underside gets what is left.
+# Texels of a 512 map between two columns, for underside, lower side, window height and half roof.
+# They share out 256 texels so that a saloon's painted parts come to about 1 cm per texel; the
+# underside gets what is left.
 _TEXELS = (2 * [19.0], 5 * [18.8], 4 * [16.0], 5 * [12.0])
 
 
@@ -47,16 +48,19 @@ def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
 def make_template() -> Template:
     """The closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points (sections 3.1 and S4.3).
 
-    Vertex `32 ring + column` for rings from nose to tail; 992 is the nose pole, 993 the tail pole. Column 0 runs along
-    the middle of the underside, 8 or so up the left side, 16 along the middle of the roof, then down the right side.
-    Seen as an image with row 0 on top, the UV map is the vehicle from above, nose up, with its sides folded out.
+    Vertex `32 ring + column` for rings from nose to tail; 992 is the nose pole, 993 the tail pole.
+    Column 0 runs along the middle of the underside, 8 or so up the left side, 16 along the middle
+    of the roof, then down the right side. Seen as an image with row 0 on top, the UV map is the
+    vehicle from above, nose up, with its sides folded out.
 
-    The reflection y -> -y takes column k to (32 - k) mod 32 and is **u -> 1 - u** with v unchanged, so flipping a map's
-    columns mirrors it: texel i goes to 511 - i. The seam (u = 0 and u = 1) lies in the middle of the underside, where
-    nobody looks. Each pole has 32 UV points, one per triangle, centred over the triangle's ring edge.
+    The reflection y -> -y takes column k to (32 - k) mod 32 and is **u -> 1 - u** with v unchanged,
+    so flipping a map's columns mirrors it: texel i goes to 511 - i. The seam (u = 0 and u = 1) lies
+    in the middle of the underside, where nobody looks. Each pole has 32 UV points, one per
+    triangle, centred over the triangle's ring edge.
 
-    Differences from the paper: its captions put the underside at the right edge of the map; here it is split between
-    the left and the right edge, which keeps painted parts whole and the mirror an exact flip.
+    Differences from the paper: its captions put the underside at the right edge of the map; here it
+    is split between the left and the right edge, which keeps painted parts whole and the mirror an
+    exact flip.
     """
     ring_vertex = torch.arange(RINGS * COLUMNS).view(RINGS, COLUMNS)
     vertex = torch.cat([ring_vertex, ring_vertex[:, :1]], dim=1)

@@ -26,15 +26,17 @@ def texel_metric(
 ) -> tuple[Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"]]:
     """Length across, length along and area of every texel on every vehicle, from its present vertices.
 
-    Each cell of the template is taken as bilinear for lengths; its two triangles' area is shared out evenly among its
-    texels, so that all texels of a vehicle add up to the area of its mesh. A pole's cells are quads with one side
-    shrunk to the pole: texels narrow towards it. The mesh itself shows only a triangle of each of them there.
+    Each cell of the template is taken as bilinear for lengths; its two triangles' area is shared
+    out evenly among its texels, so that all texels of a vehicle add up to the area of its mesh. A
+    pole's cells are quads with one side shrunk to the pole: texels narrow towards it. The mesh
+    itself shows only a triangle of each of them there.
 
     Args:
         vehicles: procedural vehicles on the template of `make_template`, of whatever shape.
 
     Returns:
-        metres across (u, around the body), metres along (v, nose to tail) and square metres, on the CPU.
+        metres across (u, around the body), metres along (v, nose to tail) and square metres, on the
+        CPU.
     """
     vertices = vehicles.vertices.detach().double().cpu()
     grid = _grid(vertices)
@@ -67,7 +69,8 @@ def texel_metric(
 def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]]:
     """Roof, bonnet, sides (between sill and shoulder), glass and underside as masks, on the CPU.
 
-    Bonnet and roof are the painted texels inside the roof rail before and behind the first glass of the middle column.
+    Bonnet and roof are the painted texels inside the roof rail before and behind the first glass of
+    the middle column.
     """
     parts = vehicles.parts.cpu()
     body, glass = parts == Part.BODY, parts == Part.GLASS
@@ -95,7 +98,8 @@ def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
         vehicles: procedural vehicles on the template of `make_template`.
 
     Returns:
-        centimetres, keys such as "roof_u_cm" (across, around the body) and "roof_v_cm" (along, nose to tail).
+        centimetres, keys such as "roof_u_cm" (across, around the body) and "roof_v_cm" (along, nose
+        to tail).
     """
     length_u, length_v, _ = texel_metric(vehicles)
     sizes = {}

@@ -31,12 +31,15 @@ class Template:
     """The closed, sphere-topology mesh that every vehicle shares (sections 3.1 and S4.3), poles at the two bumpers.
 
     Attributes:
-        faces: `[F, 3]` vertex indices, counter-clockwise seen from outside; UV seam vertices share one index here.
+        faces: `[F, 3]` vertex indices, counter-clockwise seen from outside; UV seam vertices share
+            one index here.
         face_uvs: `[F, 3]` indices into `uvs`.
-        uvs: `[U, 2]` in [0, 1]; u runs around the long axis and is circular, v from nose (0) to tail (1).
-            Texel centre of column i, row j: u = (i + 0.5) / 512, v = (j + 0.5) / 512 (row 0 at the nose).
+        uvs: `[U, 2]` in [0, 1]; u runs around the long axis and is circular, v from nose (0) to
+            tail (1). Texel centre of column i, row j: u = (i + 0.5) / 512, v = (j + 0.5) / 512 (row
+            0 at the nose).
         mirror: `[V]` the vertex that the reflection y -> -y takes each vertex to; an involution.
-        vertex_uvs: `[V, 2]` the topology map (section S4.3): where each unique vertex reads a map in UV space.
+        vertex_uvs: `[V, 2]` the topology map of PAPER 44: where each unique vertex reads a map in
+            UV space.
     """
 
     faces: Int[Tensor, "F 3"]
@@ -74,7 +77,8 @@ class VehicleBatch:
     Attributes:
         template: the shared mesh.
         vertices: `[N, V, 3]` metres.
-        texture: `[N or 1, 3, 512, 512]` sRGB, as bytes or in [0, 1]; a first dimension of 1 is one map shared by all.
+        texture: `[N or 1, 3, 512, 512]` sRGB, as bytes or in [0, 1]; a first dimension of 1 is one
+            map shared by all.
         parts: `[N, 512, 512]` values of `Part`.
         ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
         overlay: a common texture on top of `texture`, or none.

@@ -86,14 +86,14 @@ def clear_backgrounds(
 ) -> dict[str, Any]:
     """Writes a tiled folder of the same tiles without their vehicles.
 
-    Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where `checker` still finds
-    something are repaired, and left out if that does not help. A contact sheet shows every tile that was changed or
-    left out.
+    Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
+    `checker` still finds something are repaired, and left out if that does not help. A contact
+    sheet shows every tile that was changed or left out.
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: gets the tiles, `index.json`, `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around
-            it.
+        out: gets the tiles, `index.json`, `index.geojson`, `clearing.json` and `sheets/`; use
+            `finished_folder` around it.
         inpainting: fills masks; bytes outside the mask are never changed.
         settings: margins and limits.
         finder: finds vehicles that are not labelled.
@@ -114,8 +114,8 @@ def clear_backgrounds(
     labels = read_boxes(folder)
     if labels is None and finder is None:
         raise ConfigurationError(
-            f"{folder} holds no labels (<split>/annotations.json) and no detector was given, so no vehicle can be "
-            "found; give --detector, or tile the imagery with its labels."
+            f"{folder} holds no labels (<split>/annotations.json) and no detector was given, so no "
+            "vehicle can be found; give --detector, or tile the imagery with its labels."
         )
     for used in (finder, checker):
         check_resolution(used, backgrounds.gsd_m)
@@ -149,8 +149,8 @@ def clear_backgrounds(
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
-            f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a larger "
-            "--settings.largest-masked-share."
+            f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
+            "larger --settings.largest-masked-share."
         )
     write_json(out / RECORD, record)
     _copy_places(folder, out, {tile.id for tile in kept})

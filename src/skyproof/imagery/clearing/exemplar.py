@@ -27,13 +27,17 @@ class ExemplarSettings:
 
     Attributes:
         search_px: how far away the copied ground may lie, rows and columns.
-        ring_px: width of the known ring around a hole that the copied ground's own ring must look like.
+        ring_px: width of the known ring around a hole that the copied ground's own ring must look
+            like.
         piece_px: larger holes are filled piece by piece, each about this wide.
-        shifts: most places one piece may be put together from; each serves the side of the hole it suits.
-        plainness: weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred to
-            ground with things on it.
-        hold: weight of the copied ground's own values, brightened as a whole, against a stepless joint.
-        brightness_freedom: 0 to 1, how much of an even difference in brightness is no mismatch, because it is levelled.
+        shifts: most places one piece may be put together from; each serves the side of the hole it
+            suits.
+        plainness: weight of the copied ground's contrast against the ring's mismatch: plain ground
+            is preferred to ground with things on it.
+        hold: weight of the copied ground's own values, brightened as a whole, against a stepless
+            joint.
+        brightness_freedom: 0 to 1, how much of an even difference in brightness is no mismatch,
+            because it is levelled.
     """
 
     search_px: int = 112
@@ -63,15 +67,17 @@ def fill_by_exemplar(
 ) -> Array:
     """Fills `mask` with ground of the same picture.
 
-    For every piece of a hole all shifts within `search_px` are compared (exactly, by Fourier transform): the known ring
-    around the piece against the same ring shifted. The best shifts each serve the side they suit best, and a screened
-    Poisson equation joins them to the ring, so that texture and noise are the picture's own and no step is left.
+    For every piece of a hole all shifts within `search_px` are compared (exactly, by Fourier
+    transform): the known ring around the piece against the same ring shifted. The best shifts each
+    serve the side they suit best, and a screened Poisson equation joins them to the ring, so that
+    texture and noise are the picture's own and no step is left.
 
     Args:
         image: `[H, W, 3]`.
         mask: `[H, W]` True where to fill.
         settings: sizes and weights.
-        start: `[H, W, 3]` what stays where no place fits, such as a diffused filling; the image itself by default.
+        start: `[H, W, 3]` what stays where no place fits, such as a diffused filling; the image
+            itself by default.
 
     Returns:
         A new image; equal to `image` outside `mask`.
@@ -80,7 +86,8 @@ def fill_by_exemplar(
     filled, unknown = image.copy(), mask.copy()
     if start is not None:
         filled[mask] = start[mask]
-    # Small holes first: once filled they may serve the large ones' rings, but are never copied from.
+    # Small holes first: once filled they may serve the large ones' rings, but are never copied
+    # from.
     pieces = sorted(_pieces(mask, settings.piece_px), key=lambda piece: int(piece.sum()))
     for piece in pieces:
         rows, columns = _reach(piece, settings.search_px + settings.ring_px + 1)
@@ -237,8 +244,9 @@ def _join(
 ) -> Array:
     """Solves a screened Poisson equation in the hole.
 
-    Wanted are the copies' differences between neighbours, the ring's values next to it and, with weight `hold`, the
-    copies levelled to the ring's brightness: what differs at one place of the ring does not bleed through the hole.
+    Wanted are the copies' differences between neighbours, the ring's values next to it and, with
+    weight `hold`, the copies levelled to the ring's brightness: what differs at one place of the
+    ring does not bleed through the hole.
     """
     copies = np.stack(
         [

@@ -44,7 +44,8 @@ def apply_inpainting(
     """Fills the mask; every byte outside it stays as it was.
 
     Raises:
-        ImageryError: the inpainting failed, or returned another shape, type or values that are not finite.
+        ImageryError: the inpainting failed, or returned another shape, type or values that are not
+            finite.
     """
     name = inpainting_record(inpainting)["name"]
     try:
@@ -65,8 +66,8 @@ def apply_inpainting(
             else type(filled).__name__
         )
         raise ImageryError(
-            f"The inpainting {name} is to return a float image of shape {tuple(image.shape)} but returned {came}; "
-            "use one that keeps the size."
+            f"The inpainting {name} is to return a float image of shape {tuple(image.shape)} but "
+            f"returned {came}; use one that keeps the size."
         )
     if not torch.isfinite(filled[:, mask]).all():
         raise ImageryError(
@@ -212,7 +213,7 @@ def _opencv() -> Any:
         import cv2
     except ImportError as error:
         raise ConfigurationError(
-            "Inpainting needs OpenCV, which is not installed; install skyproof with the extra 'imagery' "
-            "(pip install 'skyproof[imagery]'), or give --inpainting a file."
+            "Inpainting needs OpenCV, which is not installed; install skyproof with the extra "
+            "'imagery' (pip install 'skyproof[imagery]'), or give --inpainting a file."
         ) from error
     return cv2

@@ -96,8 +96,9 @@ class ContactSheet:
     def _index(self) -> str:
         parts = [
             '<!doctype html><html lang="en"><meta charset="utf-8"><title>Cleared tiles</title>',
-            "<h1>Cleared tiles</h1><p>Left: before, with what was removed outlined in yellow. Right: after; orange "
-            "boxes are what a detector still finds. Tiles not listed had no vehicle.</p>",
+            "<h1>Cleared tiles</h1><p>Left: before, with what was removed outlined in yellow. "
+            "Right: after; orange boxes are what a detector still finds. Tiles not listed had no "
+            "vehicle.</p>",
         ]
         for name, captions in self._pages:
             text = "; ".join(html.escape(caption, quote=True) for caption in captions)

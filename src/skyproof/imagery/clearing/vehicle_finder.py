@@ -89,6 +89,7 @@ def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
     """
     if finder is not None and abs(finder.loaded.card.gsd_m - gsd_m) > 0.02 * gsd_m:
         raise ConfigurationError(
-            f"The detector {finder.name} was trained at {finder.loaded.card.gsd_m} m per pixel but the tiles have "
-            f"{gsd_m} m; give one of this resolution, or tile the imagery at the detector's."
+            f"The detector {finder.name} was trained at {finder.loaded.card.gsd_m} m per pixel but "
+            f"the tiles have {gsd_m} m; give one of this resolution, or tile the imagery at the "
+            "detector's."
         )

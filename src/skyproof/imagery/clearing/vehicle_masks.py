@@ -35,9 +35,11 @@ class Shadow:
     """The shadow that vehicles of one picture cast on the ground.
 
     Attributes:
-        direction: unit vector (x right, y down) it falls in; (0, 0) where vehicles cast no directed shadow.
+        direction: unit vector (x right, y down) it falls in; (0, 0) where vehicles cast no directed
+            shadow.
         length_m: how far it reaches beyond a vehicle's box.
-        contrast: how much darker the ground is on that side than on the other, as a part of its brightness.
+        contrast: how much darker the ground is on that side than on the other, as a part of its
+            brightness.
         vehicles: how many it was measured on.
     """
 
@@ -81,9 +83,9 @@ def darkness_profiles(
 ) -> Float[Tensor, "n directions layers"]:
     """How dark the ground beside each box is, direction by direction and layer by layer outwards.
 
-    A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness of the ground
-    around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other boxes or the
-    picture's edge leave nothing.
+    A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness
+    of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other
+    boxes or the picture's edge leave nothing.
     """
     grey = image.double().mean(0).numpy()
     taken = np.zeros(grey.shape, dtype=bool)
@@ -113,14 +115,14 @@ def darkness_profiles(
 def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
     """The shadow all vehicles of one picture share.
 
-    The direction is the sum of all directions weighted by how dark the ground is there within 1 m of the boxes (the
-    median over vehicles). The length is where the darkness, less that of the side across, falls below a quarter of its
-    largest value, stretched by a quarter and a soft edge for higher vehicles. What never ends within 6 m is not theirs,
-    such as the trees they park under.
+    The direction is the sum of all directions weighted by how dark the ground is there within 1 m
+    of the boxes (the median over vehicles). The length is where the darkness, less that of the side
+    across, falls below a quarter of its largest value, stretched by a quarter and a soft edge for
+    higher vehicles. What never ends within 6 m is not theirs, such as the trees they park under.
 
     Returns:
-        None with fewer than 3 vehicles; without direction and length where no side is darker than the one across, as
-        under an overcast sky.
+        None with fewer than 3 vehicles; without direction and length where no side is darker than
+        the one across, as under an overcast sky.
     """
     found = [
         one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()
@@ -142,7 +144,8 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     profile = _median(stacked[:, best]) - _median(stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS])
     peak = int(profile[:near_layers].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
-    # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along it.
+    # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along
+    # it.
     if contrast < FAINTEST_SHADOW or not len(ends):
         return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M

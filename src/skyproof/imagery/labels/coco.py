@@ -22,8 +22,8 @@ def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
         path: the file, for messages.
 
     Raises:
-        ImageryError: a part of another form, an image or category that is not listed, or a box outside its image; names
-            the annotation.
+        ImageryError: a part of another form, an image or category that is not listed, or a box
+            outside its image; names the annotation.
     """
     try:
         categories = {row["id"]: str(row["name"]) for row in document["categories"]}
@@ -39,7 +39,8 @@ def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
         rows = list(document["annotations"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ImageryError(
-            f"{path} lacks images, annotations or categories of COCO's form ({error!r}); correct it."
+            f"{path} lacks images, annotations or categories of COCO's form ({error!r}); correct "
+            "it."
         ) from error
     if not stems:
         raise ImageryError(f"{path} lists no images; give another file.")

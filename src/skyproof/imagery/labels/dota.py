@@ -33,8 +33,8 @@ def is_dota_line(words: list[str]) -> bool:
 def read_dota_labels(folder: Path) -> ImageLabels:
     """Reads `x1 y1 x2 y2 x3 y3 x4 y4 class difficult` lines, one `.txt` an image; difficult ones are to be ignored.
 
-    Header lines (`imagesource:`, `gsd:`) are skipped. Where the image lies beside its text, or in `images/` beside
-    `labelTxt/`, its size is read and the labels are checked against it.
+    Header lines (`imagesource:`, `gsd:`) are skipped. Where the image lies beside its text, or in
+    `images/` beside `labelTxt/`, its size is read and the labels are checked against it.
 
     Raises:
         ImageryError: a damaged line, or a box outside its image; names the file and the line.

@@ -85,12 +85,13 @@ def export_labels(
     """Writes a dataset's labels in another form, whole or not at all.
 
     - "coco": one JSON file of plain instances; file names are relative to the dataset.
-    - "yolo": a folder with `images/`, `labels/` and `data.yaml`, as Ultralytics trains from; ignore regions cannot be
-      said and are left out.
-    - "dota": a folder with `images/` and `labelTxt/`; a vehicle's corners are those of the ground it stands on where
-      the renderer knew them and their middle is in the image, else of its upright box. Ignore regions are `difficult`.
-    - "geojson": points of vehicles, outlines of ignore regions (property `ignore`), WGS 84; only for a split of a
-      folder that `skyproof ground` wrote from georeferenced imagery.
+    - "yolo": a folder with `images/`, `labels/` and `data.yaml`, as Ultralytics trains from; ignore
+      regions cannot be said and are left out.
+    - "dota": a folder with `images/` and `labelTxt/`; a vehicle's corners are those of the ground
+      it stands on where the renderer knew them and their middle is in the image, else of its
+      upright box. Ignore regions are `difficult`.
+    - "geojson": points of vehicles, outlines of ignore regions (property `ignore`), WGS 84; only
+      for a split of a folder that `skyproof ground` wrote from georeferenced imagery.
 
     Args:
         dataset: folder with `annotations.json` of ours.
@@ -295,8 +296,8 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
     path = data.folder.resolve().parent / "index.geojson"
     if not path.is_file():
         raise ImageryError(
-            f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of georeferenced tiles, "
-            "as `skyproof ground` cuts them."
+            f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of "
+            "georeferenced tiles, as `skyproof ground` cuts them."
         )
     document, found = read_json(path), {}
     try:
@@ -312,8 +313,8 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
     missing = next((image.name for image in data.images if image.name not in found), None)
     if missing is not None:
         raise ImageryError(
-            f"{data.folder} holds {missing}, which {path} does not place on the map; leave out imagery without "
-            "georeference when tiling, or choose another form."
+            f"{data.folder} holds {missing}, which {path} does not place on the map; leave out "
+            "imagery without georeference when tiling, or choose another form."
         )
     return found
 

@@ -24,13 +24,14 @@ _FORMS = (
 def read_labels(path: Path) -> Labels:
     """Reads labels and finds out by itself in which form they are.
 
-    A file is COCO, or GeoJSON where it is a FeatureCollection, or another vector file. A folder is YOLO text where it holds `data.yaml` or one
-    `.names` file, COCO where it holds `annotations.json` (as our own datasets do), and DOTA text where its `.txt`
-    files, or those in `labelTxt/`, say so.
+    A file is COCO, or GeoJSON where it is a FeatureCollection, or another vector file. A folder is
+    YOLO text where it holds `data.yaml` or one `.names` file, COCO where it holds
+    `annotations.json` (as our own datasets do), and DOTA text where its `.txt` files, or those in
+    `labelTxt/`, say so.
 
     Raises:
-        ImageryError: the path is missing, empty, damaged or of another form; names the file, and the line where there
-            are lines.
+        ImageryError: the path is missing, empty, damaged or of another form; names the file, and
+            the line where there are lines.
     """
     path = Path(path)
     if path.is_dir():
@@ -76,7 +77,7 @@ def _read_folder(folder: Path) -> Labels:
             else "all its .txt files are empty"
         )
         raise ImageryError(
-            f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no data.yaml); add the class "
-            "names for YOLO, or give other labels."
+            f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no "
+            "data.yaml); add the class names for YOLO, or give other labels."
         )
     return read_dota_labels(place)

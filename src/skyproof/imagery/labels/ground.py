@@ -60,7 +60,8 @@ def read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
         crs = crs if re.search("4326|CRS84", str(crs_member)) else None
     if crs is None:
         raise ImageryError(
-            f"{path} names no reference system that is known; convert it (ogr2ogr -t_srs EPSG:4326)."
+            f"{path} names no reference system that is known; convert it (ogr2ogr -t_srs "
+            "EPSG:4326)."
         )
     labels: list[Label] = []
     # So that numbers stay whole where some objects have none.

@@ -37,7 +37,8 @@ class Label:
     Attributes:
         class_name: as the file names it.
         corners: four (x, y) in order around the object; one (x, y) where only its place is known.
-        ignore: the file itself says that nothing is to be scored here (COCO's iscrowd, DOTA's difficult).
+        ignore: the file itself says that nothing is to be scored here (COCO's iscrowd, DOTA's
+            difficult).
     """
 
     class_name: str
@@ -51,8 +52,10 @@ class ImageLabels:
 
     Attributes:
         classes: every class name the file knows, also those without an object.
-        images: per image file stem its labels, none for an image without objects; one not named was not labelled.
-        sizes_px: per image file stem its width and height, where the file or the image beside it states them.
+        images: per image file stem its labels, none for an image without objects; one not named was
+            not labelled.
+        sizes_px: per image file stem its width and height, where the file or the image beside it
+            states them.
     """
 
     classes: tuple[str, ...]
@@ -155,15 +158,16 @@ def sort_labels(
 ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "m 4"]]:
     """Divides the labels of one image into vehicles and regions where nothing is scored.
 
-    Vehicles are labels of the named classes whose centre lies in the image, inside its border band. Every other label
-    that touches the image becomes an ignore region. Boxes are cut at the image's edge; what lies beyond is dropped.
+    Vehicles are labels of the named classes whose centre lies in the image, inside its border band.
+    Every other label that touches the image becomes an ignore region. Boxes are cut at the image's
+    edge; what lies beyond is dropped.
 
     Args:
         labels: in pixels of the image; may reach out of it, or lie outside.
         classes: names that count as vehicles.
         size_px: width and height.
-        border_px: in a band this wide nothing is scored, because vehicles cut by the edge are often unlabelled; four
-            ignore regions after the others. 0 for none.
+        border_px: in a band this wide nothing is scored, because vehicles cut by the edge are often
+            unlabelled; four ignore regions after the others. 0 for none.
         point_box_px: side of the box that stands for a point.
 
     Returns:

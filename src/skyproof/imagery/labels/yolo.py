@@ -32,7 +32,8 @@ def class_file(folder: Path) -> Path | None:
         return yaml
     if len(names) > 1:
         raise ImageryError(
-            f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep one."
+            f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep "
+            "one."
         )
     return names[0] if names else None
 
@@ -40,18 +41,20 @@ def class_file(folder: Path) -> Path | None:
 def read_yolo_labels(folder: Path) -> ImageLabels:
     """Reads `.txt` files beside their images, or in `labels/` beside `images/`.
 
-    Lines are `class cx cy w h`, or `class x1 y1 x2 y2 x3 y3 x4 y4` for oriented boxes; the class counts from 0. The
-    images' sizes come from their headers. A text without an image of its name (a read-me) is left out.
+    Lines are `class cx cy w h`, or `class x1 y1 x2 y2 x3 y3 x4 y4` for oriented boxes; the class
+    counts from 0. The images' sizes come from their headers. A text without an image of its name (a
+    read-me) is left out.
 
     Raises:
-        ImageryError: no classes, no labels with an image, a damaged line, a class without a name, or a box outside its
-            image; names the file and the line.
+        ImageryError: no classes, no labels with an image, a damaged line, a class without a name,
+            or a box outside its image; names the file and the line.
     """
     folder = Path(folder)
     source = class_file(folder)
     if source is None:
         raise ImageryError(
-            f"{folder} holds 0 .names files and no data.yaml, but one must list its classes; add it."
+            f"{folder} holds 0 .names files and no data.yaml, but one must list its classes; add "
+            "it."
         )
     classes = _classes(source)
     root = folder / LABEL_FOLDERS[0]
@@ -70,7 +73,8 @@ def read_yolo_labels(folder: Path) -> ImageLabels:
         )
     if not images:
         raise ImageryError(
-            f"{folder} holds no label text (.txt) with an image of the same name; give another folder."
+            f"{folder} holds no label text (.txt) with an image of the same name; give another "
+            "folder."
         )
     return ImageLabels(classes, images, sizes_px)
 

@@ -39,8 +39,8 @@ class Georeference:
     """Where an image lies.
 
     Attributes:
-        crs: its reference system, or None: then it lies in a frame of its own, x right and y up from its top-left
-            corner, in metres.
+        crs: its reference system, or None: then it lies in a frame of its own, x right and y up
+            from its top-left corner, in metres.
         transform: pixels (column, row) to coordinates.
         gsd_m: metres on the ground per column and per row.
     """
@@ -91,9 +91,10 @@ def read_georeference(
 ) -> Georeference:
     """Finds out where an image lies.
 
-    What the file says comes first. Where it has a transform (its own or a world file's) but names no reference system,
-    `crs` names it; failing that the image gets a frame of its own, at `source_gsd_m` or, if not given either, at the
-    transform's pixel size taken as metres where that is between 0.5 and 50 cm.
+    What the file says comes first. Where it has a transform (its own or a world file's) but names
+    no reference system, `crs` names it; failing that the image gets a frame of its own, at
+    `source_gsd_m` or, if not given either, at the transform's pixel size taken as metres where that
+    is between 0.5 and 50 cm.
 
     Args:
         dataset: the opened image.
@@ -109,8 +110,8 @@ def read_georeference(
     plain = affine.is_identity
     if not plain and abs(affine.determinant) < 1e-30:
         raise ImageryError(
-            f"{path} has a pixel size of zero in its georeference; repair it (gdal_edit.py -a_ullr), or remove it and "
-            "give its metres per pixel (--source.gsd-m)."
+            f"{path} has a pixel size of zero in its georeference; repair it (gdal_edit.py "
+            "-a_ullr), or remove it and give its metres per pixel (--source.gsd-m)."
         )
     if not plain and system is None and crs is not None:
         system = CRS.from_user_input(crs)
@@ -119,7 +120,8 @@ def read_georeference(
         gsd_m = _ground_resolution(system, affine, dataset.width, dataset.height)
         if gsd_m is None:
             raise ImageryError(
-                f"{path} lies outside what its reference system covers; check its system (or --source.crs)."
+                f"{path} lies outside what its reference system covers; check its system (or "
+                "--source.crs)."
             )
         _check_resolution(path, gsd_m, "the image")
         return Georeference(system, affine, gsd_m)
@@ -127,18 +129,19 @@ def read_georeference(
         gsd_m = source_gsd_m, source_gsd_m
     elif plain:
         raise ImageryError(
-            f"{path} does not say how large its pixels are on the ground; give its metres per pixel (--source.gsd-m; "
-            "--gsd of `demo`)."
+            f"{path} does not say how large its pixels are on the ground; give its metres per "
+            "pixel (--source.gsd-m; --gsd of `demo`)."
         )
     else:
         gsd_m = math.hypot(affine.a, affine.d), math.hypot(affine.b, affine.e)
         if not all(FINEST_PLAUSIBLE_M <= size <= COARSEST_GSD_M for size in gsd_m):
             raise ImageryError(
-                f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference system; give it with "
-                "--source.crs, or the metres per pixel with --source.gsd-m."
+                f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference "
+                "system; give it with --source.crs, or the metres per pixel with --source.gsd-m."
             )
         notes.append(
-            f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m"
+            f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x "
+            f"{gsd_m[1]:.4g} m"
         )
     _check_resolution(path, gsd_m, "the metres per pixel given")
     return Georeference(None, Affine.scale(gsd_m[0], -gsd_m[1]), gsd_m)
@@ -147,8 +150,8 @@ def read_georeference(
 def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> None:
     if max(gsd_m) > COARSEST_GSD_M:
         raise ImageryError(
-            f"{path} has {max(gsd_m):.2f} m per pixel but at most {COARSEST_GSD_M} m can show vehicles; "
-            f"give finer imagery, or check {whose}."
+            f"{path} has {max(gsd_m):.2f} m per pixel but at most {COARSEST_GSD_M} m can show "
+            f"vehicles; give finer imagery, or check {whose}."
         )
 
 
@@ -157,8 +160,8 @@ def _ground_resolution(
 ) -> tuple[float, float] | None:
     """Metres on the ground per column and per row in the image's middle, on the WGS 84 ellipsoid.
 
-    This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too long by
-    1 / cos(latitude).
+    This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too
+    long by 1 / cos(latitude).
     """
     step = 16.0
     middle = (width_px / 2, height_px / 2)
@@ -190,7 +193,8 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
     """Whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, in both directions.
 
-    So it is in UTM (0.9996 to 1.001) and in most national grids, and not in Web Mercator away from the equator.
+    So it is in UTM (0.9996 to 1.001) and in most national grids, and not in Web Mercator away from
+    the equator.
     """
     if not crs.is_projected:
         return False

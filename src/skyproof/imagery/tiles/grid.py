@@ -124,7 +124,8 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
     points = to_reference_system(source.georeference.crs, crs, own)
     if not all(math.isfinite(value) for point in points for value in point):
         raise ImageryError(
-            f"{source.path} lies outside what its reference system covers; check its system (or --source.crs)."
+            f"{source.path} lies outside what its reference system covers; check its system (or "
+            "--source.crs)."
         )
     xs, ys = [x for x, _ in points], [y for _, y in points]
     return min(xs), min(ys), max(xs), max(ys)
@@ -135,15 +136,16 @@ def lay_frames(
 ) -> list[Frame]:
     """Lays grids over sources.
 
-    Sources whose extents touch share a frame. Its system is that of its first source where a unit of it is a metre
-    on the ground to 0.15 % (UTM, most national grids), so that imagery of the wanted resolution need not be resampled;
-    otherwise the UTM zone of the frame's middle. Its cells lie at multiples of their size from the system's origin:
-    whatever sheet shows a place, now or in another run, it falls in the same cell. Only imagery of fewer than eight
-    cells across begins its grid at its own north-west corner, because it could not afford cut cells. An image without
+    Sources whose extents touch share a frame. Its system is that of its first source where a unit
+    of it is a metre on the ground to 0.15 % (UTM, most national grids), so that imagery of the
+    wanted resolution need not be resampled; otherwise the UTM zone of the frame's middle. Its cells
+    lie at multiples of their size from the system's origin: whatever sheet shows a place, now or in
+    another run, it falls in the same cell. Only imagery of fewer than eight cells across begins its
+    grid at its own north-west corner, because it could not afford cut cells. An image without
     georeference has a frame of its own.
 
-    Where cells are larger than `minimum_px` they shrink: in a frame that would hold none, and in all frames until there
-    are four, one per split.
+    Where cells are larger than `minimum_px` they shrink: in a frame that would hold none, and in
+    all frames until there are four, one per split.
 
     Raises:
         ImageryError: no frame holds a whole cell.
@@ -161,14 +163,16 @@ def lay_frames(
     for frame in frames:
         if not frame.whole_cells():
             notes += [
-                f"{sources[i].path.name} is too small for a tile of {frame.size_px} px; it is left out"
+                f"{sources[i].path.name} is too small for a tile of {frame.size_px} px; it is left "
+                "out"
                 for i in frame.extents
             ]
     if not kept:
         left, bottom, right, top = frames[0].extents[0]
         raise ImageryError(
-            f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px at {gsd_m} m per "
-            f"pixel, and no image holds a whole tile of {minimum_px} px; give larger images or a smaller size."
+            f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px "
+            f"at {gsd_m} m per pixel, and no image holds a whole tile of {minimum_px} px; give "
+            "larger images or a smaller size."
         )
     return kept
 

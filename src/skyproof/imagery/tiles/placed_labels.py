@@ -46,10 +46,10 @@ class _Placed:
 class PlacedLabels:
     """Labels in the coordinates of the tiles.
 
-    A vehicle counts on the tile that its centre lies in, with its box cut at the tile's border; on the tiles beside
-    it, and where the source has no data at its centre, it is an ignore region. Labels in pixels count only where their
-    own source is what the tile shows. What an image without any entry in the labels shows is ignored as a whole: nobody
-    looked for vehicles there.
+    A vehicle counts on the tile that its centre lies in, with its box cut at the tile's border; on
+    the tiles beside it, and where the source has no data at its centre, it is an ignore region.
+    Labels in pixels count only where their own source is what the tile shows. What an image without
+    any entry in the labels shows is ignored as a whole: nobody looked for vehicles there.
 
     Args:
         labels: as read.
@@ -62,7 +62,8 @@ class PlacedLabels:
         notes: what was left out, a sentence each.
 
     Raises:
-        ImageryError: a class no label knows, labels made for images of another size, or no label in the imagery.
+        ImageryError: a class no label knows, labels made for images of another size, or no label in
+            the imagery.
     """
 
     def __init__(
@@ -103,7 +104,8 @@ class PlacedLabels:
         path, count = self._settings.path, len(labels.labels)
         if all(crs is None for crs, _ in planes.values()):
             raise ImageryError(
-                f"{path} gives labels in map coordinates but no image says where it lies; give georeferenced imagery."
+                f"{path} gives labels in map coordinates but no image says where it lies; give "
+                "georeferenced imagery."
             )
         system, inside = CRS.from_user_input(labels.crs), np.zeros(count, bool)
         flat = [corner for label in labels.labels for corner in label.corners]
@@ -126,8 +128,8 @@ class PlacedLabels:
             )
         if count and not inside.any():
             raise ImageryError(
-                f"None of the {count} labels of {path} lies in the imagery; check their reference system "
-                f"({labels.crs} as read) and whether they belong to it."
+                f"None of the {count} labels of {path} lies in the imagery; check their reference "
+                f"system ({labels.crs} as read) and whether they belong to it."
             )
         return int(count - inside.sum())
 
@@ -143,8 +145,8 @@ class PlacedLabels:
         outside = sum(len(labels.images[stem]) for stem in unknown)
         if labels.images and len(unknown) == len(labels.images):
             raise ImageryError(
-                f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) and none of these "
-                "is among the imagery; check the names."
+                f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
+                "and none of these is among the imagery; check the names."
             )
         for plane, (crs, numbers) in planes.items():
             for number in sorted(numbers):
@@ -160,8 +162,8 @@ class PlacedLabels:
                     continue
                 if labels.sizes_px.get(stem, size) != size:
                     raise ImageryError(
-                        f"{path} was made for {stem} of {labels.sizes_px[stem]} px but {source.path} has {size} px; "
-                        "give the image the labels were made on."
+                        f"{path} was made for {stem} of {labels.sizes_px[stem]} px but "
+                        f"{source.path} has {size} px; give the image the labels were made on."
                     )
                 own = labels.images[stem]
                 kept = [label for label in own if _inside_picture(_middle(label), size)]
@@ -171,8 +173,8 @@ class PlacedLabels:
                 )
         if total and outside == total:
             raise ImageryError(
-                f"None of the {total} labels of {path} lies in its image; check whether they are given in pixels of "
-                "these images."
+                f"None of the {total} labels of {path} lies in its image; check whether they are "
+                "given in pixels of these images."
             )
         return outside
 
@@ -290,8 +292,8 @@ def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]
         return settings.classes
     if len(labels.classes) > 1:
         raise ImageryError(
-            f"{settings.path} names the classes {', '.join(labels.classes)}; say with --labels.classes which of them count as "
-            "vehicles (small vehicles in the paper)."
+            f"{settings.path} names the classes {', '.join(labels.classes)}; say with "
+            "--labels.classes which of them count as vehicles (small vehicles in the paper)."
         )
     return labels.classes
 

@@ -121,8 +121,8 @@ def _one_sentence(path: Path) -> Iterator[None]:
     except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise ImageryError(
-            f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, or convert it to "
-            "GeoTIFF or PNG."
+            f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, or "
+            "convert it to GeoTIFF or PNG."
         ) from error
 
 
@@ -158,7 +158,8 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
     """Finds out how an image is to be read.
 
     Raises:
-        ImageryError: it is unreadable, has a palette or complex values, no resolution, or is coarser than 50 cm.
+        ImageryError: it is unreadable, has a palette or complex values, no resolution, or is
+            coarser than 50 cm.
     """
     with reader.reading(path) as dataset:
         if dataset.count == 0:
@@ -207,7 +208,8 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
             others = [kind for band, kind in enumerate(kinds, 1) if band not in (red, green, blue)]
             if any(kind != "alpha" for kind in others):
                 notes.append(
-                    f"of {dataset.count} bands red, green and blue are taken ({red}, {green}, {blue})"
+                    f"of {dataset.count} bands red, green and blue are taken ({red}, {green}, "
+                    f"{blue})"
                 )
             return red, green, blue
     colours = [
@@ -228,8 +230,8 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
         else "it does not say which are colours"
     )
     notes.append(
-        f"of {dataset.count} bands the bands {colours[0]}, {colours[1]}, {colours[2]} are shown as red, green and "
-        f"blue, because {told}"
+        f"of {dataset.count} bands the bands {colours[0]}, {colours[1]}, {colours[2]} are shown as "
+        f"red, green and blue, because {told}"
     )
     return colours[0], colours[1], colours[2]
 

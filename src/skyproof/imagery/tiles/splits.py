@@ -24,13 +24,15 @@ def assign_splits(
 ) -> tuple[dict[str, str], dict[str, float]]:
     """Divides cells among the splits by `SPLIT_SHARES`, in square blocks of neighbours.
 
-    The grid is cut into blocks of k x k cells, k so that a block is about `block_m` wide. A block goes to one split, so
-    splits meet only where blocks do. Blocks are shuffled, put in order of their size, the largest first, and handed
-    out one by one: first one to each split that has none, then to the split that is furthest behind its share of the
-    cells. So every split gets something where there are four blocks.
+    The grid is cut into blocks of k x k cells, k so that a block is about `block_m` wide. A block
+    goes to one split, so splits meet only where blocks do. Blocks are shuffled, put in order of
+    their size, the largest first, and handed out one by one: first one to each split that has none,
+    then to the split that is furthest behind its share of the cells. So every split gets something
+    where there are four blocks.
 
-    k is halved until there are enough blocks: 24 where `block_m` is not given (400 m at first), so that the shares
-    come out about right; four where it is given. Blocks of one cell are not divided.
+    k is halved until there are enough blocks: 24 where `block_m` is not given (400 m at first), so
+    that the shares come out about right; four where it is given. Blocks of one cell are not
+    divided.
 
     Args:
         cells: with their `block` set to (frame, row, column).

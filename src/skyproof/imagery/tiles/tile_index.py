@@ -57,7 +57,8 @@ def write_ground_index(
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:
     """The georeferenced tiles of a tiled folder as cells for other imagery of the same ground (section 5.2).
 
-    Ids, places, sizes and splits are those of `folder`; tiles that no source touches are among them, without sources.
+    Ids, places, sizes and splits are those of `folder`; tiles that no source touches are among
+    them, without sources.
 
     Raises:
         StoredFileError: `folder` is not a tiled folder.
@@ -106,7 +107,8 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
         ) from error
     if not cells:
         raise ImageryError(
-            f"The tiles of {folder} do not say where they lie; --tiling.like needs georeferenced ones."
+            f"The tiles of {folder} do not say where they lie; --tiling.like needs georeferenced "
+            "ones."
         )
     if not any(cell.sources for cell in cells):
         raise ImageryError(

@@ -48,7 +48,8 @@ class TilingRecord:
 
     Attributes:
         settings: as given.
-        sources: per source its name, size, system, resolution, bands, range, nodata value and licence.
+        sources: per source its name, size, system, resolution, bands, range, nodata value and
+            licence.
         blocks_m: per frame the width of its blocks.
         counts: per split its tiles, vehicles and ignore regions.
         empty: cells left out because more than 2 % of them is empty.
@@ -77,20 +78,22 @@ def tile_imagery(
 ) -> TilingRecord:
     """Cuts orthophotos into a background set: `index.json`, `index.geojson`, `<split>/images/*.png`, `tiling.json`.
 
-    Sources are read window by window: memory does not grow with them. The ground is cut into cells (`lay_frames`),
-    a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of cells go to the splits
-    (`assign_splits`). Every place of georeferenced sources lies in one cell, so in one split, however many of them show
-    it. Images without georeference that show the same ground, such as frames of a flight, cannot be told apart from
-    others: splits may then share it.
+    Sources are read window by window: memory does not grow with them. The ground is cut into cells
+    (`lay_frames`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
+    cells go to the splits (`assign_splits`). Every place of georeferenced sources lies in one cell,
+    so in one split, however many of them show it. Images without georeference that show the same
+    ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
-    Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are (`measure_sensor`).
+    Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
+    (`measure_sensor`).
 
-    With labels every split also gets `annotations.json`, so that its folder is a dataset to train on. Tiles without any
-    vehicle stay (section 5.2).
+    With labels every split also gets `annotations.json`, so that its folder is a dataset to train
+    on. Tiles without any vehicle stay (PAPER 1).
 
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.
-        folder: where the set goes; use `finished_folder` around it so that a half-written one does not stay.
+        folder: where the set goes; use `finished_folder` around it so that a half-written one does
+            not stay.
         settings: resolution, size, blocks.
         generator: shuffles the blocks.
         source_settings: what images do not say themselves.
@@ -99,8 +102,8 @@ def tile_imagery(
 
     Raises:
         ConfigurationError: settings that cannot work.
-        ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50 cm; images that hold
-            no tile; labels that do not fit the imagery.
+        ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
+            cm; images that hold no tile; labels that do not fit the imagery.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
@@ -127,14 +130,16 @@ def tile_imagery(
                 progress(done, len(cells))
     if not kept:
         raise ImageryError(
-            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more than 2 % of each is "
-            "empty (nodata or beyond the border); give larger images or a smaller size."
+            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more "
+            "than 2 % of each is empty (nodata or beyond the border); give larger images or a "
+            "smaller size."
         )
     if settings.minimum_px is not None and len(kept) < len(SPLITS):
         raise ImageryError(
-            f"The imagery yields {len(kept)} tiles of at least {settings.minimum_px} px at {settings.gsd_m} m per "
-            f"pixel but the {len(SPLITS)} splits need {len(SPLITS)}; give more or larger images, or smaller tiles "
-            "(--tiling.minimum-px; --sizes.image-px of `demo`)."
+            f"The imagery yields {len(kept)} tiles of at least {settings.minimum_px} px at "
+            f"{settings.gsd_m} m per pixel but the {len(SPLITS)} splits need {len(SPLITS)}; give "
+            "more or larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of "
+            "`demo`)."
         )
     splits, blocks_m = _splits(kept, settings, generator)
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
@@ -181,11 +186,13 @@ def _sensor(
         )
     except ImageryError:
         notes.append(
-            f"too few clear edges to measure the blur; vehicles will be drawn with {Sensor().blur_sigma_px} px"
+            "too few clear edges to measure the blur; vehicles will be drawn with "
+            f"{Sensor().blur_sigma_px} px"
         )
         return Sensor()
     notes.append(
-        f"blur measured as {sensor.blur_sigma_px} px, noise as {sensor.noise}; vehicles will be drawn alike"
+        f"blur measured as {sensor.blur_sigma_px} px, noise as {sensor.noise}; vehicles will be "
+        "drawn alike"
     )
     return sensor
 

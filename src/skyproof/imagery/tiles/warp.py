@@ -45,13 +45,15 @@ class CellImage:
 def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> CellImage | None:
     """Reads what is needed of the sources, and nothing else.
 
-    The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of two sheets,
-    each source fills what those before it left empty. Where even all together do not, there is no tile. The
-    2 % that may be empty take the colour of the nearest pixel that is not: a black edge would be learnt as a sign.
+    The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of
+    two sheets, each source fills what those before it left empty. Where even all together do not,
+    there is no tile. The 2 % that may be empty take the colour of the nearest pixel that is not: a
+    black edge would be learnt as a sign.
 
-    Shrinking averages over the area of a pixel, because point sampling would alias fine structure into coarse
-    patterns; otherwise pixels are interpolated by cubic convolution, which copies them exactly where the grids
-    coincide. Overviews inside the files are not used: many were made by point sampling.
+    Shrinking averages over the area of a pixel, because point sampling would alias fine structure
+    into coarse patterns; otherwise pixels are interpolated by cubic convolution, which copies them
+    exactly where the grids coincide. Overviews inside the files are not used: many were made by
+    point sampling.
 
     Raises:
         ImageryError: a source cannot be read.

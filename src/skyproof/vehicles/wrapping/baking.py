@@ -67,7 +67,8 @@ def bake(
     found = kept[found]
     colours, alphas = mesh.look(outer.face, outer.weights, mask)
     weight = 1 / (distance + 0.004)
-    # Only points on the nearest one's own material are averaged: a tyre does not bleed into the arch.
+    # Only points on the nearest one's own material are averaged: a tyre does not bleed into the
+    # arch.
     weight *= mesh.material[outer.face[found]] == mesh.material[outer.face[found[:, :1]]]
     weight /= weight.sum(1, keepdims=True)
     shape = (TEXTURE_SIZE, TEXTURE_SIZE)

@@ -42,7 +42,8 @@ class SourceMesh:
 
     Attributes:
         corners: `[F, 3, 3]`, in the file's axes and unit until it is oriented.
-        uvs: `[F, 3, 2]`, v from the bottom of the picture; may lie outside [0, 1], then the picture repeats.
+        uvs: `[F, 3, 2]`, v from the bottom of the picture; may lie outside [0, 1], then the picture
+            repeats.
         colours: `[F, 3, 3]` sRGB at the corners; NaN where a texture or a material says it.
         material: `[F]` index into `materials`.
         materials: what the triangles are made of.
@@ -115,8 +116,9 @@ def _sample(
 def find_texture(mesh: Path, name: str) -> Path | None:
     """The picture that a mesh file names, or the one of that name in a neighbouring folder.
 
-    Looked for in this order: at the path given; as `model://<model>/...` beside this model's folder; then by file name,
-    without regard to case, in the mesh's folder, its `textures` and `materials/textures`, and those one folder up.
+    Looked for in this order: at the path given; as `model://<model>/...` beside this model's
+    folder; then by file name, without regard to case, in the mesh's folder, its `textures` and
+    `materials/textures`, and those one folder up.
     """
     name = name.strip().replace("\\", "/").removeprefix("file://")
     if name.startswith("model://"):

@@ -14,7 +14,8 @@ from skyproof.vehicles.wrapping.meshes import SourceMesh
 __all__ = ["AXES", "orient"]
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-# Lengths, widths and heights of road vehicles from a small car to a coach, with and without mirrors.
+# Lengths, widths and heights of road vehicles from a small car to a coach, with and without
+# mirrors.
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = (2.4, 15.0), (1.2, 3.8), (0.9, 4.5)
 _USUAL_UNITS = (1.0, 0.0254, 0.01, 0.001, 0.1, 0.3048)
 _USUAL_LENGTH_M = 4.5
@@ -29,9 +30,9 @@ def orient(
 ) -> tuple[SourceMesh, dict[str, str | float]]:
     """Turns, scales and moves a mesh, and says how.
 
-    What is not given is taken from the format, or guessed: forward is the longest axis but up; of the other two up is
-    the one about which the mesh is *not* symmetric, pointing along its positive direction; the nose is found by
-    `_nose_is_first`.
+    What is not given is taken from the format, or guessed: forward is the longest axis but up; of
+    the other two up is the one about which the mesh is *not* symmetric, pointing along its positive
+    direction; the nose is found by `_nose_is_first`.
 
     Args:
         mesh: as read.
@@ -40,7 +41,8 @@ def orient(
         forward: one of `AXES`, where the nose points.
 
     Returns:
-        the mesh in the vehicle frame, and {"scale", "up", "forward", "nose"}: the last says how the nose was found.
+        the mesh in the vehicle frame, and {"scale", "up", "forward", "nose"}: the last says how the
+        nose was found.
 
     Raises:
         ConfigurationError: the axes do not fit together, or the mesh has not a vehicle's size.
@@ -54,7 +56,8 @@ def orient(
         forward = "xyz"[max(across, key=lambda axis: extent[axis])]
     if _axis(up)[0] == _axis(forward)[0]:
         raise ConfigurationError(
-            f"--wrapping.up {up} and --wrapping.forward {forward} lie along one axis; give two different ones."
+            f"--wrapping.up {up} and --wrapping.forward {forward} lie along one axis; give two "
+            "different ones."
         )
     unit_m = scale if scale is not None else mesh.unit_m or 1.0
     turned = _turn(mesh.corners, up, forward) * unit_m
@@ -135,17 +138,20 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
     else:
         scale = unit_m * _USUAL_LENGTH_M / extent_m[0]
     raise ConfigurationError(
-        f"The mesh measures {size} m (length, width, height), not a vehicle's size; give --wrapping.scale (--wrapping.scale "
-        f"{scale:.4g} would make it {extent_m[0] * scale / unit_m:.2f} m long), or --wrapping.up and --wrapping.forward if it lies otherwise."
+        f"The mesh measures {size} m (length, width, height), not a vehicle's size; give "
+        f"--wrapping.scale (--wrapping.scale {scale:.4g} would make it "
+        f"{extent_m[0] * scale / unit_m:.2f} m long), or --wrapping.up and --wrapping.forward if "
+        "it lies otherwise."
     )
 
 
 def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
     """Whether +x is the nose, and by what: windscreen, bonnet, mirrors, or by nothing.
 
-    1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the windscreen. 2. Else the way
-       from the end to where the vehicle is 85 % as high as it gets is longer at the nose: bonnet and windscreen against
-       boot and rear window. 3. Else mirrors, which stick out by more than 5 cm, are in the front half.
+    1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the
+       windscreen. 2. Else the way from the end to where the vehicle is 85 % as high as it gets is
+       longer at the nose: bonnet and windscreen against boot and rear window. 3. Else mirrors,
+       which stick out by more than 5 cm, are in the front half.
     """
     points = _spread(corners)
     low, high = points[:, 0].min(), points[:, 0].max()

@@ -11,7 +11,8 @@ from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
 __all__ = ["Outer", "look_around"]
 
-# Azimuth and elevation in degrees: above, four sides, six slanting views, four from near the ground, and below.
+# Azimuth and elevation in degrees: above, four sides, six slanting views, four from near the
+# ground, and below.
 _VIEWS = (
     [(-90, 90)]
     + [(turn, 0) for turn in range(0, 360, 90)]

@@ -58,13 +58,14 @@ def label_parts(
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
-    1. A material or object whose name says wheel, glass, light, bumper, trim or chassis is that; a material less than
-       half opaque is glass.
+    1. A material or object whose name says wheel, glass, light, bumper, trim or chassis is that; a
+       material less than half opaque is glass.
     2. Columns of the floor are underside, as on drawn bodies.
     3. Round areas that stand on the ground at the sides are wheels, if no name says so.
-    4. What is left is paint, unless the paint mask is below half there, or, without a mask, its colour is dark and
-       grey. What is not paint is glass at window height and not lying flat, light if bright or red within 60 cm of an
-       end (with a mask only: stripes of a livery stay paint), bumper low at an end, trim elsewhere.
+    4. What is left is paint, unless the paint mask is below half there, or, without a mask, its
+       colour is dark and grey. What is not paint is glass at window height and not lying flat,
+       light if bright or red within 60 cm of an end (with a mask only: stripes of a livery stay
+       paint), bumper low at an end, trim elsewhere.
 
     Args:
         plain: where the mesh has no colour of its own.
@@ -89,7 +90,8 @@ def label_parts(
     open_ = ~decided
     if not masked and paint[open_].mean() < 0.4:
         notes.append(
-            "most of the surface is dark: colour does not tell glass from paint, which is left as paint"
+            "most of the surface is dark: colour does not tell glass from paint, which is left as "
+            "paint"
         )
         paint = np.ones_like(paint)
     height = float(z.max())

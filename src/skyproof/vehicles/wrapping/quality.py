@@ -42,12 +42,14 @@ def measure_wrapping(
 ) -> dict[str, float | int]:
     """Compares the wrapped template with the mesh.
 
-    Distances run from points about 3 cm apart on each outer surface (what is seen from the sides and from above, so
-    neither interior nor underside) to the other's surface.
+    Distances run from points about 3 cm apart on each outer surface (what is seen from the sides
+    and from above, so neither interior nor underside) to the other's surface.
 
     Returns:
-        iou_above, iou_side, iou_front: of outlines, mirrors included; hausdorff_m: the largest distance either way;
-        median_m, p95_m: from the mesh to the wrapped vehicle; crossings: pairs of its triangles that cross.
+        iou_above, iou_side, iou_front: of outlines, mirrors included; hausdorff_m: the largest
+            distance either way;
+        median_m, p95_m: from the mesh to the wrapped vehicle; crossings: pairs of its triangles
+            that cross.
     """
     template = make_template()
     wrapped = wrapping.vertices.double().numpy()[template.faces.numpy()]

@@ -63,7 +63,8 @@ def read_mesh(path: Path) -> SourceMesh:
     path = Path(path)
     if not path.is_file():
         raise ConfigurationError(f"{path} is not a file; give an OBJ, GLB or DAE mesh.")
-    # trimesh reports a missing texture with a traceback in its log; the resolver does so in one sentence.
+    # trimesh reports a missing texture with a traceback in its log; the resolver does so in one
+    # sentence.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         mesh = read_collada(path) if path.suffix.lower() == ".dae" else _read_with_trimesh(path)

@@ -30,8 +30,10 @@ class Hull:
         cell: side of a cell, metres.
         start: x, y, z of the cells' first corner.
         top: `[X, Y]` height of the surface seen from above; -inf where nothing is.
-        sides: `[2, X, Z]` distance of the surface from y = 0 seen from the left and the right; 0 where nothing is.
-        front, rear: `[Y, Z]` x of the surface seen from the front and from behind; NaN where nothing is.
+        sides: `[2, X, Z]` distance of the surface from y = 0 seen from the left and the right; 0
+            where nothing is.
+        front, rear: `[Y, Z]` x of the surface seen from the front and from behind; NaN where
+            nothing is.
         low: `[X]` lower edge as seen from the side: tyres, sills, bumpers.
         floor: `[X]` height of the underside between the wheels.
     """
@@ -90,8 +92,8 @@ class Hull:
 def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     """Looks at a mesh from six sides.
 
-    From the outline seen from above, what is narrower than 32 cm and stands out is taken off: mirrors. Gaps in the
-    sides up to 14 cm and on top up to 26 cm are closed: wheel arches, ladders.
+    From the outline seen from above, what is narrower than 32 cm and stands out is taken off:
+    mirrors. Gaps in the sides up to 14 cm and on top up to 26 cm are closed: wheel arches, ladders.
 
     Args:
         corners: triangles in the vehicle frame.
@@ -123,7 +125,8 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     reach = np.stack([np.where(footprint, side, 0.0).max(1) + cell / 2 for side in (y, -y)])
     reach[:, ~footprint.any(1)] = 0.0
     sides = np.stack([look(0, 2, 1, 1.0), look(0, 2, 1, -1.0)]).clip(0.0)
-    # A mirror's foot is left by the outline; tyres, lower down, are as short where they touch the ground.
+    # A mirror's foot is left by the outline; tyres, lower down, are as short where they touch the
+    # ground.
     z = start[2] + (np.arange(counts[2]) + 0.5) * cell
     upper = z > 0.4 * extent[2]
     for side in sides:
@@ -188,8 +191,8 @@ class Sections:
     Attributes:
         station: `[S]` x of the planes, ascending, metres.
         axis_z: `[S]` height of the point that the directions start from.
-        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees, from straight down (0) over
-            the left side (90) and straight up (180) to the right side (270).
+        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees, from
+            straight down (0) over the left side (90) and straight up (180) to the right side (270).
         low, floor: `[S]` as in `Hull`.
     """
 

@@ -51,9 +51,10 @@ class Wrapping:
 def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     """Wraps the template around a mesh.
 
-    27 rings lie in planes across the long axis, two more and a pole close each end, as on drawn bodies. Columns follow
-    the drawn bodies': 0 and 1 on the floor, 2 at the lower edge (a tyre's bottom, or the sill), 7 at the shoulder, 11
-    along the roof rail, 16 in the middle. Between 2 and 7 they lie at even heights, elsewhere at even distances.
+    27 rings lie in planes across the long axis, two more and a pole close each end, as on drawn
+    bodies. Columns follow the drawn bodies': 0 and 1 on the floor, 2 at the lower edge (a tyre's
+    bottom, or the sill), 7 at the shoulder, 11 along the roof rail, 16 in the middle. Between 2 and
+    7 they lie at even heights, elsewhere at even distances.
 
     Args:
         corners: triangles in the vehicle frame.
@@ -162,7 +163,8 @@ def _places(
 ) -> Float[np.ndarray, "S 17"]:
     """For every plane where on the half outline columns 7 to 16 lie: (fractional) directions, both sides alike.
 
-    Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the columns run evenly.
+    Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the
+    columns run evenly.
     """
     u = column_u().numpy()[: _HALF + 1]
     upper = (u[TOPOLOGY_BELT:] - u[TOPOLOGY_BELT]) / (u[_HALF] - u[TOPOLOGY_BELT])
@@ -178,7 +180,8 @@ def _places(
         along = np.r_[
             0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()
         ] + 1e-7 * np.arange(len(y[row, s:]))
-        # The rail is the corner of the outline above the shoulder: farthest from the straight line over it.
+        # The rail is the corner of the outline above the shoulder: farthest from the straight line
+        # over it.
         run, rise = y[row, -1] - y[row, s], z[row, -1] - z[row, s]
         off = np.abs((y[row, s:] - y[row, s]) * rise - (z[row, s:] - z[row, s]) * run)
         corner = along[int(np.argmax(off))] / along[-1]

@@ -36,7 +36,8 @@ class WrappedVehicle:
         vertices: `[994, 3]` metres.
         texture: `[3, 512, 512]` sRGB as bytes.
         parts: `[512, 512]` values of `Part`.
-        report: how it was oriented, measured (`measure_wrapping`) and labelled, and notes on what was repaired.
+        report: how it was oriented, measured (`measure_wrapping`) and labelled, and notes on what
+            was repaired.
     """
 
     mesh: SourceMesh
@@ -59,8 +60,8 @@ def wrap_mesh(
     Args:
         path: OBJ, GLB or DAE.
         scale, up, forward: as in `orient`.
-        paintable: picture on the mesh's own UVs, bright where there is paint; None takes the textures' alpha, if it
-            says anything.
+        paintable: picture on the mesh's own UVs, bright where there is paint; None takes the
+            textures' alpha, if it says anything.
 
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
@@ -71,7 +72,8 @@ def wrap_mesh(
     outer = look_around(mesh.corners)
     if outer.inverted:
         notes.append(
-            f"{outer.inverted} of {outer.seen} visible triangles face inwards; they were turned round."
+            f"{outer.inverted} of {outer.seen} visible triangles face inwards; they were turned "
+            "round."
         )
     if not any(m.picture is not None for m in mesh.materials) and np.isnan(mesh.colours).any():
         notes.append("no texture: plain colours of materials or parts are used.")
