@@ -1,4 +1,4 @@
-"""`skyproof ground` and `skyproof vehicles` without sources: what they draw, and what they refuse."""
+"""`skyproof ground` and `skyproof vehicles` without sources: what they draw and refuse."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Meshes that run through themselves, against cases counted by hand and an independent oracle; and their volume."""
+"""Meshes that run through themselves, against cases counted by hand and an oracle; volume."""
 
 import itertools
 
@@ -75,7 +75,7 @@ def two_cubes(shift):
 
 
 def brute_force(points, faces):
-    """All pairs without a common vertex, by clipping the line of both planes to both triangles (Moeller's way)."""
+    """All pairs without a common vertex, by clipping the line of both planes to both triangles."""
     points, found = np.asarray(points, dtype=np.float64), 0
     for first, second in itertools.combinations(np.asarray(faces).tolist(), 2):
         if set(first) & set(second):

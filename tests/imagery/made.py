@@ -19,8 +19,8 @@ def write_image(path, array, *, crs=None, transform=None, colours=None, tags=Non
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with rasterio.open(
-            path, "w", driver="GTiff", width=width, height=height, count=count, dtype=array.dtype.name, crs=crs,
-            transform=transform or Affine.identity(), **options,
+            path, "w", driver="GTiff", width=width, height=height, count=count, crs=crs,
+            dtype=array.dtype.name, transform=transform or Affine.identity(), **options,
         ) as dataset:  # fmt: skip
             if colours is not None:
                 dataset.colorinterp = colours

@@ -1,4 +1,4 @@
-"""Clearing a tiled folder: who finds what, what is repaired, what is left out, and what the record says."""
+"""Clearing a tiled folder: who finds what, what is repaired or left out, what the record says."""
 
 import json
 

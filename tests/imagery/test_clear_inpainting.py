@@ -1,4 +1,4 @@
-"""Filling masks: ground from nearby against ground that is known, OpenCV, and networks from files."""
+"""Filling masks: ground from nearby against known ground, OpenCV, and networks from files."""
 
 import sys
 

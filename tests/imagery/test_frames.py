@@ -1,4 +1,4 @@
-"""Whole annotated images: boxes scaled with the image, ignore regions, every pixel form, bad labels."""
+"""Whole annotated images: boxes scaled with the image, ignore regions, pixel forms, bad labels."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Labels out and in again: the same boxes in every form, and readers that are not ours accept them."""
+"""Labels out and in again: the same boxes in every form, which other readers accept."""
 
 import json
 import os
@@ -27,7 +27,7 @@ BEYOND = ((-30.0, 60.0), (-30.0, 70.0), (4.0, 70.0), (4.0, 60.0))
 
 @pytest.fixture
 def dataset(tmp_path):
-    """Two images of 120 x 96 px: an oriented vehicle, an upright one, one mostly outside, an ignore region; nothing."""
+    """Two images of 120 x 96 px: three vehicles and an ignore region; nothing."""
     folder = tmp_path / "set" / "test"
     mask = torch.zeros(96, 120, dtype=torch.bool)
     mask[22:40, 57:72] = True
@@ -116,7 +116,10 @@ from ultralytics.data.dataset import YOLODataset
 from ultralytics.data.utils import check_det_dataset
 data = check_det_dataset(sys.argv[1], autodownload=False)
 loaded = YOLODataset(img_path=data["train"], data=data, task="detect", augment=False, imgsz=128)
-rows = {row["im_file"].rpartition("/")[2]: [row["shape"], row["bboxes"].tolist()] for row in loaded.get_labels()}
+rows = {
+    row["im_file"].rpartition("/")[2]: [row["shape"], row["bboxes"].tolist()]
+    for row in loaded.get_labels()
+}
 print(json.dumps([data["names"], rows]))
 """
 

@@ -1,4 +1,4 @@
-"""Label files of every form, written by hand: what is read from them, and the sentence for what cannot be."""
+"""Label files of every form, written by hand: what is read, and the sentence for what cannot be."""
 
 import json
 
@@ -177,7 +177,10 @@ def test_two_names_files(tmp_path):
         read_labels(tmp_path)
 
 
-DOTA = "imagesource:GoogleEarth\ngsd:0.125\n20 10 26 18 22 21 16 13 small-vehicle 0\n30 15 50 15 50 25 30 25 ship 1\n"
+DOTA = (
+    "imagesource:GoogleEarth\ngsd:0.125\n"
+    "20 10 26 18 22 21 16 13 small-vehicle 0\n30 15 50 15 50 25 30 25 ship 1\n"
+)
 
 
 def test_dota(tmp_path):

@@ -1,4 +1,4 @@
-"""From a LINZ Data Service export to a dataset with one command: sheets of the same form, labels as GeoJSON."""
+"""From sheets like a LINZ Data Service export and GeoJSON labels to a dataset with one command."""
 
 import json
 
@@ -19,7 +19,7 @@ CARS = [(20.3, -11.7), (60.2, -30.1), (100.9, -77.7), (150.4, -20.6), (64.1, -10
 
 @pytest.fixture
 def export(tmp_path):
-    """Four sheets of 640 x 480 px, named after a sheet layout; a car is a bright square on dull ground."""
+    """Four sheets of 640 x 480 px, named after a layout; cars are bright squares on dull ground."""
     scene = smooth_noise(960, 1280) // 2
     for x, y in CARS:
         column, row = round(x * 8), round(-y * 8)
@@ -77,8 +77,9 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     (tmp_path / "cars.geojson").write_text(json.dumps(document))
     out = tmp_path / "tiles"
     words = [
-        "ground", export, "--tiling.size-px", 128, "--out", out, "--labels.path", tmp_path / "cars.geojson",
-        "--labels.classes", "Small Vehicle", "--labels.point-box-m", 2.0, "--source.licence", "CC BY 4.0, LINZ Data Service",
+        "ground", export, "--tiling.size-px", 128, "--out", out,
+        "--labels.path", tmp_path / "cars.geojson", "--labels.classes", "Small Vehicle",
+        "--labels.point-box-m", 2.0, "--source.licence", "CC BY 4.0, LINZ Data Service",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0, capsys.readouterr().err
     backgrounds = BackgroundSet.open(out)

@@ -12,7 +12,7 @@ SIZE, FINER = 320, 4
 
 
 def photograph(sigma_px, noise=0.006, seed=0):
-    """Rectangles of any brightness and heading, averaged to pixels, blurred in linear light, as sRGB bytes."""
+    """Rectangles of any brightness and heading, blurred in linear light, as sRGB bytes."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0 : SIZE * FINER, 0 : SIZE * FINER] / FINER
     light = np.full(x.shape, 0.15)

@@ -1,4 +1,4 @@
-"""Labels divided into vehicles and ignore regions: classes, border band, points, cutting; worked out by hand."""
+"""Labels divided into vehicles and ignore regions: classes, border, points, cutting, by hand."""
 
 import pytest
 import torch

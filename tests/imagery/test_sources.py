@@ -220,7 +220,8 @@ def _zero_pixels(folder):
     (folder / "x.vrt").write_text(
         '<VRTDataset rasterXSize="200" rasterYSize="200"><SRS>EPSG:2193</SRS>'
         "<GeoTransform>1550000, 0, 0, 5190000, 0, -0.125</GeoTransform>"
-        '<VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename relativeToVRT="1">y.bin'
+        '<VRTRasterBand dataType="Byte" band="1"><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">y.bin'
         "</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
     )
 

@@ -1,4 +1,4 @@
-"""Labels on the way to tiles: through the source's transform and through map coordinates, at borders, out of place."""
+"""Labels on the way to tiles: through transforms and map coordinates, at borders, out of place."""
 
 import json
 from pathlib import Path
@@ -76,7 +76,7 @@ def test_a_vehicle_counts_where_its_centre_lies_and_is_ignored_beside(tmp_path):
     ]
     assert rows[0]["centre_px"] == [60, 15]
     assert rows[0]["visible_fraction"] == pytest.approx(0.7)
-    # All tiles stay, those without a vehicle as well (section 5.2).
+    # All tiles stay, those without a vehicle as well.
     assert sum(count["tiles"] for count in record.counts.values()) == 8
     assert sum(len(Dataset.open(tmp_path / "set" / split)) for split in record.counts) == 8
 

@@ -1,4 +1,4 @@
-"""Orthophoto tiling: true ground resolution, anti-aliasing, one cell per place, splits by place, pairing."""
+"""Tiling: true ground resolution, anti-aliasing, one cell per place, splits by place, pairing."""
 
 import itertools
 import json

@@ -10,7 +10,7 @@ LENGTH_M = 10.24
 
 
 def flat_bodies(*scales: float) -> VehicleBatch:
-    """One body per scale, all BODY: a texel between the rings is 1 cm across and 2 cm along at scale 1."""
+    """One body per scale, all BODY: a texel between rings is 1 cm across, 2 cm along at scale 1."""
     u, v = column_u()[:-1], row_v()
     y = WIDTH_M * torch.minimum(u, 1 - u)
     x = LENGTH_M * (0.5 - v)

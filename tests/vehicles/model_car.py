@@ -1,4 +1,4 @@
-"""A small textured car made by the tests, whose outline is known by hand, and files of it in several formats."""
+"""A small textured car whose outline is known by hand, and files of it in several formats."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def picture() -> Image.Image:
 def _box(
     low: list[float], high: list[float], top_inset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> trimesh.Trimesh:
-    """A box whose top is drawn in at the rear, the front and the sides; split up so that UVs follow its surface."""
+    """A box whose top is drawn in at the rear, the front and the sides, split up for its UVs."""
     mesh = trimesh.creation.box(bounds=[low, high])
     top = mesh.vertices[:, 2] > (low[2] + high[2]) / 2
     rear, front, side = top_inset
@@ -103,34 +103,42 @@ COLLADA = """<?xml version="1.0"?>
 <asset><unit name="centimetre" meter="0.01"/><up_axis>{up}_UP</up_axis></asset>
 <library_images><image id="img"><init_from>car.png</init_from></image></library_images>
 <library_effects>
-<effect id="painted"><profile_COMMON><newparam sid="surf"><surface type="2D"><init_from>img</init_from></surface></newparam>
+<effect id="painted"><profile_COMMON>
+<newparam sid="surf"><surface type="2D"><init_from>img</init_from></surface></newparam>
 <newparam sid="samp"><sampler2D><source>surf</source></sampler2D></newparam>
-<technique sid="t"><phong><diffuse><texture texture="samp" texcoord="UV"/></diffuse></phong></technique></profile_COMMON></effect>
-<effect id="dark"><profile_COMMON><technique sid="t"><phong><diffuse><color>0.1 0.12 0.16 1</color></diffuse></phong></technique>
+<technique sid="t"><phong><diffuse><texture texture="samp" texcoord="UV"/></diffuse></phong>
+</technique></profile_COMMON></effect>
+<effect id="dark"><profile_COMMON><technique sid="t">
+<phong><diffuse><color>0.1 0.12 0.16 1</color></diffuse></phong></technique>
 </profile_COMMON></effect></library_effects>
 <library_materials><material id="m0" name="paint"><instance_effect url="#painted"/></material>
 <material id="m1" name="window_glass"><instance_effect url="#dark"/></material></library_materials>
 <library_geometries>{geometries}</library_geometries>
-<library_visual_scenes><visual_scene id="s"><node id="outer"><translate>0 0 100</translate>{nodes}</node></visual_scene>
+<library_visual_scenes><visual_scene id="s">
+<node id="outer"><translate>0 0 100</translate>{nodes}</node></visual_scene>
 </library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>
 """
 
 GEOMETRY = """<geometry id="{name}" name="{name}"><mesh>
 <source id="{name}-p"><float_array id="{name}-pa" count="{points3}">{points}</float_array>
-<technique_common><accessor source="#{name}-pa" count="{count}" stride="3"/></technique_common></source>
+<technique_common><accessor source="#{name}-pa" count="{count}" stride="3"/>
+</technique_common></source>
 <source id="{name}-t"><float_array id="{name}-ta" count="{points2}">{uvs}</float_array>
-<technique_common><accessor source="#{name}-ta" count="{count}" stride="2"/></technique_common></source>
+<technique_common><accessor source="#{name}-ta" count="{count}" stride="2"/>
+</technique_common></source>
 <vertices id="{name}-v"><input semantic="POSITION" source="#{name}-p"/></vertices>
 <polylist material="sym" count="{faces}"><input semantic="VERTEX" source="#{name}-v" offset="0"/>
-<input semantic="TEXCOORD" source="#{name}-t" offset="1" set="0"/><vcount>{counts}</vcount><p>{index}</p></polylist>
+<input semantic="TEXCOORD" source="#{name}-t" offset="1" set="0"/>
+<vcount>{counts}</vcount><p>{index}</p></polylist>
 </mesh></geometry>"""
 
-NODE = """<node id="n-{name}" name="{name}"><instance_geometry url="#{name}"><bind_material><technique_common>
-<instance_material symbol="sym" target="#{material}"/></technique_common></bind_material></instance_geometry></node>"""
+NODE = """<node id="n-{name}" name="{name}"><instance_geometry url="#{name}"><bind_material>
+<technique_common><instance_material symbol="sym" target="#{material}"/></technique_common>
+</bind_material></instance_geometry></node>"""
 
 
 def write_dae(folder: Path) -> Path:
-    """COLLADA in centimetres with y up and a node that moves everything, its pictures in ../materials/textures."""
+    """COLLADA in centimetres, y up; a node moves all; pictures are in ../materials/textures."""
     geometries, nodes = [], []
     turn = np.array(
         [[0, 1, 0], [0, 0, 1], [1, 0, 0]]

@@ -62,7 +62,7 @@ def test_rings_follow_each_other_from_nose_to_tail(body_type: str) -> None:
 
 @pytest.mark.parametrize("body_type", TYPES)
 def test_rings_are_simple_polygons(body_type: str) -> None:
-    """Seen along the vehicle, no two edges of a ring cross; rings that follow each other in x then keep apart."""
+    """Seen along the vehicle, no two edges of a ring cross; rings in order of x then keep apart."""
 
     def side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
         return (q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0]

@@ -24,7 +24,7 @@ def _fleet(body_type: str) -> Fleet:
 
 @lru_cache
 def _area_from_above(body_type: str) -> torch.Tensor:
-    """`[6, 512, 512]` square metres of ground that each texel covers seen from above; 0 where it looks down.
+    """`[6, 512, 512]` square metres that each texel covers from above; 0 where it looks down.
 
     Overhangs count twice, which is little on a car.
     """

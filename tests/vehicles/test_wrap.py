@@ -1,4 +1,4 @@
-"""Wrapping a small textured car whose outline and colours are known by hand, and using it as a vehicle."""
+"""Wrapping a small textured car whose outline and colours are known by hand, and using it."""
 
 import json
 import os
@@ -72,7 +72,7 @@ def test_it_stands_in_the_vehicle_frame() -> None:
 
 
 def test_its_outline_from_above_is_the_cars() -> None:
-    """The car's outline is a rectangle; the hull of the vertices is all that the wrapped one can cover."""
+    """The car's outline is a rectangle; the vertices' hull is all the wrapped one can cover."""
     points = wrapped().vertices[:, :2].double().numpy()
     inside = np.clip(points, [-LENGTH_M / 2, -WIDTH_M / 2], [LENGTH_M / 2, WIDTH_M / 2])
     common, own = ConvexHull(inside).volume, ConvexHull(points).volume

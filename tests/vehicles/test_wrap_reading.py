@@ -78,7 +78,7 @@ def test_every_format_gives_the_same_car(tmp_path: Path, kind: str) -> None:
 
 
 def test_axes_are_turned_not_mirrored(tmp_path: Path) -> None:
-    """Whichever way the car lies in the file, front left stays front left; what is given beats what is guessed."""
+    """Whichever way the car lies, front left stays front left; what is given beats a guess."""
     for turn, up, forward in (
         (np.diag([-1.0, -1.0, 1.0]), "z", "-x"),
         (np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), "z", "y"),

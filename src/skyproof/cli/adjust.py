@@ -15,7 +15,7 @@ __all__ = ["Adjust"]
 
 @dataclass(frozen=True)
 class Adjust:
-    """Takes rejected tiles out of a background set, and says how sharp vehicles are to be drawn on it.
+    """Takes rejected tiles out of a background set; says how sharp vehicles are drawn on it.
 
     Datasets rendered before keep their blur and noise; `skyproof score` refuses to mix them with
     later ones.

@@ -26,7 +26,7 @@ _ROOM_PX = 112  # by which procedural tiles are larger than the windows cut from
 
 @dataclass(frozen=True)
 class Ground:
-    """Draws procedural ground, or cuts orthophotos into tiles of one resolution; both in four splits.
+    """Draws procedural ground, or cuts orthophotos into tiles; both in four splits.
 
     With labels, the tiles of every split also become a dataset to train on.
 
@@ -112,7 +112,7 @@ class Ground:
 
 
 def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:
-    """Returns tiles large enough that square images of `image_px` can be cut from them at any heading.
+    """Returns tiles from which square images of `image_px` can be cut at any heading.
 
     Args:
         image_px: side of the images in pixels.

@@ -1,4 +1,4 @@
-"""Counting where a triangle mesh runs through itself."""
+"""Counts where a triangle mesh runs through itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHUNK = 65_536
 
 @torch.no_grad()
 def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> int:
-    """How many pairs of triangles cross: an edge of one goes through the inside of the other.
+    """Counts the pairs of triangles of which an edge of one goes through the inside of the other.
 
     Triangles that share a vertex are neighbours and never count, even if one is folded through the
     other. Touching and lying flat on each other do not count either.
@@ -38,7 +38,7 @@ def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
 
 
 def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) -> Int[Tensor, "2 P"]:
-    """Pairs without a common vertex whose boxes overlap."""
+    """Returns the pairs without a common vertex whose boxes overlap."""
     low, high = triangles.amin(1), triangles.amax(1)
     overlap = torch.ones(len(faces), len(faces), dtype=torch.bool, device=faces.device).triu(1)
     for axis in range(3):
@@ -52,14 +52,14 @@ def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) ->
 def _cross(
     a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
 ) -> Bool[Tensor, " P"]:
-    """Whether an edge of one goes through the other."""
+    """Says whether an edge of one triangle goes through the other."""
     return _edge_through(a, b, touching) | _edge_through(b, a, touching)
 
 
 def _edge_through(
     a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
 ) -> Bool[Tensor, " P"]:
-    """Whether an edge of `a` goes through the inside of `b`, by the signs of tetrahedra's volumes."""
+    """Says whether an edge of `a` goes through the inside of `b`, by signed volumes."""
     found = torch.zeros(len(a), dtype=torch.bool, device=a.device)
     b0, b1, b2 = b.unbind(1)
     above = torch.stack([_volume(b0, b1, b2, corner) for corner in a.unbind(1)], dim=1)
@@ -82,5 +82,5 @@ def _volume(
     c: Float[Tensor, "P 3"],
     d: Float[Tensor, "P 3"],
 ) -> Float[Tensor, " P"]:
-    """Six times the signed volume of a tetrahedron."""
+    """Returns six times the signed volume of a tetrahedron."""
     return (torch.linalg.cross(b - a, c - a) * (d - a)).sum(-1)

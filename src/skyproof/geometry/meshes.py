@@ -1,4 +1,4 @@
-"""Normals, edges and volume of triangle meshes."""
+"""Computes normals, edges and volume of triangle meshes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["enclosed_volume_m3", "mesh_edges", "vertex_normals"]
 def vertex_normals(
     vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
 ) -> Float[Tensor, "N V 3"]:
-    """Unit normals at the vertices: the area-weighted mean of the faces around each."""
+    """Returns unit normals at the vertices: the area-weighted mean of the faces around each."""
     corners = vertices[:, faces]
     face_normals = torch.linalg.cross(
         corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
@@ -29,7 +29,9 @@ def vertex_normals(
 def enclosed_volume_m3(
     vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
 ) -> Float[Tensor, " N"]:
-    """Volume inside closed meshes, by the divergence theorem; space enclosed twice counts twice.
+    """Returns the volume inside closed meshes, by the divergence theorem.
+
+    Space that is enclosed twice counts twice.
 
     Args:
         vertices: metres.
@@ -43,7 +45,7 @@ def enclosed_volume_m3(
 
 @lru_cache(maxsize=8)
 def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
-    """The undirected edges of a closed mesh and the two faces at each.
+    """Returns the undirected edges of a closed mesh and the two faces at each.
 
     The first face has the edge in the order given, the second in the opposite order.
 

@@ -1,4 +1,7 @@
-"""How imagery is read, cut, labelled and cleared. Imports no torch, so that the command line answers at once."""
+"""How imagery is read, cut, labelled and cleared.
+
+Imports no torch, so that the command line answers at once.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How sharp and how noisy photographs are, measured on their own edges and plain places (section S2.1)."""
+"""Measures how sharp and noisy photographs are, on their own edges and plain places.
+
+The paper blurs by one value for all imagery (section S2.1).
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ STEP_PX = 0.25
 
 
 def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
-    """Blur and noise of photographs, for vehicles to be drawn alike.
+    """Measures blur and noise of photographs, for vehicles to be drawn alike.
 
     Blur: across each of the strongest edges light is read along the gradient; a step seen through a
     Gaussian blur rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but
@@ -71,7 +74,7 @@ def _middle(image: UInt8[Tensor, "3 H W"]) -> UInt8[Tensor, "3 h w"]:
 
 
 def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
-    """σ in pixels at the strongest edges of one image."""
+    """Returns σ in pixels at the strongest edges of one image."""
     across_x = ndimage.gaussian_filter(grey, 0.7, order=(0, 1))
     across_y = ndimage.gaussian_filter(grey, 0.7, order=(1, 0))
     strength = np.hypot(across_x, across_y)
@@ -114,7 +117,7 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _noise(grey: NDArray[np.float64]) -> float:
-    """Standard deviation of the noise of one colour channel, in sRGB units."""
+    """Measures the standard deviation of one colour channel's noise, in sRGB units."""
     rest = grey - ndimage.median_filter(grey, 3)
     height, width = (side // 8 * 8 for side in grey.shape)
     cells = rest[:height, :width].reshape(height // 8, 8, width // 8, 8).std(axis=(1, 3)).ravel()

@@ -1,1 +1,4 @@
-"""Vehicles: the one template mesh with its one UV map, procedural body types, the fleet."""
+"""Vehicles lie here: one template mesh with one UV map, bodies and paint drawn at random, fleets.
+
+Real meshes are laid onto the same template.
+"""

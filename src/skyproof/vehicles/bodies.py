@@ -1,4 +1,4 @@
-"""Body types: which dimensions real cars of a kind have, and drawing one."""
+"""Says which dimensions real cars of a kind have, and draws one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Handing a vehicle to other programs: GLB with its texture."""
+"""Hands a vehicle to other programs: GLB with its texture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fleet: many vehicles on one template, drawn or wrapped, stored compactly, handed out in batches."""
+"""Keeps many vehicles on one template, drawn or wrapped, and hands them out in batches."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Fleet:
         return len(self.ids)
 
     def batch(self, ids: Sequence[str]) -> VehicleBatch:
-        """The named vehicles in the order given; an id may occur more than once.
+        """Returns the named vehicles in the order given; an id may occur more than once.
 
         Raises:
             ConfigurationError: an id that is not in this fleet.
@@ -105,14 +105,14 @@ class Fleet:
         )
 
     def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
-        """Length, width (without mirrors) and height in metres."""
+        """Returns length, width (without mirrors) and height in metres."""
         vertices = self.vertices[self._row(vehicle_id)]
         length, width, height = (vertices.amax(0) - vertices.amin(0)).tolist()
         return length, width, height
 
     @cached_property
     def sizes_m(self) -> dict[str, tuple[float, float, float]]:
-        """`size_m` of every vehicle by id, as sampling scenes needs them."""
+        """Returns `size_m` of every vehicle by id, as sampling scenes needs them."""
         return {name: self.size_m(name) for name in self.ids}
 
     def save(self, folder: Path) -> None:
@@ -235,7 +235,7 @@ def sample_fleet(
 
 
 def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
-    """All vehicles of several fleets as one, in the order given.
+    """Returns all vehicles of several fleets as one, in the order given.
 
     Raises:
         ConfigurationError: no fleet, or an id in two of them.

@@ -30,7 +30,10 @@ _SEAM = 0.45  # what is left of the paint's brightness in a panel gap
 
 @dataclass
 class _Canvas:
-    """The left half of a map being painted, and where its texels lie (`[512, 256]` or `[512, 1]`, metres)."""
+    """The left half of a map being painted, and where its texels lie.
+
+    Places are `[512, 256]` or `[512, 1]`, in metres.
+    """
 
     body: Body
     behind: Tensor  # distance behind the nose
@@ -47,12 +50,12 @@ class _Canvas:
 
     @property
     def upper(self) -> Tensor:
-        """Texels above the shoulder."""
+        """Returns the texels above the shoulder."""
         return self.column > TOPOLOGY_BELT
 
     @property
     def floor(self) -> Tensor:
-        """Texels of the underside; on the two end faces the columns of the underside run up to the poles."""
+        """Returns the underside's texels; on the two end faces its columns run up to the poles."""
         ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
         end_face = (ring < 3) | (ring > RINGS - 2)
         return (self.column <= TOPOLOGY_SILL) & ~(
@@ -61,7 +64,7 @@ class _Canvas:
 
     @property
     def side(self) -> Tensor:
-        """Texels of the lower side."""
+        """Returns the texels of the lower side."""
         return (self.column > TOPOLOGY_SILL) & (self.column <= TOPOLOGY_BELT)
 
     def fill(self, where: Mask, colour: Colour, part: Part) -> None:
@@ -106,7 +109,10 @@ def paint_vehicle(
 
 @lru_cache(maxsize=1)
 def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
-    """Bilinear weights `[512, 33]` of rows and `[17, 256]` of columns, and each texel column's column coordinate."""
+    """Returns bilinear weights `[512, 33]` of rows and `[17, 256]` of columns.
+
+    The third result is each texel column's column coordinate.
+    """
     centre = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
 
     def weights(at: Tensor, knots: Tensor) -> Tensor:
@@ -156,7 +162,7 @@ def _between(value: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor
 
 
 def _layout(body: Body) -> tuple[float, float, float, float]:
-    """Stations of roof front, B pillar, C pillar and roof rear."""
+    """Returns the stations of roof front, B pillar, C pillar and roof rear."""
     d = body.dimensions
     front = d.bonnet_length + d.windscreen_run
     rear = d.length - d.deck_length - d.rear_run
@@ -165,7 +171,7 @@ def _layout(body: Body) -> tuple[float, float, float, float]:
 
 
 def _paint_seams(c: _Canvas, body_type: str) -> None:
-    """Panel gaps: doors, bonnet, boot. Colour only."""
+    """Paints panel gaps: doors, bonnet, boot. Colour only."""
     d = c.body.dimensions
     front, middle, back, _ = _layout(c.body)
     door_front = d.bonnet_length + 0.12
@@ -197,7 +203,7 @@ def _paint_seams(c: _Canvas, body_type: str) -> None:
 
 
 def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
-    """Sills, arches, wheels, underside."""
+    """Paints sills, arches, wheels and underside."""
     d = c.body.dimensions
     rugged = body_type in ("suv", "pickup") and chance < 0.6
     sill = 0.17 if rugged else 0.07
@@ -219,7 +225,7 @@ def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
 
 
 def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> None:
-    """Bumpers, grille, lights, number plates."""
+    """Paints bumpers, grille, lights and number plates."""
     d = c.body.dimensions
     half = d.width / 2
     above_floor = ~c.floor
@@ -269,7 +275,7 @@ def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> Non
 
 
 def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -> None:
-    """Windscreen, side windows with their pillars, rear window."""
+    """Paints windscreen, side windows with their pillars, and rear window."""
     d = c.body.dimensions
     front, middle, back, rear = _layout(c.body)
     foot = d.bonnet_length
@@ -334,7 +340,7 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
 
 
 def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) -> None:
-    """Sunroof, rails, aerial, contrast roof."""
+    """Paints sunroof, rails, aerial and contrast roof."""
     front, _, _, rear = _layout(c.body)
     roof = c.upper & (c.y < c.rail_y) & _between(c.station, front, rear)
     if body_type in ("hatchback", "suv") and chance[0] < 0.08:
@@ -365,7 +371,7 @@ def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) 
 
 
 def _paint_bed(c: _Canvas, colour: Tensor) -> None:
-    """A pickup's load bed: a ribbed liner, or painted."""
+    """Paints a pickup's load bed: a ribbed liner, or painted."""
     d = c.body.dimensions
     deck = d.length - d.deck_length
     bed = (c.column > TOPOLOGY_BELT + 1) & _between(c.station, deck + 0.07, d.length - 0.085)
@@ -376,7 +382,7 @@ def _paint_bed(c: _Canvas, colour: Tensor) -> None:
 
 
 def _dirty(texture: Tensor, z: Tensor, amount: float, *, generator: torch.Generator) -> Tensor:
-    """Road dust on the lower body and a faint unevenness everywhere."""
+    """Lays road dust on the lower body and a faint unevenness everywhere."""
     noise = torch.randn(1, 1, 34, 34, generator=generator)
     noise = torch.nn.functional.interpolate(
         noise, size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bicubic"

@@ -1,4 +1,4 @@
-"""Which colour a vehicle's paint has: published frequencies and a little variation."""
+"""Draws the colour of a vehicle's paint: published frequencies and a little variation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How meshes become vehicles. Imports no torch, so that the command line answers at once."""
+"""How meshes become vehicles.
+
+Imports no torch, so that the command line answers at once.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,9 @@ class WrapSettings:
             )
 
     def of_meshes(self, meshes: list[Path]) -> list[tuple[Path, str, float | None]]:
-        """Returns each mesh with its name and its metres per unit (None where the file has to say it).
+        """Returns each mesh with its name and its metres per unit.
+
+        These are None where the file has to say it.
 
         Raises:
             ConfigurationError: there are not as many names or scales as meshes.

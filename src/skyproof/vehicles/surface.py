@@ -1,4 +1,4 @@
-"""From a vehicle's dimensions to its surface on the template: one cross-section per ring, closed by two end caps."""
+"""Builds a vehicle's surface from its dimensions: one cross-section per ring, two end caps."""
 
 from __future__ import annotations
 
@@ -52,7 +52,10 @@ class Body:
 
     @property
     def vertices(self) -> Float[Tensor, "994 3"]:
-        """`[994, 3]` float32 in template order; the right half is the left half reflected, bit for bit."""
+        """Returns `[994, 3]` float32 in template order.
+
+        The right half is the left half reflected, bit for bit.
+        """
         right = self.half[1:-1, 1:-1].flip(1) * self.half.new_tensor([1.0, -1.0, 1.0])
         rings = torch.cat([self.half[1:-1], right], dim=1).reshape(-1, 3)
         return torch.cat([rings, self.half[0, :1], self.half[-1, :1]]).float()
@@ -61,14 +64,14 @@ class Body:
 def interpolate(
     at: Float[Tensor, " *at"], x: Float[Tensor, " K"], y: Float[Tensor, " K"]
 ) -> Float[Tensor, " *at"]:
-    """Piecewise linear y(at), constant beyond the ends; x ascending."""
+    """Returns piecewise linear y(at), constant beyond the ends; x ascending."""
     right = torch.searchsorted(x, at.contiguous()).clamp(1, len(x) - 1)
     share = ((at - x[right - 1]) / (x[right] - x[right - 1])).clamp(0.0, 1.0)
     return y[right - 1] + share * (y[right] - y[right - 1])
 
 
 def build_body(dimensions: BodyDimensions) -> Body:
-    """Builds the surface: length, width and height come out exactly as asked, and the tyres stand on z = 0."""
+    """Builds the surface, exactly as long, wide and high as asked; the tyres stand on z = 0."""
     profile = _profiles(dimensions)
     station = _ring_stations(dimensions, profile)
     sections, belt_z, rail_z, rail_y = _sections(dimensions, profile, station)
@@ -104,7 +107,10 @@ def _smooth(values: Float[Tensor, " N"], window: int) -> Float[Tensor, " N"]:
 
 
 def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
-    """Side-view curves on a fine grid of stations: roof line, shoulder line, depth of a pickup's bed."""
+    """Returns side-view curves on a fine grid of stations.
+
+    They are roof line, shoulder line and depth of a pickup's bed.
+    """
     tail = d.length - _CAP_DEPTH_M
     at = torch.linspace(_CAP_DEPTH_M, tail, 640, dtype=torch.float64)
     step = float(at[1] - at[0])
@@ -155,7 +161,10 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
 def _ring_stations(
     d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]
 ) -> Float[Tensor, " 27"]:
-    """Stations of the rings between the caps: even along the centre line, but with a ring at each edge of the body."""
+    """Returns stations of the rings between the caps.
+
+    They are even along the centre line, but with a ring at each edge of the body.
+    """
     at = profile["at"]
     height = profile["top"] - profile["depth"]
     arc = torch.cat([at.new_zeros(1), torch.hypot(at.diff(), 0.9 * height.diff()).cumsum(0)])
@@ -183,7 +192,7 @@ def _sections(
 ) -> tuple[
     Float[Tensor, "27 17 3"], Float[Tensor, " 27"], Float[Tensor, " 27"], Float[Tensor, " 27"]
 ]:
-    """The left half of each ring, and belt height, rail height and rail half width of each ring."""
+    """Returns the left half, belt height, rail height and rail half width of each ring."""
     top, belt, depth = (
         interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth")
     )
@@ -232,7 +241,7 @@ def _lower_side(
     half_width: Float[Tensor, " 27"],
     belt: Float[Tensor, " 27"],
 ) -> Float[Tensor, "27 6 2"]:
-    """(y, z) from the sill, or the ground under a tyre, up to the shoulder."""
+    """Returns (y, z) from the sill, or the ground under a tyre, up to the shoulder."""
     # The bumpers' lower edges are higher than the sill.
     ends = torch.minimum(station, d.length - station)
     bottom = d.clearance + 0.08 * (1 - ends / 0.6).clamp(0.0)
@@ -256,7 +265,7 @@ def _upper_side(
     top: Float[Tensor, " 27"],
     belt: Float[Tensor, " 27"],
 ) -> tuple[Float[Tensor, "27 10 2"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
-    """(y, z) from the shoulder over the roof rail to the middle of the roof (or bonnet, or boot)."""
+    """Returns (y, z) from the shoulder over the roof rail to the middle of roof, bonnet or boot."""
     height = top - belt
     crown = torch.minimum(0.5 * height, torch.full_like(height, 0.045))
     rail_z = top - crown
@@ -307,7 +316,7 @@ def _sink_bed(upper: Float[Tensor, "27 10 2"], depth: Float[Tensor, " 27"]) -> N
 
 
 def _underside(d: BodyDimensions, sill: Float[Tensor, "27 2"]) -> Float[Tensor, "27 2 2"]:
-    """(y, z) of the middle of the floor and of its outer edge, inside the tyres."""
+    """Returns (y, z) of the middle of the floor and of its outer edge, inside the tyres."""
     floor = torch.full_like(sill[:, 0], d.clearance + 0.03)
     floor = torch.maximum(floor, sill[:, 1] + 0.01)
     inner = torch.stack([sill[:, 0] - 0.24, floor], dim=-1)

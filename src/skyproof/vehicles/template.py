@@ -1,4 +1,4 @@
-"""The template mesh: 31 rings of 32 points and two poles, with one UV map for every vehicle."""
+"""Makes the template mesh: 31 rings of 32 points and two poles, with one UV map."""
 
 from __future__ import annotations
 
@@ -34,19 +34,25 @@ _TEXELS = (2 * [19.0], 5 * [18.8], 4 * [16.0], 5 * [12.0])
 
 
 def column_u(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
-    """u of the 33 UV columns; the first (0) and the last (1) are the seam in the middle of the underside."""
+    """Returns u of the 33 UV columns.
+
+    The first (0) and the last (1) are the seam in the middle of the underside.
+    """
     widths = torch.tensor([width for group in _TEXELS for width in group], dtype=torch.float64)
     half = torch.cat([widths.new_zeros(1), widths.cumsum(0)]) / (2 * widths.sum())
     return torch.cat([half, 1.0 - half[:-1].flip(0)]).to(dtype)
 
 
 def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
-    """v of the nose pole, the 31 rings and the tail pole: even, so 16 texels of a 512 map to each interval."""
+    """Returns v of the nose pole, the 31 rings and the tail pole.
+
+    They are even, so that 16 texels of a 512 map lie in each interval.
+    """
     return torch.linspace(0.0, 1.0, RINGS + 2, dtype=torch.float64).to(dtype)
 
 
 def make_template() -> Template:
-    """The closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points (sections 3.1 and S4.3).
+    """Makes the closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points.
 
     Vertex `32 ring + column` for rings from nose to tail; 992 is the nose pole, 993 the tail pole.
     Column 0 runs along the middle of the underside, 8 or so up the left side, 16 along the middle
@@ -88,13 +94,19 @@ def make_template() -> Template:
 
 
 def _fan(ring: Int[Tensor, " 33"], pole: int | Int[Tensor, " 32"]) -> Int[Tensor, "32 3"]:
-    """Triangles from the pole to each edge of a ring, outward at the nose; reverse them at the tail."""
+    """Returns triangles from the pole to each edge of a ring.
+
+    They face outward at the nose; reverse them at the tail.
+    """
     apex = torch.as_tensor(pole).expand(COLUMNS)
     return torch.stack([apex, ring[:-1], ring[1:]], dim=1)
 
 
 def _quads(grid: Int[Tensor, "31 33"]) -> Int[Tensor, "N 3"]:
-    """Two triangles per grid cell; the diagonal is mirrored on the right half so that the surface is symmetric."""
+    """Returns two triangles per grid cell.
+
+    The diagonal is mirrored on the right half, so that the surface is symmetric.
+    """
     upper_left, upper_right = grid[:-1, :-1], grid[:-1, 1:]
     lower_left, lower_right = grid[1:, :-1], grid[1:, 1:]
     falling = [(upper_left, lower_left, lower_right), (upper_left, lower_right, upper_right)]

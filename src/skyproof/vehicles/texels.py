@@ -1,4 +1,4 @@
-"""How large a texel of the UV map is on a vehicle, and which texels are roof, bonnet or sides."""
+"""Says how large a texel is on a vehicle, and which texels are roof, bonnet or sides."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ _ROWS = TEXTURE_SIZE // (RINGS + 1)  # texels between two rings; whole, because 
 def texel_metric(
     vehicles: VehicleBatch,
 ) -> tuple[Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"]]:
-    """Length across, length along and area of every texel on every vehicle, from its present vertices.
+    """Measures length across, length along and area of every texel on every vehicle.
+
+    Present vertices count.
 
     Each cell of the template is taken as bilinear for lengths; its two triangles' area is shared
     out evenly among its texels, so that all texels of a vehicle add up to the area of its mesh. A
@@ -67,7 +69,7 @@ def texel_metric(
 
 
 def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]]:
-    """Roof, bonnet, sides (between sill and shoulder), glass and underside as masks, on the CPU.
+    """Masks roof, bonnet, sides (between sill and shoulder), glass and underside, on the CPU.
 
     Bonnet and roof are the painted texels inside the roof rail before and behind the first glass of
     the middle column.
@@ -92,7 +94,7 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
 
 
 def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
-    """Median size of a texel over the vehicles of a batch, in the regions of `texel_regions`.
+    """Returns the median size of a texel over a batch's vehicles, in each of `texel_regions`.
 
     Args:
         vehicles: procedural vehicles on the template of `make_template`.
@@ -110,7 +112,7 @@ def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
 
 
 def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
-    """Nose pole, rings and tail pole, the first column repeated after the last."""
+    """Returns nose pole, rings and tail pole, the first column repeated after the last."""
     rings = vertices[:, : RINGS * COLUMNS].unflatten(1, (RINGS, COLUMNS))
     nose, tail = (vertices[:, pole, None, None].expand(-1, 1, COLUMNS, 3) for pole in (-2, -1))
     grid = torch.cat([nose, rings, tail], dim=1)
@@ -120,7 +122,10 @@ def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
 def _cell_areas(
     vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch
 ) -> Float[Tensor, "N 32 32"]:
-    """Area of each cell's triangles: one at the poles, two elsewhere, in the order of `make_template`."""
+    """Returns the area of each cell's triangles, in the order of `make_template`.
+
+    There is one triangle at the poles, and two elsewhere.
+    """
     corners = vertices[:, vehicles.template.faces.cpu()]
     normal = torch.linalg.cross(
         corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
@@ -131,7 +136,10 @@ def _cell_areas(
 
 
 def _column_shares() -> Float[Tensor, "32 512"]:
-    """The share of each column of cells that each column of texels holds; texels may straddle two."""
+    """Returns the share of each column of cells that each column of texels holds.
+
+    Texels may straddle two.
+    """
     edges = column_u() * TEXTURE_SIZE
     left = torch.arange(TEXTURE_SIZE, dtype=torch.float64)
     overlap = torch.minimum(edges[1:, None], left + 1) - torch.maximum(edges[:-1, None], left)
@@ -139,7 +147,7 @@ def _column_shares() -> Float[Tensor, "32 512"]:
 
 
 def _centre_height(vehicles: VehicleBatch) -> Float[Tensor, "N 512"]:
-    """Height of the middle of the roof line at each row of the map."""
+    """Returns the height of the middle of the roof line at each row of the map."""
     half = COLUMNS // 2
     heights = vehicles.vertices[:, half : RINGS * COLUMNS : COLUMNS, 2].cpu()
     ends = torch.stack([heights[:, 0], heights[:, -1]], dim=1)

@@ -1,4 +1,4 @@
-"""What a vehicle is: vertices on the shared template, a texture and part labels on its one UV map."""
+"""Says what a vehicle is: vertices on the shared template, a texture and part labels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ TEXTURE_SIZE = 512
 
 
 class Part(IntEnum):
-    """Labels of the part map. Paint is `BODY`; nothing else may be painted by a masked camouflage (equation 2)."""
+    """Labels of the part map.
+
+    Paint is `BODY`; nothing else may be painted by a masked camouflage (section S4.2.2).
+    """
 
     BODY = 0
     GLASS = 1
@@ -28,7 +31,9 @@ class Part(IntEnum):
 
 @dataclass(frozen=True)
 class Template:
-    """The closed, sphere-topology mesh that every vehicle shares (sections 3.1 and S4.3), poles at the two bumpers.
+    """The closed mesh that every vehicle shares (sections 3.1 and S4.3), a sphere in topology.
+
+    Its poles lie at the two bumpers.
 
     Attributes:
         faces: `[F, 3]` vertex indices, counter-clockwise seen from outside; UV seam vertices share
@@ -38,7 +43,7 @@ class Template:
             tail (1). Texel centre of column i, row j: u = (i + 0.5) / 512, v = (j + 0.5) / 512 (row
             0 at the nose).
         mirror: `[V]` the vertex that the reflection y -> -y takes each vertex to; an involution.
-        vertex_uvs: `[V, 2]` the topology map of PAPER 44: where each unique vertex reads a map in
+        vertex_uvs: `[V, 2]` the topology map (section S4.3): where each vertex reads a map in
             UV space.
     """
 
@@ -49,7 +54,7 @@ class Template:
     vertex_uvs: Float[Tensor, "V 2"]
 
     def to(self, device: torch.device | str) -> Template:
-        """The same template on another device."""
+        """Returns the same template on another device."""
         return Template(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
 
 
@@ -97,7 +102,7 @@ class VehicleBatch:
         return len(self.ids)
 
     def to(self, device: torch.device | str) -> VehicleBatch:
-        """The same vehicles on another device."""
+        """Returns the same vehicles on another device."""
         over = self.overlay
         return VehicleBatch(
             self.template.to(device),
@@ -110,7 +115,7 @@ class VehicleBatch:
         )
 
     def row(self, index: int) -> VehicleBatch:
-        """One vehicle as a batch of its own."""
+        """Returns one vehicle as a batch of its own."""
         one, over = slice(index, index + 1), self.overlay
         return VehicleBatch(
             self.template,
@@ -123,13 +128,16 @@ class VehicleBatch:
         )
 
     def covered_texels(self) -> Bool[Tensor, "N 512 512"] | None:
-        """Where a camouflage covers the vehicles; None for nowhere."""
+        """Masks where a camouflage covers the vehicles; None for nowhere."""
         if self.repainted:
             return torch.ones_like(self.parts, dtype=torch.bool)
         return None if self.overlay is None else self.overlay.mask
 
     def worn_texture(self) -> Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]:
-        """The textures as they are seen, the overlay included: `[N or 1, 3, 512, 512]`, one map where it is shared."""
+        """Returns the textures as they are seen, the overlay included.
+
+        `[N or 1, 3, 512, 512]`: one map where it is shared.
+        """
         if self.overlay is None:
             return self.texture
         own = self.texture.float() / 255 if self.texture.dtype == torch.uint8 else self.texture

@@ -1,1 +1,4 @@
-"""Vehicle-free backgrounds: find, mask, fill, check, show."""
+"""Vehicles are removed from tiles here: they are found, masked, filled with ground and checked.
+
+A person is shown what was done.
+"""

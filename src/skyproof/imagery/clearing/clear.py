@@ -1,4 +1,7 @@
-"""Removing vehicles from a tiled folder: find, mask with shadows, fill, check, repair or leave out (section 5.2)."""
+"""Removes vehicles from a tiled folder: finds, masks with shadows, fills, checks, repairs.
+
+A tile that cannot be cleared is left out (section 5.2).
+"""
 
 from __future__ import annotations
 
@@ -210,7 +213,7 @@ def _find(
 
 
 def _light(tile: BackgroundTile) -> str:
-    """Tiles under the same sun: those of one source image; a procedural tile has a sun of its own."""
+    """Names what tiles under the same sun share: their source image, or their id where drawn."""
     return tile.source if tile.sun_azimuth_rad is None else tile.id
 
 
@@ -275,7 +278,8 @@ def _caption(row: Cleared) -> str:
     state = f"LEFT OUT: {row.left_out}" if row.left_out else "kept"
     check = "not checked by a detector" if row.remaining is None else f"check finds {row.remaining}"
     vehicles = f"{row.labelled} labelled + {row.detected} detected removed"
-    return f"{row.split}, {vehicles}, {row.masked_share:.1%} masked, {row.rounds} repairs, {check}, {state}"
+    share = f"{row.masked_share:.1%} masked"
+    return f"{row.split}, {vehicles}, {share}, {row.rounds} repairs, {check}, {state}"
 
 
 def _record(
@@ -323,7 +327,7 @@ def _record(
 
 
 def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
-    """The kept tiles' polygons."""
+    """Copies the kept tiles' polygons."""
     path = Path(folder) / "index.geojson"
     if not path.is_file():
         return

@@ -1,4 +1,4 @@
-"""Filling holes with ground from nearby: whole patches are shifted in and their colours joined without a seam."""
+"""Fills holes with ground from nearby: patches are shifted in and joined without a seam."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ExemplarSettings:
 
 @dataclass(frozen=True)
 class _Window:
-    """A part of the picture around one piece: values `[H, W, 3]`, what is known, and the hole to fill."""
+    """A part of the picture around one piece: `[H, W, 3]`, what is known, the hole to fill."""
 
     values: Array
     known: Flags
@@ -100,7 +100,7 @@ def fill_by_exemplar(
 
 
 def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
-    """Connected holes, the large ones divided into about square pieces."""
+    """Divides the connected holes, large ones into about square pieces."""
     labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
     for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
@@ -134,7 +134,7 @@ def _reach(piece: Flags, margin_px: int) -> tuple[slice, slice]:
 
 
 def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | None:
-    """The window with its hole filled; None where no shift keeps the whole copy on sound ground."""
+    """Fills the window's hole; None where no shift keeps the copy on sound ground."""
     near = ndimage.binary_dilation(window.hole, iterations=settings.ring_px)
     ring = near & ~window.hole & window.known
     if not ring.any():
@@ -152,7 +152,7 @@ def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | 
 def _best_shifts(
     window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings
 ) -> list[Shift]:
-    """Places to copy from, best first: shifts (down, across) at which the ring looks the same."""
+    """Finds shifts (down, across) at which the ring looks the same, best first."""
     # Room for the largest shift, so that none wraps around.
     size = tuple(fft.next_fast_len(side + settings.search_px, real=True) for side in ring.shape)
 
@@ -217,7 +217,7 @@ def _signed(size: int) -> NDArray[np.int64]:
 def _serve_sides(
     window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]
 ) -> NDArray[np.int64]:
-    """Per pixel the number of the shift whose mismatch on the nearby ring is smallest."""
+    """Gives each pixel the number of the shift that mismatches the nearby ring least."""
     reach_px = 0.15 * math.sqrt(window.hole.sum()) + 2
     costs = []
     for shift in shifts:
@@ -231,7 +231,10 @@ def _serve_sides(
 
 
 def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
-    """What lies `shift` away from each pixel; wraps, so that only places known to be inside may be read."""
+    """Returns what lies `shift` away from each pixel.
+
+    It wraps, so that only places known to be inside may be read.
+    """
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 

@@ -1,4 +1,4 @@
-"""Filling masked ground: OpenCV, ground from nearby on top of it, or a learnt model from a file."""
+"""Fills masked ground: OpenCV, ground from nearby on top of it, or a learnt model from a file."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def apply_inpainting(
 
 
 def inpainting_record(inpainting: Inpainting) -> dict[str, Any]:
-    """What the record of a clearing says of it: what its own `record` says, or its name alone."""
+    """Returns what a clearing's record says of it: its own `record`, or its name alone."""
     own = getattr(inpainting, "record", None)
     if callable(own):
         return dict(own())
@@ -110,7 +110,7 @@ class Diffusion:
         return torch.from_numpy(filled).permute(2, 0, 1).float() / 255
 
     def record(self) -> dict[str, Any]:
-        """Method and OpenCV's version."""
+        """Returns method and OpenCV's version."""
         return {
             "name": f"opencv {self.method}",
             "radius_px": self.radius_px,
@@ -120,7 +120,9 @@ class Diffusion:
 
 @dataclass(frozen=True)
 class Exemplar:
-    """Ground copied from nearby (see `fill_by_exemplar`); where no place fits, what `otherwise` fills in.
+    """Ground copied from nearby, see `fill_by_exemplar`.
+
+    Where no place fits, `otherwise` fills in.
 
     Attributes:
         settings: of the search.
@@ -141,12 +143,14 @@ class Exemplar:
         return torch.from_numpy(filled).permute(2, 0, 1).float()
 
     def record(self) -> dict[str, Any]:
-        """Settings, and those of the fallback."""
+        """Returns the settings, and those of the fallback."""
         return {"name": "exemplar", **asdict(self.settings), "otherwise": self.otherwise.record()}
 
 
 class LearntInpainting:
-    """A TorchScript module or an exported program that takes (image [1, 3, H, W], mask [1, 1, H, W]) floats.
+    """A TorchScript module or an exported program.
+
+    It takes (image [1, 3, H, W], mask [1, 1, H, W]) floats.
 
     LaMa is distributed in this form. Sides are padded to a multiple of 8, as such networks need.
 
@@ -182,12 +186,12 @@ class LearntInpainting:
         return filled[0, :, :height, :width] if filled.shape[2:] == padded.shape[2:] else filled[0]
 
     def record(self) -> dict[str, Any]:
-        """File name and SHA-256."""
+        """Returns file name and SHA-256."""
         return {"name": self.path.name, "sha256": self._digest}
 
 
 def _load_module(path: Path) -> Any:
-    """TorchScript or torch.export, told apart by what is in the archive."""
+    """Loads TorchScript or torch.export, told apart by what is in the archive."""
     try:
         with zipfile.ZipFile(path) as archive:
             scripted = any("/code/" in name for name in archive.namelist())

@@ -1,4 +1,4 @@
-"""Contact sheets for a person: every changed tile before and after, page by page."""
+"""Draws contact sheets for a person: every changed tile before and after, page by page."""
 
 from __future__ import annotations
 
@@ -133,6 +133,6 @@ def _draw_row(row: SheetRow) -> Image.Image:
 
 
 def _outline(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    """The mask's own outermost pixels; along the tile's edge too."""
+    """Returns the mask's own outermost pixels; along the tile's edge too."""
     padded = F.pad(~mask[None, None], (1, 1, 1, 1), value=True).float()
     return mask & (F.max_pool2d(padded, 3, stride=1)[0, 0] > 0)

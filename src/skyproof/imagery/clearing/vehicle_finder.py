@@ -1,4 +1,4 @@
-"""Vehicles in tiles of any size: from labels, and from a detector."""
+"""Finds vehicles in tiles of any size: from labels, and from a detector."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class VehicleFinder:
     name: str
 
     def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
-        """What it finds in a tile of any size: large ones are looked at in windows that overlap."""
+        """Finds vehicles in a tile of any size, a large one through windows that overlap."""
         found = []
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
@@ -48,7 +48,9 @@ class VehicleFinder:
 
 
 def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
-    """Per tile id its labelled boxes, vehicles and ignore regions alike; None where the folder has no labels.
+    """Reads the labelled boxes of every tile id, vehicles and ignore regions alike.
+
+    None where the folder has no labels.
 
     Raises:
         StoredFileError: an annotation file is damaged.
@@ -75,7 +77,7 @@ def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
 
 
 def other_vehicles(boxes: Tensor, known: Tensor) -> Tensor:
-    """Boxes of vehicles that are not among the known ones: IoU below 0.3 with each."""
+    """Returns boxes of vehicles that are not among the known ones: IoU below 0.3 with each."""
     if not len(known) or not len(boxes):
         return boxes
     return boxes[ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU]

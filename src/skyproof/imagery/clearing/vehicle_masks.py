@@ -1,4 +1,4 @@
-"""Where vehicles and their cast shadows hide the ground: shadows are found in the pictures themselves."""
+"""Finds where vehicles and their shadows hide the ground, shadows in the pictures themselves."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def vehicle_mask(
     gsd_m: float,
     margin_m: float,
 ) -> Bool[Tensor, "H W"]:
-    """Boxes grown by a margin and drawn along the shadow: every place the moving box touches.
+    """Masks boxes grown by a margin and drawn along the shadow: all that the moving box touches.
 
     Args:
         size_px: height and width.
@@ -81,7 +81,7 @@ def vehicle_mask(
 def darkness_profiles(
     image: UInt8[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, gsd_m: float
 ) -> Float[Tensor, "n directions layers"]:
-    """How dark the ground beside each box is, direction by direction and layer by layer outwards.
+    """Measures how dark the ground beside each box is, by direction and by layer outwards.
 
     A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness
     of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other
@@ -113,7 +113,7 @@ def darkness_profiles(
 
 
 def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
-    """The shadow all vehicles of one picture share.
+    """Estimates the shadow that all vehicles of one picture share.
 
     The direction is the sum of all directions weighted by how dark the ground is there within 1 m
     of the boxes (the median over vehicles). The length is where the darkness, less that of the side
@@ -158,7 +158,7 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
 
 
 def _median(values: Array) -> Array:
-    """Over the first axis, without nan; 0 where there is nothing else."""
+    """Takes the median over the first axis, without nan; 0 where there is nothing else."""
     masked = np.ma.masked_invalid(values)
     return np.ma.median(masked, axis=0).filled(0.0)
 
@@ -187,7 +187,10 @@ def _around(
 def _arrival(
     box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice
 ) -> Array:
-    """Per pixel centre, how far the box must move in the direction until it covers it; 0 inside, inf where it never."""
+    """Says per pixel centre how far the box must move in the direction until it covers it.
+
+    It is 0 inside, and infinite where the box never comes.
+    """
     left, top, right, bottom = box
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)

@@ -1,4 +1,4 @@
-"""COCO instance labels: one JSON file for all images."""
+"""Reads COCO instance labels: one JSON file for all images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ __all__ = ["parse_coco_labels"]
 
 
 def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
-    """Takes categories, images and boxes from a COCO document; crowds are to be ignored, outlines are not read.
+    """Takes categories, images and boxes from a COCO document.
+
+    Crowds are to be ignored; outlines are not read.
 
     Args:
         document: of the file.

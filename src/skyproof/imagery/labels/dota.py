@@ -1,4 +1,4 @@
-"""DOTA text labels: one line an object, four corners in pixels, class and difficulty."""
+"""Reads DOTA text labels: one line an object, four corners in pixels, class and difficulty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _HEADERS = ("imagesource:", "gsd:")
 
 
 def is_dota_line(words: list[str]) -> bool:
-    """Whether a line is one of DOTA: a header, or eight numbers and a class that is none."""
+    """Says whether a line is one of DOTA: a header, or eight numbers and a class that is none."""
     if words[0].lower().startswith(_HEADERS):
         return True
     try:
@@ -31,7 +31,9 @@ def is_dota_line(words: list[str]) -> bool:
 
 
 def read_dota_labels(folder: Path) -> ImageLabels:
-    """Reads `x1 y1 x2 y2 x3 y3 x4 y4 class difficult` lines, one `.txt` an image; difficult ones are to be ignored.
+    """Reads `x1 y1 x2 y2 x3 y3 x4 y4 class difficult` lines, one `.txt` an image.
+
+    Difficult objects are to be ignored.
 
     Header lines (`imagesource:`, `gsd:`) are skipped. Where the image lies beside its text, or in
     `images/` beside `labelTxt/`, its size is read and the labels are checked against it.

@@ -1,4 +1,4 @@
-"""A dataset's labels in the forms of other tools: COCO, YOLO text, DOTA oriented boxes, GeoJSON points."""
+"""Writes a dataset's labels for other tools: COCO, YOLO text, DOTA text, GeoJSON points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["LABEL_FORMS", "Exported", "export_labels"]
 
 @dataclass(frozen=True)
 class _Object:
-    """One annotation of a dataset: its box in xywh, and the vehicle's corners on the ground where they are known."""
+    """One annotation of a dataset: its box in xywh, and the corners on the ground where known."""
 
     box: tuple[float, float, float, float]
     category: str
@@ -215,7 +215,8 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
         _write_texts(data, partial, "labels", lines, progress)
         names = "".join(f"  {number}: {name}\n" for name, number in numbers.items())
         # Ultralytics asks for both splits; one dataset of ours is one.
-        text = "# To validate on another export, name its images folder.\ntrain: images\nval: images\nnames:\n"
+        remark = "# To validate on another export, name its images folder."
+        text = f"{remark}\ntrain: images\nval: images\nnames:\n"
         (partial / "data.yaml").write_text(text + names, encoding="utf-8")
     return _count(data, left_out=sum(one.ignore for image in data.images for one in image.objects))
 
@@ -253,7 +254,7 @@ def _write_texts(
     lines: Callable[[_Image], list[str]],
     progress: Progress,
 ) -> None:
-    """One text per image and a copy of the image beside, in `images/`."""
+    """Writes one text per image and a copy of the image beside, in `images/`."""
     for place in (partial / folder, partial / "images"):
         place.mkdir()
     for number, image in enumerate(data.images, 1):
@@ -292,7 +293,7 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
 
 
 def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, float]]]:
-    """Per image the reference system and the bounds (left, bottom, right, top) of its tile."""
+    """Reads per image the reference system and the (left, bottom, right, top) of its tile."""
     path = data.folder.resolve().parent / "index.geojson"
     if not path.is_file():
         raise ImageryError(

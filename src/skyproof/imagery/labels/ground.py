@@ -1,4 +1,4 @@
-"""Labels in map coordinates: points or outlines of vehicles in GeoJSON, GeoPackage or Shapefile."""
+"""Reads labels in map coordinates: points or outlines in GeoJSON, GeoPackage or Shapefile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Labels of vehicles as files give them: in pixels of named images, or in coordinates on the ground."""
+"""Labels of vehicles as files give them: in pixels of named images, or on the ground."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ Labels = ImageLabels | GroundLabels
 
 
 def bounds(label: Label) -> tuple[float, float, float, float]:
-    """The smallest upright box around a label, xyxy; of no size around a point."""
+    """Returns the smallest upright box around a label, xyxy; of no size around a point."""
     xs, ys = zip(*label.corners, strict=True)
     return min(xs), min(ys), max(xs), max(ys)
 
@@ -102,7 +102,9 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
 
 
 def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
-    """Checks that a label lies in its image: an upright box with all of it, an oriented one with its centre.
+    """Checks that a label lies in its image.
+
+    An upright box must do so with all of it, an oriented one with its centre.
 
     Args:
         where: file and line or number of the label, for the message.
@@ -137,7 +139,7 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
 def border_strips(
     size_px: tuple[int, int], border_px: float
 ) -> list[tuple[float, float, float, float]]:
-    """The band along an image's border as four boxes, pixel xyxy: top, bottom, left, right."""
+    """Returns the band along an image's border as boxes, pixel xyxy: top, bottom, left, right."""
     width, height = map(float, size_px)
     x, y = min(border_px, width), min(border_px, height)
     return [

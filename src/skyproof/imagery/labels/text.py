@@ -1,4 +1,4 @@
-"""What text label formats share: numbered lines, and the image that a text file belongs to."""
+"""Holds what text label formats share: numbered lines, and the image that a text belongs to."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ __all__ = [
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LABEL_FOLDERS = ("labels", "labelTxt")
-"""Names that stand where `images` stands in the path of a text's image, as Ultralytics and DOTA lay them out."""
+"""Names that stand where `images` stands in the path of an image, by Ultralytics and DOTA."""
 
 
 def text_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """The words of every line that is not blank, with its number from 1.
+    """Returns the words of every line that is not blank, with its number from 1.
 
     Raises:
         ImageryError: the file is missing, or not text.
@@ -41,7 +41,7 @@ def text_lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def finite_numbers(words: Sequence[str]) -> list[float]:
-    """The words as numbers.
+    """Returns the words as numbers.
 
     Raises:
         ValueError: one is not a finite number.
@@ -53,7 +53,7 @@ def finite_numbers(words: Sequence[str]) -> list[float]:
 
 
 def image_of(text: Path) -> Path | None:
-    """The image of the same stem: beside the text, or where `images` stands in its path instead of `labels`."""
+    """Finds the image of the same stem, beside the text or in `images` instead of `labels`."""
     folders = [text.parent]
     parts = list(text.parent.parts)
     for index in reversed(range(len(parts))):
@@ -70,7 +70,7 @@ def image_of(text: Path) -> Path | None:
 
 
 def image_size_px(path: Path) -> tuple[int, int]:
-    """Width and height from an image's header.
+    """Reads width and height from an image's header.
 
     Raises:
         ImageryError: it cannot be read.

@@ -1,4 +1,4 @@
-"""YOLO text labels: one line an object, in parts of the image's width and height."""
+"""Reads YOLO text labels: one line an object, in parts of the image's width and height."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ __all__ = ["class_file", "read_yolo_labels"]
 
 
 def class_file(folder: Path) -> Path | None:
-    """The file that names the classes of a YOLO folder: `data.yaml`, or its one `.names` file; None without.
+    """Finds the file that names a YOLO folder's classes: `data.yaml`, or its one `.names` file.
+
+    None where there is neither.
 
     Raises:
         ImageryError: more than one `.names` file.

@@ -1,4 +1,4 @@
-"""Where an image lies and how large its pixels are on the ground, whatever its reference system."""
+"""Says where an image lies and how large its pixels are, whatever its reference system."""
 
 from __future__ import annotations
 
@@ -72,7 +72,10 @@ def to_reference_system(
 
 
 def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
-    """Points along the border of a picture, in pixels: straight lines of one system are curves in another."""
+    """Returns points along the border of a picture, in pixels.
+
+    Straight lines of one system are curves in another.
+    """
     width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
     half = [
@@ -158,7 +161,7 @@ def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> Non
 def _ground_resolution(
     crs: CRS, affine: Affine, width_px: int, height_px: int
 ) -> tuple[float, float] | None:
-    """Metres on the ground per column and per row in the image's middle, on the WGS 84 ellipsoid.
+    """Returns metres on the ground per column and per row in the image's middle, on WGS 84.
 
     This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too
     long by 1 / cos(latitude).
@@ -174,7 +177,7 @@ def _ground_resolution(
 
 
 def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
-    """Distances of nearby places from the first, or None where one is nowhere on Earth."""
+    """Returns distances of nearby places from the first; None where one is nowhere on Earth."""
     degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
     if not all(math.isfinite(value) for place in degrees for value in place):
         return None
@@ -191,7 +194,7 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 
 
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
-    """Whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, in both directions.
+    """Says whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, both ways.
 
     So it is in UTM (0.9996 to 1.001) and in most national grids, and not in Web Mercator away from
     the equator.

@@ -1,4 +1,4 @@
-"""The grids tiles are cut on: one frame in true metres per stretch of connected imagery, and its cells."""
+"""Lays the grids tiles are cut on: one frame in true metres per stretch of connected imagery."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ class Cell:
 
     @property
     def extent(self) -> Extent:
-        """Left, bottom, right, top."""
+        """Returns left, bottom, right, top."""
         side_m = self.size_px * self.gsd_m
         return self.left_m, self.top_m - side_m, self.left_m + side_m, self.top_m
 
     @property
     def transform(self) -> Affine:
-        """Its pixels (column, row) to coordinates."""
+        """Takes its pixels (column, row) to coordinates."""
         return Affine(self.gsd_m, 0.0, self.left_m, 0.0, -self.gsd_m, self.top_m)
 
 
@@ -86,7 +86,7 @@ class Frame:
     extents: Mapping[int, Extent] = field(default_factory=dict)
 
     def places(self, extent: Extent, *, whole: bool) -> tuple[range, range]:
-        """Columns and rows of the cells that lie wholly within `extent`, or that touch it."""
+        """Returns columns and rows of the cells wholly within `extent`, or that touch it."""
         side_m = self.size_px * self.gsd_m
         slack = 0.5 * self.gsd_m / side_m * (1 if whole else -1)
         low, high = (math.ceil, math.floor) if whole else (math.floor, math.ceil)
@@ -101,7 +101,7 @@ class Frame:
         return range(low(left), high(right)), range(low(top), high(bottom))
 
     def whole_cells(self) -> int:
-        """About how many cells its sources fill."""
+        """Counts about how many cells its sources fill."""
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
         return sum(len(columns) * len(rows) for columns, rows in ranges)
 
@@ -112,7 +112,7 @@ def plane_of(crs: CRS | None, sources: Sequence[int]) -> str:
 
 
 def extent_of(source: Source, crs: CRS | None) -> Extent:
-    """What a source covers at most in the system `crs`.
+    """Returns what a source covers at most in the system `crs`.
 
     Raises:
         ImageryError: the source lies outside what `crs` covers.
@@ -199,7 +199,7 @@ def _frame(
 def _layout(
     sources: Sequence[Source], group: Sequence[int]
 ) -> tuple[str, CRS | None, dict[int, Extent]]:
-    """Name, system and extents of the frame of sources that touch."""
+    """Returns name, system and extents of the frame of sources that touch."""
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
@@ -232,7 +232,7 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
 
 
 def cells_of(frame: Frame) -> list[Cell]:
-    """The cells that the sources of a frame may fill, row by row, each a block of its own."""
+    """Lists the cells that the sources of a frame may fill, row by row, each a block of its own."""
     side_m = frame.size_px * frame.gsd_m
     seen: dict[tuple[int, int], list[int]] = {}
     covered: dict[tuple[int, int], float] = {}

@@ -1,4 +1,4 @@
-"""Labels taken to the ground the tiles are cut from, and from there onto the tiles."""
+"""Takes labels to the ground that tiles are cut from, and from there onto the tiles."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class PlacedLabels:
                     self._bins[plane, column, row].append(one)
 
     def on(self, cell: Cell, owner: Int[NDArray[np.int32], "S S"]) -> list[Annotation]:
-        """Vehicles and ignore regions of a tile.
+        """Returns vehicles and ignore regions of a tile.
 
         Args:
             cell: the tile's ground.

@@ -1,4 +1,4 @@
-"""Orthophotos as they come: which bands are colours, what their values mean, where they lie, what was repaired."""
+"""Looks at orthophotos as they come: their bands, what values mean, where they lie."""
 
 from __future__ import annotations
 
@@ -76,14 +76,16 @@ class Source:
 
 
 def gdal_limits() -> rasterio.Env:
-    """The settings to read with: a small block cache, and damaged JPEGs are errors instead of grey areas."""
+    """Sets what to read with: a small block cache, and errors for damaged JPEGs, not grey areas."""
     return rasterio.Env(
         GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1"
     )
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
-    """The images among `paths` and in the folders among them (not in sub-folders), sorted within a folder.
+    """Lists the images among `paths` and in the folders among them, sorted within a folder.
+
+    Sub-folders are not searched.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -113,7 +115,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
 
 @contextmanager
 def _one_sentence(path: Path) -> Iterator[None]:
-    """Every failure of reading becomes one sentence."""
+    """Makes one sentence of every failure of reading."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -144,7 +146,7 @@ class SourceReader:
 
     @contextmanager
     def reading(self, path: Path) -> Iterator[DatasetReader]:
-        """Yields the opened image; a failure while it is read becomes an ImageryError of one sentence."""
+        """Yields the opened image; a failure while it is read becomes an ImageryError."""
         with _one_sentence(path):
             if path not in self._open:
                 self._open[path] = rasterio.open(path)
@@ -199,7 +201,7 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
 
 
 def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:
-    """Red, green and blue by colour interpretation, then by the bands' names, else the first three bands."""
+    """Chooses red, green and blue by colour interpretation, then by name, else the first three."""
     kinds = [kind.name for kind in dataset.colorinterp]
     names = [(name or "").strip().lower() for name in dataset.descriptions]
     for tags in (kinds, names):
@@ -237,7 +239,10 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
 
 
 def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
-    """Whether a band tagged as alpha holds a picture: writers tag the infrared band so by default."""
+    """Says whether a band tagged as alpha holds a picture.
+
+    Writers tag the infrared band so by default.
+    """
     if ColorInterp.alpha not in dataset.colorinterp:
         return False
     band = dataset.colorinterp.index(ColorInterp.alpha) + 1
@@ -252,7 +257,7 @@ def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
 
 
 def _probes(dataset: DatasetReader) -> Iterator[Window]:
-    """Small windows spread evenly: a shrunken view would read a mosaic without overviews whole."""
+    """Spreads small windows evenly: a shrunken view would read a mosaic without overviews whole."""
     if dataset.width * dataset.height <= (_PROBES * _PROBE_PX) ** 2:
         yield Window(0, 0, dataset.width, dataset.height)
         return
@@ -271,7 +276,7 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
 
 
 def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
-    """The 1st and 99th percentile of an image's valid values, all colours together."""
+    """Returns the 1st and 99th percentile of an image's valid values, all colours together."""
     bands, found = sorted({*source.bands}), []
     whole = Window(0, 0, dataset.width, dataset.height)
     shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
@@ -293,7 +298,7 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
 def read_mask(
     dataset: DatasetReader, source: Source, window: Window, shape: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
-    """255 where a source has data in `window`, else 0, by its alpha band, mask or nodata value."""
+    """Reads 255 where a source has data in `window`, else 0, by its alpha, mask or nodata value."""
     shape = shape or (int(window.height), int(window.width))
     flags = [*dataset.mask_flag_enums[source.bands[0] - 1]]
     if flags == [MaskFlags.all_valid] or (source.alpha_is_colour and MaskFlags.nodata not in flags):

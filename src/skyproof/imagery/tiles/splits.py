@@ -1,4 +1,4 @@
-"""Dividing tiles among the splits by place."""
+"""Divides tiles among the splits by place."""
 
 from __future__ import annotations
 

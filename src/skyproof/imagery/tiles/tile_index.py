@@ -1,4 +1,4 @@
-"""What a tiled folder says about its tiles on the ground: `index.geojson`, and cells read back from it."""
+"""Says where a tiled folder's tiles lie: `index.geojson`, and cells read back from it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def write_ground_index(
 
 
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:
-    """The georeferenced tiles of a tiled folder as cells for other imagery of the same ground (section 5.2).
+    """Reads a tiled folder's georeferenced tiles as cells for other imagery of the same ground.
 
     Ids, places, sizes and splits are those of `folder`; tiles that no source touches are among
     them, without sources.

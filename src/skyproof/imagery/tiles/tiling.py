@@ -1,4 +1,4 @@
-"""Cutting orthophotos into tiles of one resolution: a background set, and a dataset where there are labels."""
+"""Cuts orthophotos into tiles: a background set, and datasets where there are labels."""
 
 from __future__ import annotations
 
@@ -76,7 +76,9 @@ def tile_imagery(
     labels: tuple[Labels, LabelSettings] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TilingRecord:
-    """Cuts orthophotos into a background set: `index.json`, `index.geojson`, `<split>/images/*.png`, `tiling.json`.
+    """Cuts orthophotos into a background set, and with labels into a dataset per split.
+
+    It writes `index.json`, `index.geojson`, `<split>/images/*.png` and `tiling.json`.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
     (`lay_frames`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
@@ -88,7 +90,7 @@ def tile_imagery(
     (`measure_sensor`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
-    on. Tiles without any vehicle stay (PAPER 1).
+    on. Tiles without any vehicle stay.
 
     Args:
         paths: images, or folders whose images (not those of their sub-folders) are taken.
@@ -178,7 +180,10 @@ def tile_imagery(
 def _sensor(
     folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]
 ) -> Sensor:
-    """As sharp and noisy as some of the tiles; the usual sensor where they show too few edges to tell."""
+    """Measures how sharp and noisy some of the tiles are.
+
+    Where they show too few edges to tell, the usual sensor is taken.
+    """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     try:
         sensor = measure_sensor(

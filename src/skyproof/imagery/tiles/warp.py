@@ -1,4 +1,4 @@
-"""One cell of ground out of one or several sources, resampled to true metres with anti-aliasing."""
+"""Resamples one cell of ground out of one or several sources, in true metres, anti-aliased."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.u
 def _read_from(
     source: Source, cell: Cell, reader: SourceReader
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """A cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
+    """Reads a cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
     size = cell.size_px
     pixels, valid = np.zeros((3, size, size), np.uint8), np.zeros((size, size), np.bool_)
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
@@ -112,7 +112,10 @@ def _fill_piece(
     pixels: NDArray[np.uint8],
     valid: NDArray[np.bool_],
 ) -> None:
-    """Fills a piece of a cell, whose pixels `transform` takes to coordinates, from a window of the source."""
+    """Fills a piece of a cell from a window of the source.
+
+    `transform` takes the piece's pixels to coordinates.
+    """
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
     window, inside = _window(
         source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2
@@ -157,7 +160,7 @@ def _fill_piece(
 def _window(
     source: Source, cell: Cell, transform: Affine, shape: tuple[int, ...], *, margin_px: int
 ) -> tuple[Window | None, bool]:
-    """The part of a source that shows a piece, and whether the source reaches all around it."""
+    """Returns the part of a source that shows a piece, and whether the source reaches around it."""
     border = [transform * point for point in outline(shape[1], shape[0])]
     places = to_reference_system(cell.crs, source.georeference.crs, border)
     if not all(math.isfinite(value) for place in places for value in place):

@@ -1,4 +1,4 @@
-"""Which point of a mesh each texel of the shared map shows, and its colour."""
+"""Finds which point of a mesh each texel of the shared map shows, and its colour."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def bake(
 def _texel_places(
     wrapping: Wrapping,
 ) -> tuple[Float[np.ndarray, "512 512 3"], Float[np.ndarray, "512 512 3"]]:
-    """Where on the wrapped template each texel's centre lies, and the surface's direction there."""
+    """Finds each texel's centre on the wrapped template, and the surface's direction there."""
     template = make_template()
     uv = template.uvs[template.face_uvs].double().numpy()
     flat = np.concatenate([uv, np.zeros_like(uv[..., :1])], axis=-1)
@@ -100,7 +100,7 @@ def _texel_places(
 
 
 def _fill(known: Bool[np.ndarray, "H W"], *maps: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The nearest known texel's values where none are: between the teeth at the two poles."""
+    """Takes the nearest known texel's values where none are: between the teeth at the two poles."""
     if known.all():
         return maps
     rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -108,7 +108,7 @@ def _fill(known: Bool[np.ndarray, "H W"], *maps: np.ndarray) -> tuple[np.ndarray
 
 
 def to_bytes(colour: Float[np.ndarray, "512 512 3"]) -> UInt8[torch.Tensor, "3 512 512"]:
-    """As `Fleet` stores textures."""
+    """Rounds to bytes, as `Fleet` stores textures."""
     return (
         torch.from_numpy((colour.clip(0.0, 1.0) * 255).round().astype(np.uint8))
         .permute(2, 0, 1)

@@ -30,7 +30,7 @@ class _Document:
         return self.by_id.get((reference or "").removeprefix("#"))
 
     def numbers(self, reference: str | None) -> Float[np.ndarray, "K D"]:
-        """The rows of a source."""
+        """Returns the rows of a source."""
         source = self.linked(reference)
         array, accessor = (
             (None, None)
@@ -113,7 +113,7 @@ def _walk(
 
 
 def _transform(node: Element) -> Float[np.ndarray, "4 4"]:
-    """A node's transformations, in the order in which they are written."""
+    """Multiplies a node's transformations, in the order in which they are written."""
     out = np.eye(4)
     for element in node:
         if element.tag not in ("matrix", "translate", "scale", "rotate"):
@@ -137,7 +137,7 @@ def _transform(node: Element) -> Float[np.ndarray, "4 4"]:
 def _triangles(
     document: _Document, group: Element
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 2"]]:
-    """Corners and UVs of one group; polygons are cut into fans."""
+    """Returns corners and UVs of one group; polygons are cut into fans."""
     inputs = {i.get("semantic"): i for i in reversed(group.findall("input"))}
     stride = 1 + max(int(i.get("offset", "0")) for i in group.findall("input"))
     lists = [
@@ -170,7 +170,7 @@ def _triangles(
 
 
 def _material(document: _Document, target: str | None, name: str, symbol: str) -> Material:
-    """A material's diffuse colour or texture, followed through effect, sampler, surface and image."""
+    """Follows a material to its colour or texture: effect, sampler, surface and image."""
     material = document.linked(target)
     name = f"{name} {symbol} {'' if material is None else material.get('name', '')}".strip()
     instance = None if material is None else material.find("instance_effect")
@@ -202,7 +202,7 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
 
 
 def _picture_name(document: _Document, effect: Element, name: str) -> str:
-    """From a sampler's name to the file's; exporters also name the image itself."""
+    """Goes from a sampler's name to the file's; exporters also name the image itself."""
     for kind in ("sampler2D/source", "surface/init_from"):
         for parameter in effect.iter("newparam"):
             if parameter.get("sid") == name and (found := parameter.findtext(kind)):

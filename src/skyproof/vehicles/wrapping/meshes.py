@@ -1,4 +1,4 @@
-"""A textured mesh as plain triangles with UVs and materials, whatever file it came from."""
+"""Holds a textured mesh as triangles with UVs and materials, whatever file it came from."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class SourceMesh:
         weights: Float[np.ndarray, "N 3"],
         mask: UInt8[np.ndarray, "H W"] | None = None,
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """Colour and opacity of points on triangles.
+        """Returns colour and opacity of points on triangles.
 
         Args:
             face: which triangle.
@@ -102,7 +102,7 @@ class SourceMesh:
 def _sample(
     picture: UInt8[np.ndarray, "H W C"], uv: Float[np.ndarray, "N 2"]
 ) -> Float[np.ndarray, "N C"]:
-    """Bilinear between texel centres; the picture repeats."""
+    """Samples bilinearly between texel centres; the picture repeats."""
     height, width = picture.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
@@ -114,7 +114,7 @@ def _sample(
 
 
 def find_texture(mesh: Path, name: str) -> Path | None:
-    """The picture that a mesh file names, or the one of that name in a neighbouring folder.
+    """Finds the picture that a mesh file names, or one of that name in a neighbouring folder.
 
     Looked for in this order: at the path given; as `model://<model>/...` beside this model's
     folder; then by file name, without regard to case, in the mesh's folder, its `textures` and
@@ -137,7 +137,7 @@ def find_texture(mesh: Path, name: str) -> Path | None:
 
 
 def open_texture(path: Path) -> UInt8[np.ndarray, "H W C"]:
-    """A picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
+    """Opens a picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
 
     Raises:
         ConfigurationError: it cannot be read.

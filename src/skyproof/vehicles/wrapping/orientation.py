@@ -91,7 +91,10 @@ def _turn(corners: Float[np.ndarray, "F 3 3"], up: str, forward: str) -> Float[n
 
 
 def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
-    """The plane of symmetry: where the mirror image fits best, so that one mirror or an aerial does not count."""
+    """Finds the plane of symmetry: where the mirror image fits best.
+
+    So one mirror or an aerial does not count.
+    """
     sample = points[:: max(len(points) // 6000, 1)]
     middle = (sample[:, 1].min() + sample[:, 1].max()) / 2
     shifts = middle + np.linspace(-0.12, 0.12, 49)
@@ -104,7 +107,7 @@ def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _guess_up(points: Float[np.ndarray, "N 3"]) -> str:
-    """Of the two shorter axes, the one about which mirroring fits worse."""
+    """Takes, of the two shorter axes, the one about which mirroring fits worse."""
     extent = np.ptp(points, axis=0)
     sample = points[:: max(len(points) // 4000, 1)]
     tree = cKDTree(sample)
@@ -146,7 +149,7 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
 
 
 def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
-    """Whether +x is the nose, and by what: windscreen, bonnet, mirrors, or by nothing.
+    """Says whether +x is the nose, and by what: windscreen, bonnet, mirrors, or by nothing.
 
     1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the
        windscreen. 2. Else the way from the end to where the vehicle is 85 % as high as it gets is
@@ -177,7 +180,7 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
 
 
 def _spread(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "N 3"]:
-    """Points all over the triangles, 12 x 12 halves of each."""
+    """Spreads points all over the triangles, 12 x 12 halves of each."""
     steps = np.linspace(0.0, 1.0, 12)
     u, v = np.meshgrid(steps, steps)
     inside = u + v <= 1.0

@@ -1,4 +1,4 @@
-"""The outer surface of a mesh as a cloud of points: what is seen from somewhere outside, and nothing else."""
+"""Finds the outer surface of a mesh as points: what is seen from somewhere outside."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ class Outer:
 
 
 def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = None) -> Outer:
-    """Looks at a mesh from 16 directions and keeps what each pixel sees, whichever way its triangle is wound.
+    """Looks at a mesh from 16 directions and keeps what each pixel sees.
+
+    It does not matter which way triangles are wound.
 
     Args:
         corners: triangles in the vehicle frame.

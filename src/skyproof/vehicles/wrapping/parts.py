@@ -1,4 +1,4 @@
-"""Part labels of a wrapped mesh: from names where they say it, from place and paint mask or colour elsewhere."""
+"""Labels the parts of a wrapped mesh: by names, else by place and by paint mask or colour."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MODE_PX = 7
 
 
 def name_part(name: str) -> Part | None:
-    """What a material's or object's name says it is; None for nothing, which is mostly paint."""
+    """Takes a part from the name of a material or object; None for nothing, mostly paint."""
     return next(
         (part for part, pattern in _NAMES if re.search(pattern, name.lower().replace("_", " "))),
         None,
@@ -129,14 +129,14 @@ def _dark(colour: Float[np.ndarray, "512 512 3"]) -> Bool[np.ndarray, "512 512"]
 
 
 def _column() -> Float[np.ndarray, " 512"]:
-    """Each texel's column coordinate, 0 in the middle of the floor to 16 in the middle of the roof."""
+    """Returns each texel's column coordinate, 0 in the floor's middle to 16 in the roof's."""
     centre = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
     column = np.interp(centre, column_u().numpy(), np.arange(COLUMNS + 1))
     return np.minimum(column, COLUMNS - column)
 
 
 def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarray, "512 512"]:
-    """Texels of the underside; on the two end faces the columns of the underside run up to the poles."""
+    """Returns the underside's texels; on the two end faces its columns run up to the poles."""
     ring = np.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
     end_face = (ring < 3) | (ring > RINGS - 2)
     clearance = float(np.median(wrapping.hull.low))
@@ -146,7 +146,7 @@ def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarr
 def _wheels(
     wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray
 ) -> Bool[np.ndarray, "512 512"]:
-    """Discs on the sides where the lower edge comes down to the ground."""
+    """Finds discs on the sides where the lower edge comes down to the ground."""
     hull = wrapping.hull
     low, at = hull.low, hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
     found = np.zeros_like(x, bool)
@@ -165,7 +165,7 @@ def _wheels(
 
 
 def _mode(parts: np.ndarray) -> np.ndarray:
-    """The most frequent label around each texel: takes specks away."""
+    """Takes the most frequent label around each texel, so that specks go."""
     counts = np.stack(
         [uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part]
     )

@@ -1,4 +1,4 @@
-"""How well a wrapped vehicle fits its mesh: outlines, distances, self-crossings."""
+"""Measures how well a wrapped vehicle fits its mesh: outlines, distances, self-crossings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def outline_iou(
     azimuth_deg: float,
     elevation_deg: float,
 ) -> float:
-    """Intersection over union of two meshes' outlines at 1 cm per pixel."""
+    """Returns the intersection over union of two meshes' outlines at 1 cm per pixel."""
     axes = view_axes(np.radians(azimuth_deg), np.radians(elevation_deg))
     views = [corners @ axes.T for corners in (first, second)]
     points = np.concatenate([view.reshape(-1, 3) for view in views])[:, :2]
@@ -71,7 +71,10 @@ def _distances(
     start: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
     goal: tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]],
 ) -> Float[np.ndarray, " K"]:
-    """From one in five points to the other surface: to its nearest point's plane if that is within two pixels."""
+    """Measures from one in five points to the other surface.
+
+    It is to the nearest point's plane where that is within two pixels.
+    """
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
     distance, found = tree.query(points)

@@ -113,7 +113,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
 def _look_of(
     geometry: trimesh.Trimesh, name: str
 ) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
-    """Material, UVs and corner colours of one trimesh object."""
+    """Returns material, UVs and corner colours of one trimesh object."""
     count = len(geometry.faces)
     uvs, colours = np.zeros((count, 3, 2)), np.full((count, 3, 3), np.nan)
     visual: Any = geometry.visual

@@ -1,4 +1,7 @@
-"""A vehicle's hull from above, from its sides and from below, and cross-sections of it: no interior, no wheel gaps."""
+"""Takes a vehicle's hull from above, from the sides and from below, and cuts it across.
+
+It has no interior and no wheel gaps.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ _CLEAR_M = 0.4
 
 @dataclass(frozen=True)
 class Hull:
-    """The outer surface as four height fields over square cells, smoothed of what a coarse skin cannot follow.
+    """The outer surface as four height fields over square cells.
+
+    It is smoothed of what a coarse skin cannot follow.
 
     Cell `[i, j]` has its centre at `start + (i + 0.5, j + 0.5) * cell` on the two axes it lies on.
 
@@ -50,11 +55,11 @@ class Hull:
     def index(
         self, values: Float[np.ndarray, "*N"], axis: int, count: int
     ) -> Int[np.ndarray, "*N"]:
-        """Cell along one axis, held inside the grid."""
+        """Returns the cell along one axis, held inside the grid."""
         return np.floor((values - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
 
     def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Points within a cell of the surface moved onto it, up or down or sideways, whichever is nearer."""
+        """Moves points within a cell of the surface onto it, whichever way is nearer."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
         top = (
             _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5)
@@ -70,7 +75,7 @@ class Hull:
         return snapped
 
     def inside(self, points: Float[np.ndarray, "N 3"], slack_m: float) -> np.ndarray:
-        """Which points lie inside the outline from above and the sides, or at most `slack_m` outside."""
+        """Says which points lie inside the outline from above and the sides, to `slack_m`."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
         own = self.sides[
             (points[:, 1] < 0).astype(np.int64),
@@ -82,7 +87,7 @@ class Hull:
         return along & (np.abs(points[:, 1]) < own + slack_m)
 
     def face(self, points: Float[np.ndarray, "N 3"], *, nose: bool) -> Float[np.ndarray, " N"]:
-        """x of the surface in front of (or behind) points; NaN where nothing is."""
+        """Returns x of the surface in front of (or behind) points; NaN where nothing is."""
         seen = self.front if nose else self.rear
         return seen[
             self.index(points[:, 1], 1, seen.shape[0]), self.index(points[:, 2], 2, seen.shape[1])
@@ -106,7 +111,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     counts = np.ceil((extent + 2 * margin) / cell).astype(int)
 
     def look(first: int, second: int, depth: int, sign: float) -> np.ndarray:
-        """The largest `sign * depth` over cells of two axes; -inf where nothing is."""
+        """Returns the largest `sign * depth` over cells of two axes; -inf where nothing is."""
         view = corners[..., [second, first, depth]] * [1.0, 1.0, -sign]
         seen = parallel_view(
             view, start[[second, first]], cell, (int(counts[first]), int(counts[second]))
@@ -161,7 +166,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
 def _between(
     rows: Float[np.ndarray, "N C"], at: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, " N"]:
-    """One value of each row, linear between two cells; not finite where one of them is not."""
+    """Interpolates one value of each row between two cells; not finite where one of them is not."""
     left = np.floor(at).astype(np.int64).clip(0, rows.shape[1] - 2)
     each = np.arange(len(rows))
     low, high = rows[each, left], rows[each, left + 1]
@@ -177,7 +182,7 @@ def _disc(radius: float) -> np.ndarray:
 
 
 def _largest(mask: np.ndarray) -> np.ndarray:
-    """The largest connected piece."""
+    """Returns the largest connected piece."""
     pieces, count = label(mask)
     if count < 2:
         return mask
@@ -203,12 +208,12 @@ class Sections:
     floor: Float[np.ndarray, " S"]
 
     def points(self) -> tuple[Float[np.ndarray, "S D"], Float[np.ndarray, "S D"]]:
-        """y and z of the outlines."""
+        """Returns y and z of the outlines."""
         direction = _directions()
         return self.radius * direction[:, 0], self.axis_z[:, None] + self.radius * direction[:, 1]
 
     def at(self, rows: np.ndarray) -> Sections:
-        """Some of the planes."""
+        """Returns some of the planes."""
         return Sections(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
@@ -218,7 +223,10 @@ def _directions() -> Float[np.ndarray, "D 2"]:
 
 
 def cut_sections(hull: Hull) -> Sections:
-    """An outline for every x at which the hull has cells: where rays from the axis leave it for the last time."""
+    """Cuts an outline for every x at which the hull has cells.
+
+    It lies where rays from the axis leave the hull for the last time.
+    """
     count_y = hull.top.shape[1]
     count_z = hull.sides.shape[2]
     rows = np.flatnonzero(np.isfinite(hull.top).any(1) & (hull.sides.max((0, 2)) > 0.05))

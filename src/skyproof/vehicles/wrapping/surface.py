@@ -78,7 +78,7 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
 
 
 def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
-    """What the rings must follow, in metres: outline from above, roof lines, lower edge, windows."""
+    """Returns what the rings must follow: outline from above, roof lines, lower edge, windows."""
     y, z = sections.points()
     up = DIRECTIONS // 2
     roof = [z[:, up], (z[:, up - 30] + z[:, up + 30]) / 2, z.max(1)]
@@ -93,7 +93,7 @@ def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
 
 
 def _end(sections: Sections, step: int) -> int:
-    """The first plane behind an end that cuts the bumper's face well: over half as wide as the vehicle."""
+    """Finds the first plane behind an end that is over half as wide as the vehicle."""
     y, _ = sections.points()
     width = np.ptp(y, axis=1)
     cell = sections.station[1] - sections.station[0]
@@ -103,7 +103,10 @@ def _end(sections: Sections, step: int) -> int:
 
 
 def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
-    """The 27 planes between which straight lines follow the profiles best, by dynamic programming."""
+    """Chooses 27 planes between which straight lines follow the profiles best.
+
+    By dynamic programming.
+    """
     first, last = _end(sections, 1), _end(sections, -1)
     profiles = _profiles(sections)[first : last + 1]
     cell = float(sections.station[1] - sections.station[0])
@@ -133,7 +136,10 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
 
 
 def _belt_height(sections: Sections) -> float:
-    """Shoulder height: where the sides of the middle half begin to lean in; 0.6 of the height if upright."""
+    """Finds the shoulder: where the sides of the middle half begin to lean in.
+
+    It is 0.6 of the height where they are upright.
+    """
     y, z = sections.points()
     middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
     side, wide = z[middle].ravel(), np.abs(y[middle]).ravel()
@@ -148,7 +154,7 @@ def _belt_height(sections: Sections) -> float:
 
 
 def _half_outlines(sections: Sections, side: int) -> Float[np.ndarray, "S 181"]:
-    """Distances from straight down to straight up, over the left side (1) or the right side (-1)."""
+    """Returns distances from straight down to straight up, on the left (1) or right (-1) side."""
     radius = sections.radius
     if side > 0:
         return radius[:, : DIRECTIONS // 2 + 1]
@@ -161,7 +167,9 @@ _ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))
 def _places(
     sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float
 ) -> Float[np.ndarray, "S 17"]:
-    """For every plane where on the half outline columns 7 to 16 lie: (fractional) directions, both sides alike.
+    """Finds for every plane where on the half outline columns 7 to 16 lie.
+
+    They are (fractional) directions, on both sides alike.
 
     Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the
     columns run evenly.
@@ -203,7 +211,7 @@ def _places(
 
 
 def _shoulder(z: Float[np.ndarray, " 181"], axis_z: float, belt: float) -> int:
-    """The direction in which an outline first reaches the belt; lower where bonnet or boot are lower."""
+    """Finds where an outline first reaches the belt; lower where bonnet or boot are lower."""
     wanted = min(belt, axis_z + 0.72 * (float(z[90:].max()) - axis_z))
     above = np.flatnonzero((z >= wanted) & (np.arange(len(z)) >= 90))
     return min(int(above[0]), 165) if len(above) else 120
@@ -215,7 +223,7 @@ def _ring(
     place: Float[np.ndarray, " 17"],
     row: int,
 ) -> Float[np.ndarray, "32 3"]:
-    """The 32 points of one ring."""
+    """Returns the 32 points of one ring."""
     points = np.zeros((COLUMNS, 3))
     points[:, 0] = sections.station[row]
     axis_z, low = sections.axis_z[row], sections.low[row]
@@ -243,7 +251,10 @@ def _ring(
 
 
 def _cap(hull: Hull, end: Float[np.ndarray, "32 3"], *, nose: bool) -> Float[np.ndarray, "3 32 3"]:
-    """A pole (as the first row) and two shrinking rings on the face before the foremost, or behind the last, ring."""
+    """Returns a pole (as the first row) and two shrinking rings on a bumper's face.
+
+    They lie before the foremost ring, or behind the last.
+    """
     sign = 1.0 if nose else -1.0
     pole = np.array([end[0, 0], 0.0, (end[0, 2] + end[_HALF, 2]) / 2])
     rings = []

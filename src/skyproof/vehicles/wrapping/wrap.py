@@ -1,4 +1,4 @@
-"""From a mesh file to a vehicle on the shared template, with its texture, part labels and how well it fits."""
+"""Brings a mesh file onto the shared template: vertices, texture, parts, and how well it fits."""
 
 from __future__ import annotations
 
