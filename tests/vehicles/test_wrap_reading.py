@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from skyproof.vehicles.wrapping.raster import z_buffer
 
 from skyproof.errors import ConfigurationError
 from skyproof.main import run
@@ -16,6 +15,7 @@ from skyproof.vehicles.wrapping.orientation import orient
 from skyproof.vehicles.wrapping.outer import look_around
 from skyproof.vehicles.wrapping.parts import name_part
 from skyproof.vehicles.wrapping.reading import read_mesh
+from skyproof.vehicles.wrapping.views import parallel_view
 from tests.vehicles.model_car import (
     GLASS,
     HEIGHT_M,
@@ -208,7 +208,7 @@ def test_names_say_parts() -> None:
 def test_the_nearest_triangle_is_seen() -> None:
     """Against a solver per pixel and triangle."""
     corners = np.random.default_rng(0).uniform(-1, 1, (40, 3, 3))
-    seen = z_buffer(corners, np.array([-1.0, -1.0]), 0.1, (20, 20))
+    seen = parallel_view(corners, np.array([-1.0, -1.0]), 0.1, (20, 20))
     for row in range(20):
         for column in range(20):
             place = -1 + 0.1 * (np.array([column, row]) + 0.5)
