@@ -7,18 +7,18 @@ from skyproof.imagery.tiles.splits import SPLIT_SHARES, assign_splits
 from skyproof.scenes.splits import SPLITS
 
 
-def cells(rows, columns, frame="f"):
+def cells(rows, columns, grid="f"):
     """A grid of cells of 48 m."""
     return [
         Cell(
-            f"{frame}-{row}-{column}",
+            f"{grid}-{row}-{column}",
             None,
             48.0 * column,
             -48.0 * row,
             384,
             0.125,
             (0,),
-            block=(frame, row, column),
+            block=(grid, row, column),
         )
         for row in range(rows)
         for column in range(columns)

@@ -39,7 +39,7 @@ class Georeference:
     """Where an image lies.
 
     Attributes:
-        crs: its reference system, or None: then it lies in a frame of its own, x right and y up
+        crs: its reference system, or None: then it lies in a grid of its own, x right and y up
             from its top-left corner, in metres.
         transform: pixels (column, row) to coordinates.
         gsd_m: metres on the ground per column and per row.
@@ -95,7 +95,7 @@ def read_georeference(
     """Finds out where an image lies.
 
     What the file says comes first. Where it has a transform (its own or a world file's) but names
-    no reference system, `crs` names it; failing that the image gets a frame of its own, at
+    no reference system, `crs` names it; failing that the image gets a grid of its own, at
     `source_gsd_m` or, if not given either, at the transform's pixel size taken as metres where that
     is between 0.5 and 50 cm.
 

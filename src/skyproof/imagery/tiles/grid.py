@@ -1,4 +1,4 @@
-"""Lays the grids tiles are cut on: one frame in true metres per stretch of connected imagery."""
+"""Lays the grids that tiles are cut on: one in true metres per stretch of connected imagery."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_re
 from skyproof.imagery.tiles.sources import Source
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["Cell", "Extent", "Frame", "cells_of", "extent_of", "lay_frames", "plane_of"]
+__all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
 
 FULL_SHARE = 0.98
 GLOBAL_FROM_TILES = 8
 SHRINK = 0.8
 
 Extent = tuple[float, float, float, float]
-"""Left, bottom, right, top in a frame's metres."""
+"""Left, bottom, right, top in a grid's metres."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Cell:
 
     Attributes:
         id: of the tile.
-        crs: of its coordinates; None in the frame of an image without georeference.
+        crs: of its coordinates; None in the grid of an image without georeference.
         left_m, top_m: its north-west corner.
         size_px: its side.
         gsd_m: metres per pixel.
         sources: which sources may show it, in the order in which they are asked.
-        offset_px: its place in the frame's grid, right and down.
+        offset_px: its place in the grid, right and down.
         block: cells of one block go to one split.
         split: where it is settled beforehand.
     """
@@ -66,7 +66,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Frame:
+class Grid:
     """A grid in true metres.
 
     Attributes:
@@ -131,44 +131,44 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
     return min(xs), min(ys), max(xs), max(ys)
 
 
-def lay_frames(
+def lay_grids(
     sources: Sequence[Source], *, size_px: int, minimum_px: int, gsd_m: float, notes: list[str]
-) -> list[Frame]:
+) -> list[Grid]:
     """Lays grids over sources.
 
-    Sources whose extents touch share a frame. Its system is that of its first source where a unit
+    Sources whose extents touch share a grid. Its system is that of its first source where a unit
     of it is a metre on the ground to 0.15 % (UTM, most national grids), so that imagery of the
-    wanted resolution need not be resampled; otherwise the UTM zone of the frame's middle. Its cells
+    wanted resolution need not be resampled; otherwise the UTM zone of the grid's middle. Its cells
     lie at multiples of their size from the system's origin: whatever sheet shows a place, now or in
     another run, it falls in the same cell. Only imagery of fewer than eight cells across begins its
     grid at its own north-west corner, because it could not afford cut cells. An image without
-    georeference has a frame of its own.
+    georeference has a grid of its own.
 
-    Where cells are larger than `minimum_px` they shrink: in a frame that would hold none, and in
-    all frames until there are four, one per split.
+    Where cells are larger than `minimum_px` they shrink: in a grid that would hold none, and in
+    all grids until there are four, one per split.
 
     Raises:
-        ImageryError: no frame holds a whole cell.
+        ImageryError: no grid holds a whole cell.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
     size = size_px
     while True:
-        frames = [
+        grids = [
             _frame(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
         ]
-        if size <= minimum_px or sum(frame.whole_cells() for frame in frames) >= len(SPLITS):
+        if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= len(SPLITS):
             break
         size = max(minimum_px, round(size * SHRINK))
-    kept = [frame for frame in frames if frame.whole_cells()]
-    for frame in frames:
-        if not frame.whole_cells():
+    kept = [grid for grid in grids if grid.whole_cells()]
+    for grid in grids:
+        if not grid.whole_cells():
             notes += [
-                f"{sources[i].path.name} is too small for a tile of {frame.size_px} px; it is left "
+                f"{sources[i].path.name} is too small for a tile of {grid.size_px} px; it is left "
                 "out"
-                for i in frame.extents
+                for i in grid.extents
             ]
     if not kept:
-        left, bottom, right, top = frames[0].extents[0]
+        left, bottom, right, top = grids[0].extents[0]
         raise ImageryError(
             f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px "
             f"at {gsd_m} m per pixel, and no image holds a whole tile of {minimum_px} px; give "
@@ -184,22 +184,22 @@ def _frame(
     size_px: int,
     minimum_px: int,
     gsd_m: float,
-) -> Frame:
+) -> Grid:
     left, bottom = min(e[0] for e in extents.values()), min(e[1] for e in extents.values())
     right, top = max(e[2] for e in extents.values()), max(e[3] for e in extents.values())
     while True:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
         corner = (left, top) if crs is None or narrow else (0.0, 0.0)
-        frame = Frame(name, crs, *corner, size_px, gsd_m, extents)
-        if size_px <= minimum_px or frame.whole_cells():
-            return frame
+        grid = Grid(name, crs, *corner, size_px, gsd_m, extents)
+        if size_px <= minimum_px or grid.whole_cells():
+            return grid
         size_px = max(minimum_px, round(size_px * SHRINK))
 
 
 def _layout(
     sources: Sequence[Source], group: Sequence[int]
 ) -> tuple[str, CRS | None, dict[int, Extent]]:
-    """Returns name, system and extents of the frame of sources that touch."""
+    """Returns name, system and extents of the grid of sources that touch."""
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
@@ -231,18 +231,18 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
     return list(groups.values())
 
 
-def cells_of(frame: Frame) -> list[Cell]:
-    """Lists the cells that the sources of a frame may fill, row by row, each a block of its own."""
-    side_m = frame.size_px * frame.gsd_m
+def cells_of(grid: Grid) -> list[Cell]:
+    """Lists the cells that the sources of a grid may fill, row by row, each a block of its own."""
+    side_m = grid.size_px * grid.gsd_m
     seen: dict[tuple[int, int], list[int]] = {}
     covered: dict[tuple[int, int], float] = {}
-    for number, extent in frame.extents.items():
-        columns, rows = frame.places(extent, whole=False)
+    for number, extent in grid.extents.items():
+        columns, rows = grid.places(extent, whole=False)
         for row in rows:
-            top = frame.top_m - row * side_m
+            top = grid.top_m - row * side_m
             height = min(top, extent[3]) - max(top - side_m, extent[1])
             for column in columns:
-                left = frame.left_m + column * side_m
+                left = grid.left_m + column * side_m
                 width = min(left + side_m, extent[2]) - max(left, extent[0])
                 seen.setdefault((row, column), []).append(number)
                 covered[row, column] = covered.get((row, column), 0.0) + width * height
@@ -250,21 +250,21 @@ def cells_of(frame: Frame) -> list[Cell]:
     for (row, column), numbers in sorted(seen.items()):
         if covered[row, column] < (FULL_SHARE - 0.005) * side_m**2:
             continue
-        left_m, top_m = frame.left_m + column * side_m, frame.top_m - row * side_m
-        offset_px = (column * frame.size_px, row * frame.size_px)
-        if frame.crs is None:
-            tile_id = f"{frame.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
+        left_m, top_m = grid.left_m + column * side_m, grid.top_m - row * side_m
+        offset_px = (column * grid.size_px, row * grid.size_px)
+        if grid.crs is None:
+            tile_id = f"{grid.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
         else:
-            tile_id = f"{frame.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
-        sources, block = tuple(sorted(numbers)), (frame.name, row, column)
+            tile_id = f"{grid.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
+        sources, block = tuple(sorted(numbers)), (grid.name, row, column)
         cells.append(
             Cell(
                 tile_id,
-                frame.crs,
+                grid.crs,
                 left_m,
                 top_m,
-                frame.size_px,
-                frame.gsd_m,
+                grid.size_px,
+                grid.gsd_m,
                 sources,
                 offset_px,
                 block,

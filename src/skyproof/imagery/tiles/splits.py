@@ -35,12 +35,12 @@ def assign_splits(
     divided.
 
     Args:
-        cells: with their `block` set to (frame, row, column).
+        cells: with their `block` set to (grid, row, column).
         block_m: width of a block, or None.
         generator: shuffles the blocks.
 
     Returns:
-        Per cell id its split, and per frame the width of its blocks in metres.
+        Per cell id its split, and per grid the width of its blocks in metres.
     """
     wanted = WANTED_BLOCKS if block_m is None else len(SPLITS)
     width_m = DEFAULT_BLOCK_M if block_m is None else block_m
@@ -73,5 +73,5 @@ def _side(cell: Cell, width_m: float) -> int:
 
 def _block(cell: Cell, sides: Mapping[str, int]) -> BlockKey:
     assert cell.block is not None
-    frame, row, column = cell.block
-    return frame, row // sides[frame], column // sides[frame]
+    grid, row, column = cell.block
+    return grid, row // sides[grid], column // sides[grid]

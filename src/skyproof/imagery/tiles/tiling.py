@@ -20,7 +20,7 @@ from skyproof.files import write_json
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
-from skyproof.imagery.tiles.grid import Cell, Frame, cells_of, lay_frames
+from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
     Source,
@@ -50,7 +50,7 @@ class TilingRecord:
         settings: as given.
         sources: per source its name, size, system, resolution, bands, range, nodata value and
             licence.
-        blocks_m: per frame the width of its blocks.
+        blocks_m: per grid the width of its blocks.
         counts: per split its tiles, vehicles and ignore regions.
         empty: cells left out because more than 2 % of them is empty.
         missing: ids of tiles of `like` that the sources do not show.
@@ -81,7 +81,7 @@ def tile_imagery(
     It writes `index.json`, `index.geojson`, `<split>/images/*.png` and `tiling.json`.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
-    (`lay_frames`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
+    (`lay_grids`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
     cells go to the splits (`assign_splits`). Every place of georeferenced sources lies in one cell,
     so in one split, however many of them show it. Images without georeference that show the same
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
@@ -205,14 +205,14 @@ def _sensor(
 def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
     if settings.like is not None:
         return cells_like(settings.like, sources, notes)
-    frames: list[Frame] = lay_frames(
+    grids: list[Grid] = lay_grids(
         sources,
         size_px=settings.size_px,
         minimum_px=settings.minimum_px or settings.size_px,
         gsd_m=settings.gsd_m,
         notes=notes,
     )
-    return [cell for frame in frames for cell in cells_of(frame)]
+    return [cell for grid in grids for cell in cells_of(grid)]
 
 
 def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
