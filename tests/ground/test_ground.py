@@ -11,7 +11,7 @@ from skyproof.ground.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_
 
 
 def _flat_canvas(azimuth_rad):
-    canvas = Canvas(160, 0.125, np.random.default_rng(0), frame_rad=0.0)
+    canvas = Canvas(160, 0.125, np.random.default_rng(0), axes_rad=0.0)
     canvas.reflectance[:] = 0.3
     canvas.sun_azimuth_rad, canvas.sun_elevation_rad = azimuth_rad, math.radians(45)
     return canvas
@@ -19,7 +19,7 @@ def _flat_canvas(azimuth_rad):
 
 @pytest.mark.parametrize("kind", list(GROUND_KINDS))
 def test_every_kind_draws(kind):
-    canvas = Canvas(128, 0.125, np.random.default_rng(1), frame_rad=0.4)
+    canvas = Canvas(128, 0.125, np.random.default_rng(1), axes_rad=0.4)
     GROUND_KINDS[kind](canvas)
     assert np.isfinite(canvas.reflectance).all()
     assert np.isfinite(canvas.height).all()
@@ -64,7 +64,7 @@ def test_slope_towards_the_sun_is_brighter():
 def test_sizes_follow_the_resolution():
     # 4 m x 2 m cover 8 square metres whatever the pixel size and the angle.
     for gsd_m, angle in ((0.125, 0.0), (0.125, 0.5), (0.25, 1.1)):
-        canvas = Canvas(100, gsd_m, np.random.default_rng(0), frame_rad=0.3)
+        canvas = Canvas(100, gsd_m, np.random.default_rng(0), axes_rad=0.3)
         patch = canvas.rectangle((1.0, -0.5), (4.0, 2.0), angle)
         assert patch.coverage.sum() * gsd_m**2 == pytest.approx(8.0, rel=0.02)
 

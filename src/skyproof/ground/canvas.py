@@ -74,13 +74,13 @@ class GroundSensor:
 
 
 class Canvas:
-    """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with a frame in which streets run straight.
+    """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with axes along which streets run straight.
 
-    Places are metres in that frame: origin at the centre, u along the street, v to its left. One sun lights all.
+    Places are metres along these axes: origin at the centre, u along the street, v to its left. One sun lights all.
     """
 
     def __init__(
-        self, size_px: int, gsd_m: float, rng: np.random.Generator, *, frame_rad: float
+        self, size_px: int, gsd_m: float, rng: np.random.Generator, *, axes_rad: float
     ) -> None:
         self.gsd_m = gsd_m
         self.rng = rng
@@ -88,7 +88,7 @@ class Canvas:
         self.margin_px = math.ceil(MARGIN_M / gsd_m)
         self.pixels = size_px + 2 * self.margin_px
         self.reach_m = self.pixels * gsd_m * 0.7072
-        self.frame_rad = frame_rad
+        self.axes_rad = axes_rad
         self.reflectance = np.zeros((self.pixels, self.pixels, 3), np.float32)
         self.height = np.zeros((self.pixels, self.pixels), np.float32)
         self.sun_azimuth_rad = float(rng.uniform(0, 2 * math.pi))
@@ -126,8 +126,8 @@ class Canvas:
         return field[rows[:, None], columns[None]]
 
     def to_pixels(self, u_m: float, v_m: float) -> tuple[float, float]:
-        """Column and row of a place in the frame."""
-        cosine, sine = math.cos(self.frame_rad), math.sin(self.frame_rad)
+        """Column and row of a place."""
+        cosine, sine = math.cos(self.axes_rad), math.sin(self.axes_rad)
         x, y = cosine * u_m - sine * v_m, sine * u_m + cosine * v_m
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
@@ -148,7 +148,7 @@ class Canvas:
         y = (-(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m).astype(np.float32)[
             :, None
         ]
-        turn = self.frame_rad + angle_rad
+        turn = self.axes_rad + angle_rad
         cosine, sine = math.cos(turn), math.sin(turn)
         return rows, columns, cosine * x + sine * y, -sine * x + cosine * y
 
@@ -194,7 +194,7 @@ class Canvas:
         return patch
 
     def everywhere(self, angle_rad: float = 0.0, wander_m: float = 0.0) -> Patch:
-        """The whole canvas in the frame's coordinates; with `wander_m` the v axis meanders, as a track does."""
+        """The whole canvas in the coordinates of its axes; with `wander_m` the v axis meanders, as a track does."""
         rows, columns, u, v = self._local(0.0, 0.0, angle_rad, 3 * self.reach_m)
         if wander_m:
             period = float(self.rng.uniform(40, 90))

@@ -49,7 +49,7 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     seed = int(torch.randint(2**62, (1,), generator=generator))
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(list(GROUND_KINDS), p=[KIND_SHARES[name] for name in GROUND_KINDS]))
-    canvas = Canvas(size_px, gsd_m, rng, frame_rad=float(rng.uniform(0, 2 * math.pi)))
+    canvas = Canvas(size_px, gsd_m, rng, axes_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
     image = torch.from_numpy(canvas.photograph(GroundSensor.draw(rng)))
     return Ground(image, kind, canvas.sun_azimuth_rad, canvas.sun_elevation_rad)

@@ -179,7 +179,7 @@ def light(
     coat mirrors does not reach the paint (Fresnel towards the viewer, as path tracers layer a coat).
 
     Args:
-        normal: unit normals, world frame.
+        normal: unit normals, world axes.
         sun: unit vectors towards the sun.
         viewer: unit vectors towards the camera.
         half: unit vectors half-way between the two.

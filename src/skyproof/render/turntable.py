@@ -42,7 +42,7 @@ def turntable_row(mesh: SourceMesh, vehicles: VehicleBatch, caption: str) -> UIn
     """One vehicle: its mesh from above, the side and aslant; itself likewise; rendered; its texture and part map.
 
     Args:
-        mesh: in the vehicle frame.
+        mesh: in the vehicle's axes.
         vehicles: one vehicle.
         caption: one line above the row.
     """

@@ -36,7 +36,7 @@ class Body:
 
     Attributes:
         dimensions: what it was built from.
-        half: `[33, 17, 3]` metres, vehicle frame: nose pole, rings, tail pole; columns from the
+        half: `[33, 17, 3]` metres, vehicle axes: nose pole, rings, tail pole; columns from the
             middle of the underside up the left side to the middle of the roof.
         station: `[33]` distance behind the nose of each ring's middle.
         belt_z, rail_z, rail_y: `[33]` shoulder height, roof rail height and half width at the roof

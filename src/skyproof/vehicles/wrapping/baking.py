@@ -50,7 +50,7 @@ def bake(
     """Gives every texel the colour of the mesh's outer surface nearest to it that faces alike.
 
     Args:
-        mesh: in the vehicle frame.
+        mesh: in the vehicle's axes.
         outer: its outer surface; what the wrapped hull leaves out, such as mirrors, is not taken.
         wrapping: the template on it.
         mask: paint mask on the mesh's own UVs.

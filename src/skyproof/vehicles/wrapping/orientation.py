@@ -1,4 +1,4 @@
-"""Puts a mesh into the vehicle frame: metres, nose along +x, left along +y, standing on z = 0."""
+"""Puts a mesh into the vehicle's axes: metres, nose along +x, left along +y, standing on z = 0."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def orient(
         forward: one of `AXES`, where the nose points.
 
     Returns:
-        the mesh in the vehicle frame, and {"scale", "up", "forward", "nose"}: the last says how the
+        the mesh in the vehicle's axes, and {"scale", "up", "forward", "nose"}: the last says how the
         nose was found.
 
     Raises:

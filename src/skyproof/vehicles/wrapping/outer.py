@@ -53,7 +53,7 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
     It does not matter which way triangles are wound.
 
     Args:
-        corners: triangles in the vehicle frame.
+        corners: triangles in the vehicle's axes.
         pixel_m: distance of the rays; None for 1.25 cm on a car, more on what is larger.
     """
     extent = np.ptp(corners.reshape(-1, 3), axis=0)

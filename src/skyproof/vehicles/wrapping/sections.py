@@ -101,7 +101,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     mirrors. Gaps in the sides up to 14 cm and on top up to 26 cm are closed: wheel arches, ladders.
 
     Args:
-        corners: triangles in the vehicle frame.
+        corners: triangles in the vehicle's axes.
     """
     points = corners.reshape(-1, 3)
     extent = np.ptp(points, axis=0)

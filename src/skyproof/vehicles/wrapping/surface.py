@@ -36,7 +36,7 @@ class Wrapping:
     """The template on a mesh.
 
     Attributes:
-        vertices: `[994, 3]` float32, vehicle frame, in template order.
+        vertices: `[994, 3]` float32, vehicle axes, in template order.
         station: `[27]` x of the rings that lie in planes, from nose to tail.
         belt_m: shoulder height that column 7 follows along the windows.
         hull: what it was laid on.
@@ -57,7 +57,7 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     7 they lie at even heights, elsewhere at even distances.
 
     Args:
-        corners: triangles in the vehicle frame.
+        corners: triangles in the vehicle's axes.
     """
     hull = find_hull(corners)
     every = cut_sections(hull)

@@ -32,7 +32,7 @@ class WrappedVehicle:
     """One mesh on the template.
 
     Attributes:
-        mesh: the mesh in the vehicle frame.
+        mesh: the mesh in the vehicle's axes.
         vertices: `[994, 3]` metres.
         texture: `[3, 512, 512]` sRGB as bytes.
         parts: `[512, 512]` values of `Part`.
