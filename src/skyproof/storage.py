@@ -1,4 +1,4 @@
-"""Tensors in files: safetensors, with a record beside the numbers where one is needed, and no pickle."""
+"""Tensors in files: safetensors, with a record beside the numbers, and no pickle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_tensors(
 ) -> None:
     """Writes tensors, and a record if there is one, to one file, whole or not at all.
 
-    Record and tensors share a file, so that a kill can never leave one of them older than the other.
+    Record and tensors share a file, so that a kill can never leave one older than the other.
 
     Args:
         path: usually ends in `.safetensors`; its folder is made if missing.

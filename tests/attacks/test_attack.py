@@ -1,4 +1,4 @@
-"""The attack loop with stand-in detectors: it learns, it resumes exactly, and it refuses what cannot work."""
+"""The attack with stand-in detectors: it learns, resumes exactly, refuses what cannot work."""
 
 import dataclasses
 import json
@@ -102,7 +102,7 @@ def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, 
     )
     result = attack(camouflage, detectors, world, settings, tmp_path, on_step=seen.append)
     attacked = mean_loss(result, detectors, world)
-    # Vehicles are a twentieth of the image. Other random maps move the loss by less than a thousandth.
+    # Vehicles are a twentieth of the image. Other random maps hardly move the loss.
     control = mean_loss(start(seed=1), detectors, world)
     for name in untouched:
         assert abs(control[name] - untouched[name]) < 0.005 * untouched[name], (untouched, control)

@@ -1,4 +1,4 @@
-"""Every kind of attack through the one loop: it learns, resumes, counts what rounding cost, has the right gradient."""
+"""Every kind of attack: it learns, resumes, counts what rounding cost, has the right gradient."""
 
 import dataclasses
 import json
@@ -47,7 +47,7 @@ FEW = AttackSettings(
 
 
 class BrightnessDetector(TrainableDetector):
-    """Fires where 8 x 8 pixels are brighter than usual: paint it dark, or let nothing bright stick out."""
+    """Fires where 8 x 8 pixels are brighter than usual: paint it dark or flatten it."""
 
     name, size = "brightness", "slim"
 
@@ -130,7 +130,7 @@ def test_one_step_along_the_gradient_lowers_the_score_on_the_target(world, name)
     found = sign_test(camouflage, [BrightnessDetector()], world, settings)["brightness"]
     assert found["scenes"] == 18
     assert found["mean_change"] < 0
-    # A shape step lifts few edges at first; where a bright spot stays on top the score does not change.
+    # A shape step lifts few edges at first; where a bright spot stays on top no score changes.
     if name.startswith("T-"):
         assert found["p"] < 0.001, found
     assert all(torch.equal(value, state[key]) for key, value in camouflage.state_dict().items())
@@ -195,7 +195,7 @@ def test_snapshots_show_an_attack_growing_and_what_rounding_costs(tmp_path, worl
     ]
     assert losses[0] > losses[1] > losses[2]
     assert len(torch.unique(kept["T-PixFc_step1"].bytes().flatten(1), dim=1)[0]) <= 5
-    # Before the rounding colours are still mixed, after it they are not; both losses are in the record.
+    # Before the rounding colours are still mixed, after it not; both losses are in the record.
     assert not kept["T-PixFc_relaxed"].finished
     assert len(torch.unique(kept["T-PixFc_relaxed"].bytes().flatten(1), dim=1)[0]) > 5
     gap = record(tmp_path)["discretisation"]

@@ -1,4 +1,4 @@
-"""The displacement map: how far vertices move, where, which not, and that it stays symmetric and learnable."""
+"""The displacement map: how far vertices move, which do not; it stays symmetric, and learns."""
 
 import dataclasses
 import math
@@ -124,8 +124,8 @@ def test_both_halves_of_the_map_count_alike():
 
 
 def test_a_displacement_computed_by_hand():
-    # Vertex 32 * 9 + 5 of the sphere template has u = 5/32, v = 10/32: between the centres of columns 9 and 10 and of
-    # rows 19 and 20, half way each. Its mirror image has columns 53 and 54.
+    # Vertex 32 * 9 + 5 of the sphere template has u = 5/32, v = 10/32: between the centres of
+    # columns 9 and 10 and of rows 19 and 20, half way each. Its mirror image has columns 53 and 54.
     batch = double(vehicles())
     camouflage = DisplacementMap(named(0.5)).double()
     with torch.no_grad():
@@ -142,7 +142,7 @@ def test_a_displacement_computed_by_hand():
 
 
 def test_the_map_is_circular_in_u():
-    # Columns 63 and 0 meet at u = 0 (and 1): there half of each is read, and just beside it nearly the same.
+    # Columns 63 and 0 meet at u = 0 (and 1): there half of each is read, beside it nearly so.
     values = torch.linspace(-3.0, 5.0, 64).expand(64, 64)
     beside, before, at, inside = sample_map(
         values, torch.tensor([[1e-6, 0.3], [1 - 1e-6, 0.3], [0, 0.3], [0.25, 0.3]])
@@ -205,7 +205,7 @@ def test_wheels_and_underside_stay_unless_asked(cars):
     assert (fixed.sum(1) > 100).all()
     change = moved(filled(0.9), cars)
     assert (change[fixed] == 0).all()
-    # Everything else moves, but for vertices that border on them: the sill is the edge of the underside.
+    # Everything else moves, but for their border: the sill is the edge of the underside.
     beside = labels_at_vertices(cars, inset=0.5)
     free = ~fixed & (beside != Part.WHEEL) & (beside != Part.UNDERSIDE)
     assert (free.sum(1) > 700).all()
@@ -255,7 +255,7 @@ def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
 
 
 def test_adam_lifts_the_map_within_few_steps(cars):
-    # Pushing the roof out is worth something at once: the rate must bring sigmoid from 0.02 past a half.
+    # Pushing the roof out is worth something at once: sigmoid must come from 0.02 past a half.
     camouflage = DisplacementMap(named(0.4))
     optimiser = torch.optim.Adam(
         camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"]

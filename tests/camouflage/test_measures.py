@@ -1,4 +1,4 @@
-"""Measured quantities of textures on a flat body (texels of 1 × 2 cm between the rings), counted by hand."""
+"""Textures measured on a flat body (texels of 1 × 2 cm between the rings), counted by hand."""
 
 import pytest
 import torch
@@ -122,7 +122,7 @@ def test_noise_on_real_vehicles():
     masked = measure_texture(vehicles, noise, body, 16)
     for one, other, mask in zip(bare, masked, body, strict=True):
         assert other.painted_area_m2 < one.painted_area_m2
-        # Nearly all 2^24 colours are free, so almost every texel is a colour and a region of its own.
+        # Of 2^24 colours nearly all are free: almost every texel is a colour and a region.
         assert int(mask.sum()) * 0.98 < other.colours < other.regions <= int(mask.sum())
         assert set(other.block_cm) == {"roof", "bonnet", "sides"}
 

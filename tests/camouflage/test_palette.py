@@ -55,7 +55,7 @@ def test_a_seed_gives_one_palette():
 
 
 def test_colours_that_look_alike_share_a_cluster():
-    """Two greens farther apart in sRGB than two dark colours, yet nearer to the eye: CIELAB decides."""
+    """Two greens are farther apart in sRGB than two dark colours, yet nearer to the eye."""
     rows = torch.tensor([[0, 235, 0], [0, 255, 40], [0, 0, 0], [0, 0, 60]]).repeat(50, 1) / 255
     palette = fit_palette(rows.float(), 3, seed=0)
     assert float((palette - torch.tensor([0.0, 0.0, 60 / 255])).abs().sum(1).min()) < 0.01

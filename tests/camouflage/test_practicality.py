@@ -9,7 +9,7 @@ from skyproof.camouflage.practicality import (
     score_practicality,
 )
 
-# Copied from the paper's extended table (table S4): texture and shape sign of PC, DI and DO, then the total.
+# From the paper's table S4: texture and shape sign of PC, DI and DO, then the total.
 OWN = [
     ("T-U", "-0", "-0", "-0", -3),
     ("T-Ma", "-0", "-0", "+0", -1),

@@ -1,4 +1,4 @@
-"""What a deformed vehicle measures, against boxes whose numbers are known and a pickup bed that folds."""
+"""What a deformed vehicle measures: boxes of known numbers, and a pickup bed that folds."""
 
 import dataclasses
 
@@ -38,7 +38,7 @@ def test_a_stretched_body_measures_what_it_was_stretched_by():
 
 
 def test_a_body_seen_whole_from_its_middle_never_runs_through_itself():
-    # Every ray from the middle meets the surface once, and displacement only slides points along their rays.
+    # Every ray from the middle meets the surface once, and points only slide along their rays.
     saloon = one("saloon")
     control = DisplacementMap(
         CamouflageName.parse("R-S-O@1"), generator=torch.Generator().manual_seed(0)

@@ -26,11 +26,12 @@ STEPS = [
 
 @pytest.fixture
 def attack(finished: Path, tmp_path: Path, skyproof: Skyproof):
-    def call(name: str, *more: object):
+    def call(name: str | list[str], *more: object):
         world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
         detectors = ["--detectors", finished / "detectors/retinanet"]
         place = ["--out", tmp_path / "camouflages"]
-        return skyproof("attack", name, *detectors, *world, *place, *STEPS, *more)
+        names = [name] if isinstance(name, str) else name
+        return skyproof("attack", *names, *detectors, *world, *place, *STEPS, *more)
 
     return call
 
@@ -206,7 +207,7 @@ def test_finished_camouflages_are_kept_and_others_added(
     made = tmp_path / "camouflages"
     assert attack("T-U").code == 0
     before = bytes_of(made)
-    both = attack("R-U-0", "T-U")
+    both = attack(["R-U-0", "T-U"])
     assert both.code == 0, both.err
     after = bytes_of(made)
     assert {name: after[name] for name in before} == before

@@ -1,4 +1,4 @@
-"""Training: augmentation that moves boxes rightly, learning, the stored folder, and resuming after a kill."""
+"""Training: augmentation that moves boxes rightly, learning, and going on after a kill."""
 
 from __future__ import annotations
 

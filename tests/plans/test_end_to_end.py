@@ -8,6 +8,8 @@ from pathlib import Path
 
 import psutil
 
+from skyproof.storage import read_tensors
+
 TINY = Path(__file__).with_name("tiny.json")
 
 
@@ -39,12 +41,18 @@ def kill(run):
     psutil.wait_procs(processes, timeout=30)
 
 
+def checkpointed_step(folder):
+    """Which step the last checkpoint is of; 0 before there is one, too."""
+    path = folder / "checkpoint.safetensors"
+    return read_tensors(path, "run again")[1]["step"] if path.exists() else 0
+
+
 def test_killed_in_an_attack_and_finished(tmp_path):
     folder = tmp_path / "run"
     attack = folder / "camouflages" / "T-Fc-0"
     run = start(folder)
     until = time.monotonic() + 240
-    while not (attack / "checkpoint.safetensors").exists():
+    while not checkpointed_step(attack):
         assert run.poll() is None, run.stdout.read()
         assert time.monotonic() < until
         time.sleep(0.01)

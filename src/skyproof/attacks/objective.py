@@ -12,13 +12,13 @@ from torch import Tensor
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
 
-__all__ = ["balanced_weights", "empty_truth_losses", "frozen"]
+__all__ = ["balanced_weights", "empty_truth_losses", "frozen", "loss_and_gradient"]
 
 
 def empty_truth_losses(
     detectors: Sequence[TrainableDetector], images: Float[Tensor, "B 3 H W"]
 ) -> dict[str, Float[Tensor, " B"]]:
-    """Each detector's training loss per image if there were no vehicle (section 3.2).
+    """Gives each detector's training loss per image if there were no vehicle (section 3.2).
 
     It is small when nothing is detected.
     """
@@ -26,8 +26,36 @@ def empty_truth_losses(
     return {detector.name: detector.loss(images, nothing) for detector in detectors}
 
 
+def loss_and_gradient(
+    detectors: Sequence[TrainableDetector],
+    weights: Mapping[str, float],
+    images: Float[Tensor, "B 3 H W"],
+) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
+    """Adds up the detectors' weighted losses, and says how the sum changes with the images.
+
+    Loss = sum over detectors of weight * mean over images of the detector's own loss against an
+    empty truth. One detector is asked at a time, so that only one network's activations are held.
+
+    Args:
+        detectors: frozen.
+        weights: of each detector's loss, by name.
+        images: sRGB in [0, 1]; what they were rendered from is left alone.
+
+    Returns:
+        Every detector's mean loss, without its weight; and the gradient of the sum.
+    """
+    leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
+    losses = {}
+    for detector in detectors:
+        loss = empty_truth_losses([detector], leaf)[detector.name].mean()
+        (weights[detector.name] * loss).backward()
+        losses[detector.name] = float(loss.detach())
+    assert leaf.grad is not None
+    return losses, leaf.grad
+
+
 def balanced_weights(first_losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Weights that bring every detector's first losses to 1.
+    """Gives the weights that bring every detector's mean first loss to 1.
 
     Differences from the paper: its weights were chosen by hand for losses that partly sum over
     anchors (table S2); ours are normalised per image, so that those would not balance them.

@@ -1,4 +1,4 @@
-"""Whether an attack's gradient points the right way: one step along it must lower the scores on the target."""
+"""Whether an attack's gradient points the right way: a step must lower the target's scores."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
-from skyproof.attacks.attack import make_optimiser
-from skyproof.attacks.objective import balanced_weights, empty_truth_losses, frozen
+from skyproof.attacks.attack import descend, make_optimiser
+from skyproof.attacks.objective import (
+    balanced_weights,
+    empty_truth_losses,
+    frozen,
+    loss_and_gradient,
+)
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.render.frames import Frames
+from skyproof.scenes.scene import Scene
 
 __all__ = ["sign_test", "target_scores"]
 
@@ -30,67 +36,77 @@ def sign_test(
     world: AttackWorld,
     settings: AttackSettings,
 ) -> dict[str, dict[str, Any]]:
-    """One step of the attack's own optimiser on a batch, and what it does to the scores on that batch's vehicles.
+    """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
-    Every batch (those that no step of the attack sees) starts from the camouflage as given, which is not changed. The
-    losses are balanced as at the start of an attack.
+    Every batch (those that no step of the attack sees) starts from the camouflage as given, which
+    is not changed. The losses are balanced as at the start of an attack.
 
     Args:
         camouflage: as at the start of its attack.
+        detectors: on the camouflage's device; not changed, which is checked.
+        world: what the attack sees.
         settings: batch size, learning rate, seed and number of batches (`balance_batches`).
 
     Returns:
-        Per detector: "scenes" with a vehicle, in how many of them the score "fell", the one-sided exact "p" of so many
-        if it were chance (binomial; scenes in which nothing changed count as not fallen), and the "mean_change".
+        Per detector: "scenes" with a vehicle, in how many of them the score "fell", the one-sided
+        exact "p" of so many if it were chance (binomial; scenes in which nothing changed count as
+        not fallen), and the "mean_change".
+
+    Raises:
+        ConfigurationError: the camouflage has nothing to learn.
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
+    gsd_m = world.backgrounds.gsd_m
     with frozen(detectors):
         for batch in range(settings.balance_batches):
             scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
-            moved = copy.deepcopy(camouflage)
-            moved.before_step_(1, settings.steps)
-            frames = world.frames(moved, scenes)
-            losses = {
-                name: values.mean()
-                for name, values in empty_truth_losses(detectors, frames.image).items()
-            }
-            weights = balanced_weights(
-                {name: [float(value.detach())] for name, value in losses.items()}
-            )
-            optimiser = make_optimiser(moved, settings)
-            torch.stack([weights[name] * value for name, value in losses.items()]).sum().backward()
-            optimiser.step()
-            moved.project_()
-            with torch.no_grad():
-                stepped = world.frames(moved, scenes)
-                for detector in detectors:
-                    before[detector.name].append(
-                        target_scores(detector, frames, world.backgrounds.gsd_m)
-                    )
-                    after[detector.name].append(
-                        target_scores(detector, stepped, world.backgrounds.gsd_m)
-                    )
+            frames, stepped = _before_and_after(camouflage, detectors, world, settings, scenes)
+            for detector in detectors:
+                before[detector.name].append(target_scores(detector, frames, gsd_m))
+                after[detector.name].append(target_scores(detector, stepped, gsd_m))
     return {name: _judged(torch.cat(before[name]), torch.cat(after[name])) for name in before}
+
+
+def _before_and_after(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
+    scenes: list[Scene],
+) -> tuple[Frames, Frames]:
+    """The scenes with the camouflage as given, and after the first step of an attack on them."""
+    moved = copy.deepcopy(camouflage)
+    moved.before_step_(1, settings.steps)
+    frames = world.frames(moved, scenes)
+    with torch.no_grad():
+        first = empty_truth_losses(detectors, frames.image)
+    weights = balanced_weights({name: [float(loss.mean())] for name, loss in first.items()})
+    _, gradient = loss_and_gradient(detectors, weights, frames.image)
+    descend(moved, make_optimiser(moved, settings), frames.image, gradient)
+    with torch.no_grad():
+        return frames, world.frames(moved, scenes)
 
 
 @torch.no_grad()
 def target_scores(detector: TrainableDetector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
-    """The highest score of a candidate whose centre lies within 1 m of the image's one vehicle; 0 without one."""
-    found = detector.candidates(frames.image.detach())
+    """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
+
+    Near means that the candidate's centre lies within 1 m of the vehicle's.
+    """
+    candidates = detector.candidates(frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
-    distance_m = ((found.boxes[..., :2] + found.boxes[..., 2:]) / 2 - centres[:, None]).norm(
-        dim=-1
-    ) * gsd_m
-    near = found.valid & (distance_m <= _NEAR_M)
-    return found.scores.masked_fill(~near, 0.0).amax(1)
+    candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
+    distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
+    near = candidates.valid & (distance_m <= _NEAR_M)
+    return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
 def _judged(before: Tensor, after: Tensor) -> dict[str, Any]:
-    scenes, fell = len(before), int((after < before).sum())
+    fell = int((after < before).sum())
     return {
-        "scenes": scenes,
+        "scenes": len(before),
         "fell": fell,
-        "p": float(stats.binomtest(fell, scenes, 0.5, alternative="greater").pvalue),
+        "p": float(stats.binomtest(fell, len(before), 0.5, alternative="greater").pvalue),
         "mean_change": float((after - before).mean()),
     }

@@ -1,4 +1,4 @@
-"""What a camouflage asks of those who would make it: the paper's signs, and what can be measured beside them."""
+"""What a camouflage asks of those who would make it: the paper's signs, and measured quantities."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
         vehicles: as built.
 
     Returns:
-        "name"; "score" with the three signs of texture and shape and their "total"; "texture" and "shape" with means
-        as `mean_measures` and `ShapeMeasures` name them, None for a side left alone. Of the shape,
-        "share_self_intersecting" is the share of vehicles with more self-intersections than as built.
+        "name"; "score" with the three signs of texture and shape and their "total"; "texture" and
+        "shape" with means as `mean_measures` and `ShapeMeasures` name them, None for a side left
+        alone. Of the shape, "share_self_intersecting" is the share of vehicles with more
+        self-intersections than as built.
     """
     texture, shape = _parts(camouflage)
     changed = shape is not None and shape.magnitude > 0

@@ -1,4 +1,4 @@
-"""Which of the three texture constraints hold, and the names made of them: Pix, Lc or Fc, Ma (section 3.3)."""
+"""The three texture constraints (section 3.3), and the names made of them: Pix, Lc or Fc, Ma."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class TextureConstraints:
 
     Attributes:
         pixelised: Pix, one colour per square block of texels.
-        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc), a few given colours.
+        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc), a few
+            given colours.
         masked: Ma, only painted body panels are changed.
     """
 
@@ -30,28 +31,30 @@ class TextureConstraints:
 
     @property
     def name(self) -> str:
-        """Such as "PixFcMa"; "U" without any constraint."""
+        """The words put together, such as "PixFcMa"; "U" without any constraint."""
         colours = {"free": "", "learnt": "Lc", "fixed": "Fc"}[self.colours]
         return ("Pix" if self.pixelised else "") + colours + ("Ma" if self.masked else "") or "U"
 
     @classmethod
     def parse(cls, text: str) -> TextureConstraints:
-        """The constraints that `name` gave this text.
+        """Reads the constraints that `name` gave this text.
 
         Raises:
-            ConfigurationError: an unknown word, the same one twice, another order, or both Lc and Fc.
+            ConfigurationError: an unknown word, the same one twice, another order, or both Lc and
+                Fc.
         """
         if text == "U":
             return cls()
         words = _WORD.findall(text)
         if not words or "".join(words) != text:
             raise ConfigurationError(
-                f"Unknown texture constraints {text!r}: write U for none, or put together Pix, Lc or Fc, and Ma, "
-                "such as PixFcMa."
+                f"Unknown texture constraints {text!r}: write U for none, or put together Pix, Lc "
+                "or Fc, and Ma, such as PixFcMa."
             )
         if "Lc" in words and "Fc" in words:
             raise ConfigurationError(
-                f"Lc and Fc exclude each other, but {text!r} has both: colours are either learnt (Lc) or fixed (Fc)."
+                f"Lc and Fc exclude each other, but {text!r} has both: colours are either learnt "
+                "(Lc) or fixed (Fc)."
             )
         colours: Literal["free", "learnt", "fixed"] = (
             "learnt" if "Lc" in words else "fixed" if "Fc" in words else "free"

@@ -28,9 +28,9 @@ _LARGEST = 8.0  # sigmoid 0.9997; beyond it nothing moves and nothing is learnt
 class DisplacementMap(Camouflage):
     """Moves every vertex away from the middle of its vehicle, further where the map is bright.
 
-    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV, R_i
-    the vector from the mean of the vehicle's vertices to the vertex, W the vehicle's width (section
-    D.3). The map is made symmetric first, so mirrored vertices move alike.
+    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV,
+    R_i the vector from the mean of the vehicle's vertices to the vertex, W the vehicle's width
+    (section S4.3). The map is made symmetric first, so mirrored vertices move alike.
 
     Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push
     every vertex towards one corner. Wheels and underside stay where they are, and no vertex is

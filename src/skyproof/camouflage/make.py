@@ -1,4 +1,4 @@
-"""Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", and their random controls."""
+"""Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", "R-PixFcMa"."""
 
 from __future__ import annotations
 

@@ -30,12 +30,14 @@ class TextureMeasures:
     Attributes:
         painted_area_m2: area of the texels that wear the texture.
         colours: different 8-bit colours among them.
-        boundary_m: length of all edges between neighbouring painted texels of different colour; the rim towards what is
-            not painted does not count.
-        regions: connected painted areas of one colour; texels are connected across edges, not corners.
+        boundary_m: length of all edges between neighbouring painted texels of different colour; the
+            rim towards what is not painted does not count.
+        regions: connected painted areas of one colour; texels are connected across edges, not
+            corners.
         blocks: blocks of Pix that hold at least one painted texel; None without Pix.
-        block_cm: median size of a block on the vehicle's paint, such as {"roof": (15.8, 18.1)}, around the body (u)
-            and along it (v); regions that the vehicle lacks are left out. Empty without Pix.
+        block_cm: median size of a block on the vehicle's paint, such as {"roof": (15.8, 18.1)},
+            around the body (u) and along it (v); regions that the vehicle lacks are left out. Empty
+            without Pix.
     """
 
     painted_area_m2: float
@@ -57,7 +59,8 @@ def measure_texture(
     Args:
         vehicles: procedural vehicles on the template of `make_template`.
         texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
-        mask: where each vehicle wears the map; None for everything but the underside, which nobody sees.
+        mask: where each vehicle wears the map; None for everything but the underside, which nobody
+            sees.
         block_px: side of a block of Pix in texels; None without Pix.
 
     Raises:
@@ -69,13 +72,12 @@ def measure_texture(
         )
     painted = (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
     colour, colours = _numbered_colours(texture)
-    same_right, same_below = colour == colour.roll(-1, 1), colour[:-1] == colour[1:]
+    same_right = colour == colour.roll(-1, 1)
+    same_below = colour[:-1] == colour[1:]
     length_u, length_v, area = texel_metric(vehicles)
-    # A texel and its right neighbour, circular in u, meet along v; a texel and the one below meet along u.
-    edge_right, edge_below = (
-        (length_v + length_v.roll(-1, 2)) / 2,
-        (length_u[:, :-1] + length_u[:, 1:]) / 2,
-    )
+    # A texel and its right neighbour, circular in u, meet along v; with the one below along u.
+    edge_right = (length_v + length_v.roll(-1, 2)) / 2
+    edge_below = (length_u[:, :-1] + length_u[:, 1:]) / 2
     block_sizes = (
         [{}] * len(vehicles)
         if block_px is None
@@ -83,17 +85,18 @@ def measure_texture(
     )
 
     measures = []
-    for i, worn in enumerate(painted):
-        both_right, both_below = worn & worn.roll(-1, 1), worn[:-1] & worn[1:]
+    for i, inside in enumerate(painted):
+        both_right = inside & inside.roll(-1, 1)
+        both_below = inside[:-1] & inside[1:]
         across = edge_right[i][both_right & ~same_right].double().sum()
         along = edge_below[i][both_below & ~same_below].double().sum()
         measures.append(
             TextureMeasures(
-                painted_area_m2=float(area[i][worn].double().sum()),
-                colours=int((torch.bincount(colour[worn], minlength=colours) > 0).sum()),
+                painted_area_m2=float(area[i][inside].double().sum()),
+                colours=int((torch.bincount(colour[inside], minlength=colours) > 0).sum()),
                 boundary_m=float(across + along),
-                regions=_count_regions(worn, both_right & same_right, both_below & same_below),
-                blocks=None if block_px is None else _count_blocks(worn, block_px),
+                regions=_count_regions(inside, both_right & same_right, both_below & same_below),
+                blocks=None if block_px is None else _count_blocks(inside, block_px),
                 block_cm=block_sizes[i],
             )
         )
@@ -103,15 +106,15 @@ def measure_texture(
 def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:
     """Means over vehicles, under flat names such as "painted_area_m2" and "block_roof_u_cm".
 
-    A block's size in a region is the mean over the vehicles that have the region; without Pix there are no blocks, and
-    their names are left out.
+    A block's size in a region is the mean over the vehicles that have the region; without Pix there
+    are no blocks, and their names are left out.
     """
     columns: dict[str, list[float]] = {}
-    for one in measures:
-        row: dict[str, float] = {name: getattr(one, name) for name in _PLAIN}
-        if one.blocks is not None:
-            row["blocks"] = one.blocks
-        for region, (u_cm, v_cm) in one.block_cm.items():
+    for measure in measures:
+        row: dict[str, float] = {name: getattr(measure, name) for name in _PLAIN}
+        if measure.blocks is not None:
+            row["blocks"] = measure.blocks
+        for region, (u_cm, v_cm) in measure.block_cm.items():
             row |= {f"block_{region}_u_cm": u_cm, f"block_{region}_v_cm": v_cm}
         for name, value in row.items():
             columns.setdefault(name, []).append(value)
@@ -121,13 +124,13 @@ def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:
 def _numbered_colours(
     texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
 ) -> tuple[Int[Tensor, "512 512"], int]:
-    """The texture with each 8-bit colour replaced by a number from 0 on, and how many colours there are."""
+    """Replaces each 8-bit colour of a texture by a number from 0 on, and counts the colours."""
     texture = texture.detach().cpu()
     if texture.dtype != torch.uint8:
         texture = (texture.clamp(0.0, 1.0) * 255).round()
     red, green, blue = texture.long()
-    found, numbered = torch.unique((red * 256 + green) * 256 + blue, return_inverse=True)
-    return numbered, len(found)
+    colours, numbered = torch.unique((red * 256 + green) * 256 + blue, return_inverse=True)
+    return numbered, len(colours)
 
 
 def _block_sizes(
@@ -157,13 +160,13 @@ def _count_regions(
     joined_right: Bool[Tensor, "512 512"],
     joined_below: Bool[Tensor, "511 512"],
 ) -> int:
-    """Connected components, in a picture twice as large where texels and their joints are alternate pixels."""
+    """Counts connected areas, in a picture twice as large that alternates texels and joints."""
     picture = np.zeros((2 * TEXTURE_SIZE - 1, 2 * TEXTURE_SIZE), dtype=bool)
     picture[::2, ::2] = worn.numpy()
     picture[::2, 1::2] = joined_right.numpy()
     picture[1::2, ::2] = joined_below.numpy()
     labels, count = ndimage.label(picture)
-    # The last column holds the joints across the seam: they tie labels there to labels in the first column.
+    # The last column holds the joints across the seam: they tie labels there to the first column.
     seam = picture[:, -1]
     ties = coo_array(
         (np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count)

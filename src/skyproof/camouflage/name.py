@@ -25,17 +25,20 @@ _DRAWN = re.compile(r"R-C-(?P<constraints>[A-Za-z]+)@(?P<magnitude>[-+.\w]+)")
 class CamouflageName:
     """What a name such as "C-PixFc-seq@0.2_on_retinanet-1" says.
 
-    `str` gives the name back. Names that skyproof did not give (a user's "mine-2") are of kind "other": they have a
-    label, and like all names a variant and a repeat.
+    `str` gives the name back. Names that skyproof did not give (a user's "mine-2") are of kind
+    "other": they have a label, and like all names a variant and a repeat.
 
     Attributes:
         kind: texture ("T-U"), shape ("S-O@0.4"), combination ("C-Fc-par@0.2"), or other.
         constraints: those of the texture; None where vehicles keep their own paint.
         magnitude: the shape's perturbation magnitude PM in [0, 1]; None where the shape stays.
-        order: whether a combined attack works in sequence or in parallel; None for its random control.
+        order: whether a combined attack works in sequence or in parallel; None for its random
+            control.
         random: whether it is a random control, drawn and not learnt.
-        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed"; empty for none.
-        repeat: digits that number the attack's seed or the random draw; empty where the name has none.
+        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed"; empty for
+            none.
+        repeat: digits that number the attack's seed or the random draw; empty where the name has
+            none.
         label: the base of a name of kind "other".
     """
 
@@ -87,7 +90,10 @@ class CamouflageName:
 
     @classmethod
     def read(cls, text: str) -> CamouflageName:
-        """Reads any name, as tables and folders hold it; one that `parse` refuses is of kind "other"."""
+        """Reads any name, as tables and folders hold it.
+
+        One that `parse` refuses, or would write otherwise, is of kind "other".
+        """
         base, variant, repeat = _parts(text)
         try:
             name = cls.parse(text)
@@ -146,7 +152,8 @@ class CamouflageName:
     def control(self) -> CamouflageName:
         """The random control: the same constraints without learning, variants and repeats dropped.
 
-        "T-PixMa" to "R-PixMa", "S-O@0.4" to "R-S-O@0.4", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to "R-C-Fc@0.2".
+        "T-PixMa" to "R-PixMa", "S-O@0.4" to "R-S-O@0.4", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to
+        "R-C-Fc@0.2".
         """
         if self.kind == "other":
             rest = self.label.partition("-")[2]

@@ -39,7 +39,8 @@ def fit_palette(
         sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
 
     Raises:
-        ConfigurationError: fewer than two colours are asked for, or the pixels have fewer distinct ones.
+        ConfigurationError: fewer than two colours are asked for, or the pixels have fewer distinct
+            ones.
     """
     if colours < 2:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""How practical a camouflage is, in the paper's three signs, derived from its constraints (section 4)."""
+"""How practical a camouflage is, in the paper's three signs, as its constraints say (section 4)."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def score_practicality(
 
     - Installation is + with Pix, as blocks can be stuck on or painted one by one, otherwise −.
     - Operation is + with Ma, as windows, lights and wheels stay free, otherwise −.
-    - Production is + with Pix and Fc, 0 with Pix and Lc (its colours may be hard to get), otherwise −: few colours
-      alone save nothing, because the whole vehicle still has to be wrapped.
+    - Production is + with Pix and Fc, 0 with Pix and Lc (its colours may be hard to get), otherwise
+      −: few colours alone save nothing, because the whole vehicle still has to be wrapped.
     - A changed shape is − in all three.
 
     Args:

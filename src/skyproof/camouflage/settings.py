@@ -1,4 +1,4 @@
-"""What a camouflage's name leaves open. Imports no torch, so that the command line answers at once."""
+"""What a camouflage's name leaves open; imports no torch, so that the command line is quick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a shape camouflage costs in practice: added volume and size, and whether the surface runs through itself."""
+"""What a shape costs in practice: added volume and size, and surfaces that cross themselves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class ShapeMeasures:
         added_volume_m3: after minus before.
         largest_displacement_m: of any vertex.
         added_length_m, added_width_m, added_height_m: after minus before, of the whole vehicle.
-        intersections_before, intersections_after: pairs of triangles that cross; see `self_intersections`.
+        intersections_before, intersections_after: pairs of triangles that cross; see
+            `self_intersections`.
     """
 
     vehicle: str

@@ -31,7 +31,8 @@ class Attack:
     Names: T-U, or T- with any of Pix (blocks), Lc or Fc (few learnt or fixed colours), Ma (painted
     parts only), such as T-PixFcMa; S-O@0.4, a shape of perturbation magnitude 0.4; C-Fc-seq@0.2, a
     shape on a finished texture; C-Fc-par@0.2, texture and shape in turns. R-PixFcMa, R-S-O@0.4 and
-    R-C-Fc@0.2 are their random controls, drawn and not learnt. "-1", "-2" at the end number repeats.
+    R-C-Fc@0.2 are their random controls, drawn and not learnt. "-1", "-2" at the end number
+    repeats.
 
     A stopped attack goes on where it was when the command is given again; finished camouflages are
     kept.
@@ -42,8 +43,8 @@ class Attack:
         detectors: detector folders, attacked together; needed for what is learnt.
         backgrounds: background set folder, whose attack split is used; needed for what is learnt.
         fleet: fleet folder; needed for what is learnt.
-        palette: the colours of Fc: a palette file, or a background set whose colours are taken; those
-            of --backgrounds where not given.
+        palette: the colours of Fc: a palette file, or a background set whose colours are taken;
+            those of --backgrounds where not given.
         texture: folder of the finished texture that a sequential combination puts its shape on.
         image_px: image side; the first detector's training size where not given.
         conditions: weather and light that scenes are drawn from, each equally likely.

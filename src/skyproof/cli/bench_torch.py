@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from skyproof import __version__
-from skyproof.attacks.objective import empty_truth_losses, frozen
+from skyproof.attacks.objective import frozen, loss_and_gradient
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.cli.bench_ground import BenchGround
@@ -110,12 +110,10 @@ def _attack_steps(
         for name, recipe in _ATTACKS.items()
     }
 
+    weights = {model.name: 1.0 for model in models}
+
     def detectors_only(images: torch.Tensor) -> torch.Tensor:
-        leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
-        for model in models:
-            empty_truth_losses([model], leaf)[model.name].mean().backward()
-        assert leaf.grad is not None
-        return leaf.grad
+        return loss_and_gradient(models, weights, images)[1]
 
     def step(camouflage: Camouflage) -> None:
         vehicles = camouflage(placed_vehicles(fleet, batch).to(device))

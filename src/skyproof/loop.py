@@ -1,0 +1,190 @@
+"""One resumable loop, for trainings and attacks: steps with checkpoints that survive a kill."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from torch import Tensor
+
+from skyproof.errors import RunFolderError, StoredFileError
+from skyproof.files import read_jsonl, refuse_foreign, write_jsonl
+from skyproof.storage import read_tensors, write_tensors
+
+__all__ = ["CHECKPOINT", "Loop", "Part", "refuse_other"]
+
+CHECKPOINT = "checkpoint.safetensors"
+_ROWS = "steps.jsonl"
+
+
+@runtime_checkable
+class Part(Protocol):
+    """Something that changes from step to step: a module, an optimiser, a schedule."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Gives all that changes: nested dictionaries of tensors and plain values."""
+        ...
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> Any:
+        """Takes over what `state_dict` gave."""
+        ...
+
+
+@dataclass
+class Loop:
+    """The steps of a run in a folder: `for step in loop` gives 1, 2, ... up to the last.
+
+    `resume` goes back to the last checkpoint first, so that a stopped run goes on where it was;
+    whatever the body of the loop does must follow from the step's number and from `parts` alone. A
+    checkpoint is one file that holds the parts, the step, the identity and the facts, written
+    before the first step, after every `checkpoint_every` steps and after the last.
+
+    Attributes:
+        folder: gets `steps.jsonl`, and `checkpoint.safetensors` until the run is finished.
+        identity: what the run is, in JSON values; a folder with another identity is refused.
+        steps: the number of the last step.
+        checkpoint_every: steps between checkpoints.
+        parts: everything that changes from step to step, by name.
+        other: what an error calls a run of another identity, such as "a training with other
+            settings".
+        remedy: what an error advises about a damaged checkpoint, such as "remove it and train
+            again".
+        on_row: called with each row of `steps.jsonl` once its step is over.
+        facts: JSON values that are decided once, before the first step, and kept in the checkpoint.
+        step: the step that is under way, or the last one that is over; 0 at the start.
+        rows: the rows of `steps.jsonl` so far.
+    """
+
+    folder: Path
+    identity: Mapping[str, Any]
+    steps: int
+    checkpoint_every: int
+    parts: Mapping[str, Part]
+    other: str
+    remedy: str
+    on_row: Callable[[dict[str, Any]], None] | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    step: int = 0
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    _clock: float = 0.0
+
+    def resume(self) -> None:
+        """Goes back to the last checkpoint, if there is one.
+
+        Raises:
+            RunFolderError: the folder holds a run of another identity, or files of somebody else.
+            StoredFileError: the checkpoint is damaged.
+        """
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            refuse_foreign(self.folder, {_ROWS})
+            return
+        tensors, record = read_tensors(path, self.remedy)
+        refuse_other(self.folder, record.get("identity"), self.identity, self.other)
+        try:
+            for name, part in self.parts.items():
+                part.load_state_dict(_joined(name, tensors, record["plain"]))
+            self.facts = dict(record["facts"])
+            self.step = int(record["step"])
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise StoredFileError(f"{path} is damaged ({error}); {self.remedy}.") from error
+        # A kill between two files can leave rows of later steps.
+        self.rows = [row for row in read_jsonl(self.folder / _ROWS) if row["step"] <= self.step]
+
+    def __iter__(self) -> Iterator[int]:
+        """Gives the numbers of the steps that are still to be taken.
+
+        Raises:
+            RunFolderError: the disk is full or not writable.
+        """
+        if self.step == 0:
+            # This marks the folder as ours before anything else is written to it.
+            self._store()
+        while self.step < self.steps:
+            done = len(self.rows)
+            self.step += 1
+            self._clock = time.perf_counter()
+            yield self.step
+            if self.step % self.checkpoint_every == 0 or self.step == self.steps:
+                self._store()
+            for row in self.rows[done:]:
+                if self.on_row is not None:
+                    self.on_row(row)
+
+    def report(self, row: Mapping[str, Any]) -> None:
+        """Adds a row to `steps.jsonl`, with its number of seconds.
+
+        The seconds count from the start of the step, or from the row before it in the same step.
+        """
+        now = time.perf_counter()
+        self.rows.append({**row, "seconds": round(now - self._clock, 4)})
+        self._clock = now
+
+    def forget(self) -> None:
+        """Removes the checkpoint, once the result is stored."""
+        (self.folder / CHECKPOINT).unlink(missing_ok=True)
+
+    def _store(self) -> None:
+        """Writes rows and checkpoint; the checkpoint comes last and says its step."""
+        tensors: dict[str, Tensor] = {}
+        plain: dict[str, Any] = {}
+        for name, part in self.parts.items():
+            _split(name, part.state_dict(), tensors, plain)
+        record = {
+            "identity": self.identity,
+            "step": self.step,
+            "facts": self.facts,
+            "plain": plain,
+        }
+        write_jsonl(self.folder / _ROWS, self.rows)
+        write_tensors(self.folder / CHECKPOINT, tensors, record)
+
+
+def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: str) -> None:
+    """Keeps a run from going on in a folder that holds a run of another identity.
+
+    Args:
+        folder: the run's.
+        stored: the identity that the folder says, as read from JSON.
+        wanted: the identity of the run.
+        other: what the error calls the folder's run.
+
+    Raises:
+        RunFolderError: the two identities differ.
+    """
+    if stored != json.loads(json.dumps(wanted)):
+        raise RunFolderError(f"{folder} holds {other}; choose another folder or remove it first.")
+
+
+def _split(path: str, value: Any, tensors: dict[str, Tensor], plain: dict[str, Any]) -> None:
+    """Sorts the leaves of nested dictionaries into tensors and plain values, by their path."""
+    if isinstance(value, Mapping) and value:
+        for key, below in value.items():
+            # Optimisers number their parameters; JSON would make text of the numbers.
+            _split(f"{path}/{'#' if isinstance(key, int) else ''}{key}", below, tensors, plain)
+    elif isinstance(value, Tensor):
+        tensors[path] = value
+    else:
+        plain[path] = value
+
+
+def _joined(name: str, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Puts the nested dictionaries of one part together again."""
+    state: dict[str, Any] = {}
+    for path, value in (*plain.items(), *tensors.items()):
+        part, *keys = path.split("/")
+        if part != name or not keys:
+            continue
+        place: dict[Any, Any] = state
+        for key in keys[:-1]:
+            place = place.setdefault(_key(key), {})
+        place[_key(keys[-1])] = value
+    return state
+
+
+def _key(text: str) -> str | int:
+    return int(text[1:]) if text.startswith("#") else text
