@@ -109,7 +109,8 @@ def attack(
         for step in loop:
             camouflage.before_step_(step, settings.steps)
             scenes = world.step_scenes(settings.batch_size, settings.seed, step)
-            images = world.frames(camouflage, scenes).image
+            vehicles = world.camouflaged(camouflage, scenes)
+            images = world.renderer(scenes, vehicles).image
             losses, gradient = loss_and_gradient(detectors, weights, images)
             descend(camouflage, optimiser, images, gradient)
             schedule.step()

@@ -19,6 +19,7 @@ from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
+from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["AttackWorld"]
 
@@ -86,8 +87,11 @@ class AttackWorld:
             count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
         )
 
+    def camouflaged(self, camouflage: Camouflage, scenes: list[Scene]) -> VehicleBatch:
+        """Puts the scenes' vehicles into the camouflage, on its device."""
+        tensors = [*camouflage.parameters(), *camouflage.buffers()]
+        return camouflage(placed_vehicles(self.fleet, scenes).to(tensors[0].device))
+
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
         """Renders the scenes, their vehicles in the camouflage, on its device."""
-        tensors = [*camouflage.parameters(), *camouflage.buffers()]
-        vehicles = placed_vehicles(self.fleet, scenes).to(tensors[0].device)
-        return self.renderer(scenes, camouflage(vehicles))
+        return self.renderer(scenes, self.camouflaged(camouflage, scenes))
