@@ -1,1 +1,4 @@
-"""Pure tensor mathematics: rotation, the oblique orthophoto projection, normals, colour. Imports torch only."""
+"""Pure tensor mathematics: the oblique projection, meshes, the rasteriser, colour.
+
+It imports torch alone and knows nothing of vehicles, scenes or files.
+"""
