@@ -20,11 +20,9 @@ COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
         "demo": "skyproof.plans.demo:Demo",
         "reproduce": "skyproof.plans.reproduce:Reproduce",
-        "report": "skyproof.cli.commands:Report",
-        "tables": "skyproof.cli.tables:Tables",
+        "report": "skyproof.cli.report:Report",
     },
     "Ground and vehicles": {
-        "world": "skyproof.cli.world:World",
         "ground": "skyproof.cli.ground:Ground",
         "clear": "skyproof.cli.clear:Clear",
         "adjust": "skyproof.cli.adjust:Adjust",
@@ -41,10 +39,7 @@ COMMANDS: dict[str, dict[str, str]] = {
     },
     "Camouflage and judgement": {
         "attack": "skyproof.cli.attack:Attack",
-        "score": "skyproof.cli.camouflages:Score",
-        "measure": "skyproof.cli.camouflages:Measure",
-        "check": "skyproof.cli.check:Check",
-        "evaluate": "skyproof.cli.commands:Evaluate",
+        "score": "skyproof.cli.score:Score",
     },
     "Planning and timing": {
         "sample-size": "skyproof.cli.sample_size:SampleSize",
@@ -116,8 +111,9 @@ def load_command(name: str) -> type[Any]:
 def _parse(words: Sequence[str]) -> Any:
     import tyro
 
+    command = load_command(words[0])
     # Settings check themselves while they are parsed.
-    return tyro.cli(load_command(words[0]), prog=f"skyproof {words[0]}", args=words[1:])
+    return tyro.cli(command, prog=f"skyproof {words[0]}", args=words[1:])
 
 
 def _overview() -> str:
@@ -128,7 +124,7 @@ def _overview() -> str:
     ]
     for title, group in COMMANDS.items():
         lines += ["", f"{title}:"]
-        lines += [f"  {name:<16}{_summary(load_command(name))}" for name in group]
+        lines += [f"  {name:<13}{_summary(load_command(name))}" for name in group]
     lines += [
         "",
         "skyproof COMMAND --help lists a command's options; skyproof --version the version.",

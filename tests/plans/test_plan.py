@@ -5,70 +5,74 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import tyro
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.errors import ConfigurationError
-from skyproof.plans.plan import PRESETS, SNAKEFILE, Plan, Preset, read_preset
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.main import load_command
+from skyproof.plans.demo import Demo, demo_plan
+from skyproof.plans.layout import Layout
+from skyproof.plans.plan import Plan, Step
+from skyproof.plans.preset import PRESETS, Preset, read_preset
+from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan
+from skyproof.plans.snakemake import SNAKEFILE, step_words
 
-TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
+TINY_FILE = Path(__file__).with_name("tiny.json")
+TINY = json.loads(TINY_FILE.read_text())
 
 
-def plan(**changes):
-    return Plan(Preset.parse({**TINY, **changes}))
+def jobs(**changes):
+    return Jobs(Preset.parse({**TINY, **changes}))
+
+
+def read(preset):
+    return json.loads(PRESETS[preset].read_text())
 
 
 def test_tiny_by_hand():
-    tiny = plan()
+    tiny = jobs()
     assert list(tiny.attacks) == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
     assert tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
     texture = tiny.attacks["T-Fc-0"]
-    assert (texture.kind, texture.fixed_colours, texture.texture, texture.keep_at) == (
-        "texture",
-        True,
-        None,
-        (1,),
-    )
+    assert texture.texture is None
+    assert (texture.settings.steps, texture.settings.keep_at) == (8, (1,))
     assert texture.folders == (
         "T-Fc-0",
         "T-Fc-0/snapshots/T-Fc_step1-0",
         "T-Fc-0/snapshots/T-Fc_relaxed-0",
     )
-    # Its texture is finished: no palette, nothing to round.
+    # Its texture is finished: there is nothing to round.
     sequential = tiny.attacks["C-Fc-seq@0.4-0"]
-    assert (sequential.texture, sequential.fixed_colours, sequential.relaxed) == (
-        "T-Fc-0",
-        False,
-        False,
-    )
-    assert tiny.attacks["C-Fc-par@0.4-0"].fixed_colours
+    assert sequential.texture == "T-Fc-0"
+    assert sequential.kept == ("C-Fc-seq@0.4_step1-0",)
     # Random controls are scored by themselves: they wait for no attack.
-    assert tiny.batches["000"] == tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
+    assert tiny.batches["000"] == tiny.controls
     assert list(tiny.batches) == ["000", "001"]
     assert len(tiny.batches["001"]) == 3 + 2 + 2 + 3
 
 
 def test_on_cycles_are_finished_attacks_and_controls_alone():
-    assert plan().cycles_batches == {}
-    tiny = Plan(Preset.parse(TINY), cycles=True)
-    assert tiny.cycles_batches == {
+    assert jobs().cycles_batches == {
         "000": ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0"),
         "001": ("T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"),
     }
-    # One more job for the original images, and one for each batch.
-    assert tiny.jobs == {**plan().jobs, "render_cycles": 1, "score_cycles": 2}
-    assert list(tiny.jobs)[-1] == "tables"
+    # One more step for the original images, and one for each batch; only where they are asked for.
+    without = reproduction_plan(Preset.parse(TINY), Path())
+    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
+    added = {step.id for step in plan.steps} - {step.id for step in without.steps}
+    assert added == {"render/test-cycles", "score/cycles-000", "score/cycles-001"}
+    assert plan.steps[-1].id == "report/report"
     # Neither transfers nor copies kept on the way.
-    wide = Plan(
-        Preset.parse({**TINY, "detectors": ["a", "b"], "textures": ["U"], "transfer": ["T-U"]}),
-        cycles=True,
-    )
+    wide = jobs(detectors=["a", "b"], textures=["U"], transfer=["T-U"])
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
     # The first repeats and draws of each.
     more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
-    assert Plan(Preset.parse({**TINY, **more}), cycles=True).cycles_batches == {
+    assert jobs(**more).cycles_batches == {
         "000": ("R-U-0", "R-U-1", "R-S-O@0.4-0", "R-S-O@0.4-1"),
         "001": ("R-C-U@0.4-0", "R-C-U@0.4-1"),
         "002": ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0", "T-U-1"),
@@ -77,22 +81,24 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
 
 
 def test_repeats_seeds_transfer_and_masked():
-    wide = plan(
-        seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2, transfer=["T-U"],
-        magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]}, score_batch=4,
-        ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
+    wide = jobs(
+        seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2,
+        transfer=["T-U"], magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]},
+        score_batch=4, ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
         attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
     )  # fmt: skip
     first = [
-        "T-U", "T-PixFcMa", "T-U_on_a", "T-U_on_b", "T-U_on_c", "T-U_without_a", "T-U_without_b", "T-U_without_c",
-        "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
+        "T-U", "T-PixFcMa", "T-U_on_a", "T-U_on_b", "T-U_on_c", "T-U_without_a", "T-U_without_b",
+        "T-U_without_c", "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
     ]  # fmt: skip
     assert list(wide.attacks) == [f"{name}-{repeat}" for repeat in (0, 1) for name in first]
-    assert {wide.attacks[f"{name}-1"].seed for name in first} == {8}
+    assert {wide.attacks[f"{name}-1"].settings.seed for name in first} == {8}
     assert wide.attacks["T-U_without_b-0"].detectors == ("a", "c")
     assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
-    # Copies are kept below the last step, of the first repeat, at one magnitude, and not of transfers.
-    kept = {name: job.keep_at for name, job in wide.attacks.items() if job.keep_at}
+    # Copies are kept below the last step, of the first repeat, at one magnitude, and not of
+    # transfers.
+    attacks = wide.attacks.items()
+    kept = {name: job.settings.keep_at for name, job in attacks if job.settings.keep_at}
     assert kept == {
         "T-U-0": (1, 5),
         "T-PixFcMa-0": (1, 5),
@@ -103,118 +109,167 @@ def test_repeats_seeds_transfer_and_masked():
     assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
     assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
     # Two detectors: all but one is the other one, which is there already.
-    assert [
-        name for name in plan(detectors=["a", "b"], transfer=["T-U"]).attacks if "_" in name
-    ] == [
-        "T-U_on_a-0",
-        "T-U_on_b-0",
-    ]
+    pair = jobs(detectors=["a", "b"], transfer=["T-U"])
+    assert [name for name in pair.attacks if "_" in name] == ["T-U_on_a-0", "T-U_on_b-0"]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_name_can_be_made_and_has_its_control(preset):
-    full = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())))
-    parsed = {name: CamouflageName.parse(name) for name in full.attacks}
-    textures = [name for name in parsed.values() if name.kind == "texture" and not name.variant]
-    assert len({name.pooled for name in textures}) == 12
-    controls = {CamouflageName.parse(name).pooled for name in full.controls}
-    for name, job in full.attacks.items():
-        assert not parsed[name].random
-        assert (parsed[name].order == "seq") == (job.texture is not None)
-        assert parsed[name].control in controls
+    settings = Preset.parse(read(preset))
+    full = Jobs(settings)
+    attacks = {CamouflageName.parse(name): job for name, job in full.attacks.items()}
+    textures = {name.pooled for name in attacks if name.kind == "texture" and not name.variant}
+    assert len(textures) == 12
+    controls = {CamouflageName.parse(name) for name in full.controls}
     assert all(name.random for name in controls)
-    assert full.preset.repeats >= 3
-    assert full.preset.draws >= 3
+    pooled = {name.pooled for name in controls}
+    for name, job in attacks.items():
+        assert not name.random
+        assert (name.order == "seq") == (job.texture is not None)
+        assert name.control in pooled
+    assert settings.repeats >= 3
+    assert settings.draws >= 3
+
+
+PLANS = {
+    "demo": demo_plan(
+        Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1), Layout(Path("runs/a b"))
+    ),
+    "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
+    "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
+    "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_step_can_be_done_by_hand(name):
+    """The words of its command line, parsed again, are the very command."""
+    for step in PLANS[name].steps:
+        words = step_words(step)
+        assert tyro.cli(load_command(words[0]), args=words[1:]) == step.command, step.id
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_step_comes_after_what_it_needs(name):
+    steps = PLANS[name].steps
+    made = {output for step in steps for output in step.outputs}
+    needed = {path for step in steps for path in step.inputs} - {Path("a.tif")}
+    assert needed <= made
+    # What nothing needs is what the user reads.
+    assert made - needed == set(steps[-1].outputs)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    def run(self):
+        pass
+
+
+def step(name, inputs=(), outputs=(), **more):
+    return Step("kind", name, Nothing(), tuple(inputs), tuple(outputs), **more)
+
+
+def test_a_plan_in_the_wrong_order_is_refused():
+    first = step("first", outputs=[Path("a")])
+    second = step("second", inputs=[Path("a")])
+    Plan([first, second])
+    with pytest.raises(RunFolderError, match="kind/second needs a"):
+        Plan([second, first])
+    with pytest.raises(RunFolderError, match="kind/first"):
+        Plan([first, first])
+
+
+def test_finished_is_what_left_its_outputs(tmp_path):
+    needed = tmp_path / "needed"
+    outputs = [tmp_path / "one", tmp_path / "two"]
+    kept = step("kept", [needed], outputs)
+    renewed = step("renewed", [needed], outputs, renewed=True)
+    outputs[0].touch()
+    assert not kept.is_finished()
+    outputs[1].touch()
+    for age, path in enumerate([needed, *outputs]):
+        if path.exists():
+            os.utime(path, (1000 + age, 1000 + age))
+    assert kept.is_finished()
+    assert renewed.is_finished()
+    needed.touch()
+    assert kept.is_finished()
+    assert not renewed.is_finished()
+
+
+def test_time_left_by_effort():
+    plan = Plan(
+        [step(str(number), effort_s=effort) for number, effort in enumerate((1.0, 2.0, 5.0))]
+    )
+    assert plan.time_left_s({}) is None
+    # Half as fast as thought: 10 s are left for one core.
+    assert plan.time_left_s({"kind/0": 2.0, "kind/1": 4.0}) == 10.0
+    assert plan.time_left_s({"kind/0": 2.0, "kind/1": 4.0}, cores=2) == 5.0
 
 
 def dry_run(folder, preset, *more):
-    """Snakemake's jobs by rule, and all it says."""
-    command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        "--snakefile",
-        SNAKEFILE,
-        "--directory",
-        folder,
-        "--dry-run",
-    ]
-    command += [
-        "--printshellcmds",
-        "--cores",
-        "2",
-        "--rerun-triggers",
-        "mtime",
-        "--configfile",
-        preset,
-    ]
-    done = subprocess.run([*command, *more], capture_output=True, text=True)
+    """Snakemake's steps by kind, and all it says."""
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder]
+    command += ["--dry-run", "--printshellcmds", "--cores", "2", "--rerun-triggers", "mtime"]
+    done = subprocess.run([*command, "--configfile", preset, *more], capture_output=True, text=True)
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
-    counts = {rule: int(count) for rule, count in re.findall(r"^(\w+) +(\d+)$", said, re.MULTILINE)}
+    # The table may be printed twice; every step is a rule of its own.
+    rules = dict(re.findall(r"^([a-z]+(?:_\d+)?) +(\d+)$", said, re.MULTILINE))
+    counts = Counter()
+    for rule, count in rules.items():
+        counts[rule.partition("_")[0]] += int(count)
     return counts, said
 
 
 @pytest.mark.parametrize("cycles", [False, True])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_snakemake_sees_the_same_jobs_and_no_cycle(preset, cycles, tmp_path):
+def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
     counted, _ = dry_run(tmp_path, PRESETS[preset], *(["--config", "cycles=1"] if cycles else []))
-    expected = Plan(Preset.parse(json.loads(PRESETS[preset].read_text())), cycles=cycles).jobs
-    assert counted == {**expected, "all": 1, "total": sum(expected.values()) + 1}
+    plan = plan_of_config({**read(preset), "cycles": int(cycles)})
+    assert counted == {**plan.counts, "all": 1, "total": len(plan.steps) + 1}
 
 
 def test_commands_on_cycles(tmp_path):
-    preset = Path(__file__).with_name("tiny.json")
-    _, said = dry_run(tmp_path, preset, "--config", "cycles=1", "blender=/opt/my blender/python")
+    more = ("--config", "cycles=1", "blender=/opt/my blender/python")
+    _, said = dry_run(tmp_path, TINY_FILE, *more)
     commands = [line for line in said.splitlines() if "--renderer cycles" in line]
     assert len(commands) == 3
-    assert all(
-        "--renderer cycles --blender '/opt/my blender/python' --workers 1 " in line
-        for line in commands
-    )
-    assert "--scenes scenes/test.jsonl" in commands[0]
-    assert "--out datasets/test-cycles" in commands[0]
+    wanted = "--renderer cycles --blender '/opt/my blender/python' --workers 1 "
+    assert all(wanted in line for line in commands)
+    drawn = next(line for line in commands if "skyproof render" in line)
+    assert "--scenes scenes/test.jsonl" in drawn
+    assert "--out datasets/test-cycles" in drawn
     attacks = next(line for line in commands if "T-Fc-0" in line)
-    assert "--original datasets/test-cycles --out scores-cycles/001" in attacks
+    assert "--out scores/cycles-001 --original datasets/test-cycles" in attacks
     assert "snapshots" not in attacks
-    _, said = dry_run(tmp_path, preset, "--config", "cycles=1")
+    _, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
     assert "--renderer cycles --workers 1" in said
 
 
+def leave(folder, steps, age):
+    """Leaves a step's outputs, as old as they would be."""
+    for path in (folder / output for step in steps for output in step.outputs):
+        (path.parent if path.suffix else path).mkdir(parents=True, exist_ok=True)
+        if path.suffix:
+            path.touch()
+        os.utime(path, (age, age))
+
+
 def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
-    preset = Path(__file__).with_name("tiny.json")
-    tiny = plan()
-    # By age: what a finished run leaves.
-    stages = [
-        ["backgrounds", "fleets", "scenes"],
-        [f"datasets/{split}" for split in ("train", "validation", "test")],
-        ["detectors/retinanet/detector.json"],
-        [
-            f"camouflages/{name}/camouflage.json"
-            for name in (*tiny.controls, "T-Fc-0", "S-O@0.4-0", "C-Fc-par@0.4-0")
-        ],
-        ["camouflages/C-Fc-seq@0.4-0/camouflage.json"],
-        ["measures.json", *(f"scores/{batch}" for batch in tiny.batches)],
-        ["results.json", "tables/README.md"],
-    ]
-    for age, names in enumerate(stages):
-        for path in (tmp_path / name for name in names):
-            (path.parent if path.suffix else path).mkdir(parents=True, exist_ok=True)
-            if path.suffix:
-                path.touch()
-            os.utime(path, (1000 + 10 * age, 1000 + 10 * age))
-    counted, said = dry_run(tmp_path, preset, "--config", "cycles=1")
-    assert counted == {"render_cycles": 1, "score_cycles": 2, "tables": 1, "all": 1, "total": 5}, (
-        said
-    )
-    # Finished too, then stopped before the tables were written again.
-    for name in ("datasets/test-cycles", "scores-cycles/000", "scores-cycles/001"):
-        (tmp_path / name).mkdir(parents=True)
-        os.utime(tmp_path / name, (2000, 2000))
-    counted, said = dry_run(tmp_path, preset, "--config", "cycles=1")
-    assert counted == {"tables": 1, "all": 1, "total": 2}, said
+    plan = plan_of_config(TINY)
+    for age, finished in enumerate(plan.steps):
+        leave(tmp_path, [finished], 1000 + age)
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    assert counted == {"render": 1, "score": 2, "report": 1, "all": 1, "total": 5}, said
+    # Finished too, then stopped before the report was written again.
+    wide = plan_of_config({**TINY, "cycles": 1})
+    known = {step.id for step in plan.steps}
+    leave(tmp_path, [step for step in wide.steps if step.id not in known], 2000)
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    assert counted == {"report": 1, "all": 1, "total": 2}, said
     # Without the flag nothing of it is asked for or taken away.
-    counted, said = dry_run(tmp_path, preset)
+    counted, said = dry_run(tmp_path, TINY_FILE)
     assert counted == {}, said
 
 
@@ -232,7 +287,7 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
 )
 def test_impossible_presets_are_refused(changes, word):
     with pytest.raises(ConfigurationError, match=word):
-        plan(**changes)
+        jobs(**changes)
 
 
 def test_presets_by_name_or_file(tmp_path):

@@ -2,13 +2,7 @@
 
 import os
 
-from skyproof.plans.progress import (
-    FinishedJob,
-    failed_log,
-    finished_jobs,
-    time_left_s,
-    write_timings,
-)
+from skyproof.plans.progress import FinishedJob, failed_log, finished_jobs
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time\n"
 LOG = """
@@ -26,36 +20,22 @@ Error in rule attack:
 """
 
 
-def test_finished_jobs_in_order_and_their_timings(tmp_path):
-    for age, (rule, name, row) in enumerate(
+def test_finished_jobs_in_order(tmp_path):
+    for age, (kind, name, row) in enumerate(
         [
             ("attack", "S-O@0.4-1", "12.5\t0:00:12\t900.25\t1\t1\t1\t1\t1\t1\t1\n"),
-            ("world", "world", "3.0\t0:00:03\t-\t-\t-\t-\t-\t-\t-\t-\n"),
+            ("ground", "ground", "3.0\t0:00:03\t-\t-\t-\t-\t-\t-\t-\t-\n"),
             ("score", "000", ""),  # being written
         ]
     ):
-        path = tmp_path / "benchmarks" / rule / f"{name}.tsv"
+        path = tmp_path / "benchmarks" / kind / f"{name}.tsv"
         path.parent.mkdir(parents=True)
         path.write_text(HEADER + row)
         os.utime(path, (1000 - age, 1000 - age))
-    jobs = finished_jobs(tmp_path)
-    assert jobs == [
-        FinishedJob("world", "world", 3.0, None),
+    assert finished_jobs(tmp_path) == [
+        FinishedJob("ground", "ground", 3.0, None),
         FinishedJob("attack", "S-O@0.4-1", 12.5, 900.25),
     ]
-    write_timings(tmp_path / "timings.csv", jobs)
-    assert (tmp_path / "timings.csv").read_text() == (
-        "rule,name,seconds,largest_memory_mb\nattack,S-O@0.4-1,12.5,900\nworld,world,3.0,\n"
-    )
-
-
-def test_time_left():
-    jobs = {"world": 1, "attack": 5, "score": 2}
-    assert time_left_s(jobs, [], 2) is None
-    done = [FinishedJob("world", "world", 30.0, None), FinishedJob("attack", "a", 10.0, None)]
-    done.append(FinishedJob("attack", "b", 20.0, None))
-    # Three attacks of 15 s; two scores, of which none is known, at the mean of all, 20 s; on two cores.
-    assert time_left_s(jobs, done, 2) == (3 * 15 + 2 * 20) / 2
 
 
 def test_the_failed_job_is_named():

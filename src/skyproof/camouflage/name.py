@@ -9,7 +9,7 @@ from typing import Literal
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 
-__all__ = ["CamouflageName"]
+__all__ = ["CamouflageName", "Order"]
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]

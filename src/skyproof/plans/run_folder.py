@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -18,6 +18,8 @@ from typing import Any
 from skyproof import __version__
 from skyproof.errors import RunFolderError
 from skyproof.files import is_leftover, read_json, write_json
+from skyproof.plans.plan import Step
+from skyproof.plans.progress import FinishedJob
 
 __all__ = ["RunFolder"]
 
@@ -73,30 +75,56 @@ class RunFolder:
         write_json(self.path / "config.json", self._config)
         self._record_environment(device, self._config.get("seed"))
 
-    def stage(self, name: str, result: Path, work: Callable[[], object]) -> None:
-        """Does `work`, unless its `result` is there already; keeps the time it took."""
-        if result.exists():
-            return
+    def timed(self, step: Step, work: Callable[[], object]) -> None:
+        """Does a step's work, and keeps the time it took."""
         started = time.monotonic()
         try:
             work()
         except BaseException:
-            # A stopped stage's time counts too: it goes on later from its checkpoint. Why it stopped matters more.
+            # A stopped step's time counts too: it goes on later from its checkpoint. Why it stopped
+            # matters more.
             with suppress(RunFolderError):
-                self._add_time(name, time.monotonic() - started)
+                self._add_time(step, time.monotonic() - started)
             raise
-        self._add_time(name, time.monotonic() - started)
+        self._add_time(step, time.monotonic() - started)
+
+    def seconds(self) -> dict[str, float]:
+        """Returns by step id how long steps took so far, stopped ones included."""
+        return {f"{row['stage']}/{row['name']}": row["seconds"] for row in self._times()}
+
+    def note_times(self, jobs: Iterable[FinishedJob]) -> None:
+        """Writes the times of steps that others did."""
+        rows = [
+            {
+                "stage": job.kind,
+                "name": job.name,
+                "seconds": round(job.seconds, 2),
+                "largest_memory_mb": job.largest_memory_mb,
+            }
+            for job in jobs
+        ]
+        write_json(self._timings, rows)
 
     def finish(self) -> None:
         """Notes when the run ended."""
         path = self.path / "environment.json"
         write_json(path, {**read_json(path), "finished": _now()})
 
-    def _add_time(self, name: str, seconds: float) -> None:
-        path = self.path / "timings.json"
-        rows = {row["stage"]: row["seconds"] for row in (read_json(path) if path.exists() else [])}
-        rows[name] = round(rows.get(name, 0.0) + seconds, 2)
-        write_json(path, [{"stage": stage, "seconds": value} for stage, value in rows.items()])
+    @property
+    def _timings(self) -> Path:
+        return self.path / "timings.json"
+
+    def _times(self) -> list[dict[str, Any]]:
+        return read_json(self._timings) if self._timings.exists() else []
+
+    def _add_time(self, step: Step, seconds: float) -> None:
+        rows = self._times()
+        known = [row for row in rows if (row["stage"], row["name"]) == (step.kind, step.name)]
+        if not known:
+            known = [{"stage": step.kind, "name": step.name, "seconds": 0.0}]
+            rows += known
+        known[0]["seconds"] = round(known[0]["seconds"] + seconds, 2)
+        write_json(self._timings, rows)
 
     def _record_environment(self, device: str, seed: Any) -> None:
         path = self.path / "environment.json"

@@ -1,0 +1,254 @@
+"""The plan of a reproduction: every attack of the paper with its random controls, scored by all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from skyproof.attacks.settings import AttackSettings
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.name import CamouflageName, Order
+from skyproof.cli.rendering import Rendering
+from skyproof.detectors.settings import TrainingChanges, TrainingSettings
+from skyproof.errors import ConfigurationError
+from skyproof.plans.layout import Layout
+from skyproof.plans.plan import Plan, Step
+from skyproof.plans.preset import Preset
+from skyproof.plans.steps import (
+    AttackJob,
+    attack_step,
+    control_step,
+    report_step,
+    score_step,
+    train_step,
+)
+from skyproof.plans.world import WorldSizes, render_step, world_steps
+
+__all__ = ["Jobs", "plan_of_config", "reproduction_plan"]
+
+_PARALLEL = ("Fc", "PixFc")
+
+
+def plan_of_config(config: Mapping[str, Any]) -> Plan:
+    """Returns the plan that a run folder's config.json stands for, with paths inside that folder.
+
+    Args:
+        config: the preset's values; also "device", "cycles" (1 for the Cycles column) and
+            "blender", which are no settings of a run, because they can change from call to call.
+    """
+    blender = config.get("blender")
+    return reproduction_plan(
+        Preset.parse(config),
+        Path(),
+        device=str(config.get("device", "auto")),
+        cycles=bool(int(config.get("cycles", 0))),
+        blender=Path(blender) if blender else None,
+    )
+
+
+def reproduction_plan(
+    preset: Preset,
+    folder: Path,
+    *,
+    device: str = "auto",
+    cycles: bool = False,
+    blender: Path | None = None,
+) -> Plan:
+    """Returns a preset, expanded to steps.
+
+    Args:
+        preset: what is reproduced.
+        folder: the run folder, as the steps are to name it.
+        device: auto, cpu or cuda.
+        cycles: whether finished attacks and random controls are also scored on Cycles.
+        blender: which Blender draws them.
+    """
+    layout = Layout(folder)
+    sizes = _settings(WorldSizes, preset.world, "world")
+    jobs = Jobs(preset)
+    steps = world_steps(layout, sizes, preset.seed, device=device)
+    steps += [
+        train_step(
+            layout, sizes, name, preset.size, _training(preset, name), preset.seed, device=device
+        )
+        for name in preset.detectors
+    ]
+    steps.append(control_step(layout, jobs.controls, preset.seed))
+    steps += [
+        attack_step(layout, job, preset.attack_image_px, device=device)
+        for job in jobs.attacks.values()
+    ]
+    scores: list[Step] = []
+
+    def score(name: str, folders: Sequence[str], rendering: Rendering | None = None) -> None:
+        scores.append(
+            score_step(
+                layout,
+                sizes,
+                name,
+                folders,
+                preset.detectors,
+                preset.seed,
+                rendering=rendering,
+                device=device,
+            )
+        )
+
+    for name, folders in jobs.batches.items():
+        score(name, folders)
+    if cycles:
+        rendering = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
+        steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
+        for name, folders in jobs.cycles_batches.items():
+            score(f"cycles-{name}", folders, rendering)
+    steps += scores
+    steps.append(report_step(layout, [step.name for step in scores]))
+    return Plan(steps, threads=preset.threads, resources=preset.resources)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One camouflage to be learnt, before it is repeated."""
+
+    name: CamouflageName
+    kind: str
+    detectors: tuple[str, ...]
+
+
+class Jobs:
+    """What a preset attacks, draws and scores.
+
+    Attributes:
+        attacks: the learnt camouflages, by name.
+        controls: names of all random draws.
+        batches: what is scored together: names of score folders to folders of camouflages, relative
+            to `camouflages/`. Controls come first: they wait for no attack.
+        cycles_batches: what is scored together on Cycles: random controls and finished attacks on
+            all detectors, as in the paper's "Blender" column.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        self._preset = preset
+        self._textures = [TextureConstraints.parse(text) for text in preset.textures]
+        repeats = range(preset.repeats)
+        jobs = [self._job(kind, repeat) for repeat in repeats for kind in self._kinds()]
+        self.attacks = {job.name: job for job in jobs}
+        self.controls = tuple(
+            str(name.with_repeat(draw)) for name in self._controls() for draw in range(preset.draws)
+        )
+        folders = [folder for job in jobs for folder in job.folders]
+        self.batches = self._batched(self.controls, folders)
+        finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
+        self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
+
+    def _kinds(self) -> Iterator[_Kind]:
+        preset = self._preset
+        every = preset.detectors
+        for texture in self._textures:
+            yield _Kind(CamouflageName("texture", texture), "texture", every)
+        for text in preset.transfer:
+            name = CamouflageName.parse(text)
+            for variant, detectors in _parts_of(every):
+                yield _Kind(name.with_variant(variant), "texture", detectors)
+        for magnitude in preset.magnitudes:
+            yield _Kind(CamouflageName("shape", magnitude=magnitude), "shape", every)
+        orders: tuple[tuple[Order, str], ...] = (("seq", "sequential"), ("par", "parallel"))
+        for order, kind in orders:
+            for texture in self._textures:
+                if order == "par" and texture.name not in _PARALLEL:
+                    continue
+                for magnitude in self._grid(texture):
+                    name = CamouflageName("combination", texture, magnitude, order)
+                    yield _Kind(name, kind, every)
+
+    def _controls(self) -> Iterator[CamouflageName]:
+        for texture in self._textures:
+            yield CamouflageName("texture", texture).control
+        for magnitude in self._preset.magnitudes:
+            yield CamouflageName("shape", magnitude=magnitude).control
+        for texture in self._textures:
+            for magnitude in self._grid(texture):
+                yield CamouflageName("combination", texture, magnitude, "seq").control
+
+    def _grid(self, texture: TextureConstraints) -> tuple[float, ...]:
+        preset = self._preset
+        return preset.combined_magnitudes.get(texture.name, preset.magnitudes)
+
+    def _job(self, kind: _Kind, repeat: int) -> AttackJob:
+        preset = self._preset
+        name = kind.name.with_repeat(repeat)
+        settings = _settings(AttackSettings, preset.attack, "attack")
+        steps = preset.attack_steps[kind.kind]
+        measured = name.magnitude in (None, preset.ladder_magnitude)
+        climbs = repeat == 0 and not name.variant and measured
+        rungs = [step for step in preset.ladder_steps if step < steps] if climbs else []
+        kept = [str(name.with_variant(f"step{step}")) for step in rungs]
+        learns_colours = name.constraints is not None and name.constraints.colours != "free"
+        if rungs and learns_colours and name.order != "seq":
+            kept.append(str(name.with_variant("relaxed")))
+        texture = None
+        if name.order == "seq":
+            texture = str(CamouflageName("texture", name.constraints).with_repeat(repeat))
+        return AttackJob(
+            name=str(name),
+            settings=replace(
+                settings, steps=steps, seed=preset.seed + repeat, keep_at=tuple(rungs)
+            ),
+            detectors=kind.detectors,
+            texture=texture,
+            kept=tuple(kept),
+        )
+
+    def _first(self, names: Sequence[str]) -> list[str]:
+        """The repeats and draws that the Cycles column has."""
+        count = self._preset.cycles_repeats
+        return [name for name in names if int(CamouflageName.parse(name).repeat) < count]
+
+    def _batched(
+        self, controls: Sequence[str], attacks: Sequence[str]
+    ) -> dict[str, tuple[str, ...]]:
+        size = self._preset.score_batch
+        batches = [
+            tuple(folders[start : start + size])
+            for folders in (controls, attacks)
+            for start in range(0, len(folders), size)
+        ]
+        return {f"{number:03d}": batch for number, batch in enumerate(batches)}
+
+
+def _parts_of(detectors: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Parts of the ensemble that an attack is to transfer from, each with the variant it gives."""
+    if len(detectors) > 1:
+        for detector in detectors:
+            yield f"on_{detector}", (detector,)
+    # Of two detectors, all but one is the other one.
+    if len(detectors) > 2:
+        for left_out in detectors:
+            rest = tuple(detector for detector in detectors if detector != left_out)
+            yield f"without_{left_out}", rest
+
+
+def _training(preset: Preset, name: str) -> TrainingChanges:
+    changes = dict(preset.training.get(name, {}))
+    _refuse_unknown(changes, TrainingSettings, f"training.{name}")
+    return changes
+
+
+def _settings(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
+    """Settings made of a preset's values; lists become tuples.
+
+    Raises:
+        ConfigurationError: a setting of another name.
+    """
+    _refuse_unknown(values, kind, where)
+    given = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    return kind(**given)
+
+
+def _refuse_unknown(values: Mapping[str, Any], kind: type[Any], where: str) -> None:
+    unknown = sorted(set(values) - set(kind.__dataclass_fields__))
+    if unknown:
+        known = ", ".join(kind.__dataclass_fields__)
+        raise ConfigurationError(f"The preset's {where} has {unknown[0]!r}; expected are {known}.")

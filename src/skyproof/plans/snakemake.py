@@ -1,0 +1,192 @@
+"""A plan done by Snakemake: on many cores of this machine, or on a cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from skyproof.cli.console import say
+from skyproof.errors import RunFolderError
+from skyproof.plans.plan import Plan, Step
+from skyproof.plans.progress import FinishedJob, failed_log, finished_jobs
+from skyproof.plans.run_folder import RunFolder
+from skyproof.plans.serial import duration
+from skyproof.plans.words import command_words
+
+__all__ = ["SNAKEFILE", "alone", "output_of", "run_side_by_side", "snakemake_words", "step_words"]
+
+SNAKEFILE = Path(__file__).with_name("Snakefile")
+
+_POLL_S = 1.0
+_PATIENCE_S = 30.0
+# A step's command is called like its kind, but for these.
+_COMMANDS = {"control": "attack"}
+
+
+def step_words(step: Step) -> list[str]:
+    """Returns the words of the command that does a step, without the program's own name."""
+    return command_words(_COMMANDS.get(step.kind, step.kind), step.command)
+
+
+def output_of(
+    step: Step, directory: Callable[[str], Any], update: Callable[[str], Any]
+) -> list[Any]:
+    """Returns a step's outputs as Snakemake is to take them.
+
+    Args:
+        step: whose.
+        directory: Snakemake's mark of a folder.
+        update: Snakemake's mark of a file that a stopped job is not to lose: what lies beside it is
+            what the next try goes on from.
+    """
+    paths = [str(path) for path in step.outputs]
+    if step.growing:
+        return [update(path) for path in paths]
+    return [path if Path(path).suffix else directory(path) for path in paths]
+
+
+def snakemake_words(folder: Path, config: Path, more: Mapping[str, str]) -> list[str]:
+    """Returns the command line that starts Snakemake on a run folder, but for its executor.
+
+    Args:
+        folder: the run folder.
+        config: file of the run's settings.
+        more: what the workflow is told beside them, such as the device.
+    """
+    words = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE)]
+    words += ["--directory", str(folder.resolve()), "--configfile", str(config.resolve())]
+    if more:
+        words += ["--config", *(f"{name}={value}" for name, value in more.items())]
+    # A newer version of the package does not throw away what an older one took hours for.
+    return [*words, "--rerun-triggers", "mtime"]
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[int]:
+    """Holds the run folder's lock; a kill gives it back.
+
+    Raises:
+        RunFolderError: another run holds it.
+    """
+    # Windows has none, and must still run the other commands.
+    import fcntl
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / ".lock", "w", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise RunFolderError(
+                f"Another run is working in {folder}; wait for it, or choose another --out."
+            ) from error
+        yield file.fileno()
+
+
+def run_side_by_side(
+    plan: Plan, run: RunFolder, command: Sequence[str], cores: int, lock: int
+) -> None:
+    """Runs Snakemake on a plan, and prints a line per finished step.
+
+    Args:
+        plan: the same that the workflow reads.
+        run: the run folder.
+        command: Snakemake's words, options of its executor included.
+        cores: how many steps run side by side, for the time left.
+        lock: the run folder's lock, which Snakemake holds as long as it lives.
+
+    Raises:
+        RunFolderError: a step failed; names it and its log.
+    """
+    place = run.path / "snakemake.log"
+    before = set(_finished(run.path, plan))
+    if before:
+        say(f"  {len(before)} steps were finished before")
+    with open(place, "ab") as log, _stop_signals():
+        start = log.tell()
+        # In a session of its own, so that Ctrl-C reaches it once, through us.
+        child = subprocess.Popen(
+            command, stdout=log, stderr=log, start_new_session=True, pass_fds=[lock]
+        )
+        try:
+            while child.poll() is None:
+                time.sleep(_POLL_S)
+                before = _say_finished(run.path, plan, cores, before)
+        except BaseException:
+            _end(child)
+            raise
+        finally:
+            run.note_times(finished_jobs(run.path))
+    _say_finished(run.path, plan, cores, before)
+    if child.returncode:
+        said = place.read_bytes()[start:].decode(errors="replace")
+        raise RunFolderError(_failure(run.path, said))
+
+
+def _say_finished(
+    folder: Path, plan: Plan, cores: int, before: set[FinishedJob]
+) -> set[FinishedJob]:
+    """Says what is new; a step that was done again counts as new, as it took another time."""
+    finished = _finished(folder, plan)
+    left_s = plan.time_left_s({job.id: job.seconds for job in finished}, cores)
+    for number, job in enumerate(finished, start=1):
+        if job not in before:
+            left = "" if left_s is None else f", about {duration(left_s)} left"
+            progress = f"({number} of {len(plan.steps)} steps{left})"
+            say(f"  {job.kind} {job.name}: {job.seconds:.0f} s {progress}")
+    return set(finished)
+
+
+def _finished(folder: Path, plan: Plan) -> list[FinishedJob]:
+    """The finished steps of the plan: an earlier call may have had more of them."""
+    known = {step.id for step in plan.steps}
+    return [job for job in finished_jobs(folder) if job.id in known]
+
+
+def _failure(folder: Path, text: str) -> str:
+    log = failed_log(text)
+    if log is None:
+        return (
+            f"Snakemake stopped; see {folder / 'snakemake.log'}, then give the same command again "
+            "to go on."
+        )
+    path = folder / log
+    lines: list[str] = []
+    if path.exists():
+        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    said = [line.removeprefix("skyproof: ").strip() for line in lines if line.strip()]
+    last = said[-1] if said else "it printed nothing"
+    return f"A step failed ({last}); see {path}, then give the same command again to go on."
+
+
+def _end(child: subprocess.Popen[Any]) -> None:
+    """Ends Snakemake and its jobs, politely at first."""
+    for number in (signal.SIGINT, signal.SIGKILL):
+        try:
+            os.killpg(child.pid, number)
+            child.wait(_PATIENCE_S)
+        except (ProcessLookupError, subprocess.TimeoutExpired):
+            continue
+
+
+@contextmanager
+def _stop_signals() -> Iterator[None]:
+    """Within, being terminated or losing the terminal ends the run as Ctrl-C does."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    kept = {number: signal.signal(number, stop) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

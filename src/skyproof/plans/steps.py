@@ -1,0 +1,207 @@
+"""The steps after the images: detectors, camouflages, scores, report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from skyproof.attacks.settings import AttackSettings
+from skyproof.cli.attack import Attack
+from skyproof.cli.rendering import Rendering
+from skyproof.cli.report import Report
+from skyproof.cli.score import Score
+from skyproof.cli.train import Train
+from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
+from skyproof.plans.layout import Layout
+from skyproof.plans.plan import START_S, Step
+from skyproof.plans.world import WorldSizes, render_s
+
+__all__ = ["AttackJob", "attack_step", "control_step", "report_step", "score_step", "train_step"]
+
+# Seconds on one core for a million pixels before one detector; for the time left alone.
+_TRAIN_S = 2.0
+_ATTACK_S = 4.0
+_DETECT_S = 3.0
+
+
+@dataclass(frozen=True)
+class AttackJob:
+    """One learnt camouflage of a plan.
+
+    Attributes:
+        name: the camouflage's, with its repeat.
+        settings: how it is learnt.
+        detectors: names of those that are attacked together.
+        texture: name of the finished texture under a sequential attack's shape.
+        kept: names of the copies that it leaves in `snapshots/`.
+    """
+
+    name: str
+    settings: AttackSettings
+    detectors: tuple[str, ...]
+    texture: str | None = None
+    kept: tuple[str, ...] = ()
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """What it leaves to be scored, relative to `camouflages/`: itself and its kept copies."""
+        return (self.name, *(f"{self.name}/snapshots/{name}" for name in self.kept))
+
+
+def train_step(
+    layout: Layout,
+    sizes: WorldSizes,
+    name: str,
+    size: str,
+    changes: TrainingChanges,
+    seed: int,
+    *,
+    device: str = "auto",
+) -> Step:
+    """Returns the step that trains one detector on the rendered images."""
+    training = layout.dataset("train")
+    validation = layout.dataset("validation")
+    command = Train(
+        detector=name,
+        data=training,
+        validation=validation,
+        out=layout.detector(name),
+        size=size,
+        settings=changes,
+        seed=seed,
+        device=device,
+    )
+    settings = replace(TRAINING_PRESETS[name, size], **changes)
+    megapixels = sizes.megapixels(settings.steps * settings.batch_size)
+    return Step(
+        "train",
+        name,
+        command,
+        (training, validation),
+        (layout.detector(name) / "detector.json",),
+        growing=True,
+        effort_s=START_S + _TRAIN_S * megapixels,
+    )
+
+
+def attack_step(layout: Layout, job: AttackJob, image_px: int, *, device: str = "auto") -> Step:
+    """Returns the step that learns one camouflage."""
+    texture = layout.camouflage(job.texture) if job.texture else None
+    command = Attack(
+        names=(job.name,),
+        out=layout.camouflages,
+        detectors=tuple(layout.detector(name) for name in job.detectors),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "attack",
+        texture=texture,
+        image_px=image_px,
+        settings=job.settings,
+        device=device,
+    )
+    inputs = [layout.backgrounds, layout.fleets]
+    inputs += [layout.detector(name) / "detector.json" for name in job.detectors]
+    if texture:
+        inputs.append(texture / "camouflage.json")
+    images = job.settings.steps * job.settings.batch_size * len(job.detectors)
+    return Step(
+        "attack",
+        job.name,
+        command,
+        tuple(inputs),
+        (layout.camouflage(job.name) / "camouflage.json",),
+        growing=True,
+        effort_s=START_S + _ATTACK_S * images * image_px**2 / 1e6,
+    )
+
+
+def control_step(layout: Layout, names: Sequence[str], seed: int) -> Step:
+    """Returns the step that draws random controls."""
+    command = Attack(
+        names=tuple(names),
+        out=layout.camouflages,
+        backgrounds=layout.backgrounds,
+        settings=AttackSettings(seed=seed),
+    )
+    outputs = tuple(layout.camouflage(name) / "camouflage.json" for name in names)
+    return Step(
+        "control",
+        "random",
+        command,
+        (layout.backgrounds,),
+        outputs,
+        growing=True,
+        effort_s=START_S + 0.1 * len(names),
+    )
+
+
+def score_step(
+    layout: Layout,
+    sizes: WorldSizes,
+    name: str,
+    camouflages: Sequence[str],
+    detectors: Sequence[str],
+    seed: int,
+    *,
+    frames: Sequence[str] = (),
+    frame_classes: Sequence[str] = ("car", "minibus"),
+    rendering: Rendering | None = None,
+    device: str = "auto",
+) -> Step:
+    """Returns the step that judges detectors on the test scenes, with and without camouflages.
+
+    Args:
+        layout: the run folder's.
+        sizes: of the run.
+        name: of the score folder.
+        camouflages: folders relative to `camouflages/`.
+        detectors: names of all that judge.
+        seed: of the bootstrap.
+        frames: annotated images to check the detectors on.
+        frame_classes: class names that count as vehicles in them.
+        rendering: the renderer; the differentiable one where not given.
+        device: auto, cpu or cuda.
+    """
+    chosen = rendering or Rendering()
+    drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
+    original = layout.dataset(drawn)
+    command = Score(
+        **vars(chosen),
+        detectors=tuple(layout.detector(detector) for detector in detectors),
+        out=layout.scores(name),
+        original=original,
+        camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+        frames=tuple(frames),
+        frame_classes=tuple(frame_classes),
+        seed=seed,
+        device=device,
+    )
+    inputs = [original, layout.backgrounds, layout.fleets]
+    inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
+    # Copies kept on the way lie inside the folder of their attack.
+    attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
+    inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]
+    images = sizes.test_images * (1 + len(camouflages))
+    each_s = render_s(chosen) + _DETECT_S * len(detectors)
+    return Step(
+        "score",
+        name,
+        command,
+        tuple(inputs),
+        (layout.scores(name),),
+        effort_s=START_S + each_s * sizes.megapixels(images),
+    )
+
+
+def report_step(layout: Layout, scores: Sequence[str]) -> Step:
+    """Returns the step that merges all scores and writes the report."""
+    return Step(
+        "report",
+        "report",
+        Report(layout.folder),
+        tuple(layout.scores(name) for name in scores),
+        (layout.results, layout.report),
+        renewed=True,
+        effort_s=2 * START_S,
+    )

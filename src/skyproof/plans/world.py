@@ -1,0 +1,193 @@
+"""The steps from nothing to rendered images: ground, vehicles, scenes, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from skyproof.cli.ground import Ground, tiling_for_images
+from skyproof.cli.render import Render
+from skyproof.cli.rendering import Rendering
+from skyproof.cli.scenes import Scenes
+from skyproof.cli.vehicles import Vehicles
+from skyproof.errors import ConfigurationError
+from skyproof.imagery.settings import SourceSettings
+from skyproof.plans.layout import Layout
+from skyproof.plans.plan import START_S, Step
+from skyproof.scenes.settings import SceneSettings
+
+__all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
+
+GSD_M = 0.125
+
+Rendered = Literal["train", "validation", "test"]
+
+# Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
+_GROUND_S = 2.6
+_VEHICLE_S = 0.08
+_RENDER_S = {"torch": 3.2, "cycles": 30.0}
+
+
+@dataclass(frozen=True)
+class WorldSizes:
+    """How much ground, how many vehicles and scenes a run has.
+
+    Attributes:
+        image_px: image side; vehicles are of true size at 12.5 cm per pixel.
+        tiles: procedural ground tiles per split (train, validation, attack, test), where no imagery
+            is given.
+        vehicles: vehicles in the fleet of each split.
+        training_images: rendered images to train on.
+        validation_images: images that choose weights and threshold.
+        test_images: images to attack and report on.
+        training_vehicles: the most vehicles in one training image; validation and test images have
+            1 to 5.
+        parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
+    """
+
+    image_px: int = 192
+    tiles: tuple[int, int, int, int] = (64, 12, 24, 40)
+    vehicles: tuple[int, int, int, int] = (64, 16, 32, 32)
+    training_images: int = 2000
+    validation_images: int = 120
+    test_images: int = 120
+    training_vehicles: int = 7
+    parked_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        images = (self.training_images, self.validation_images, self.test_images)
+        counts = (*images, self.training_vehicles, *self.tiles, *self.vehicles)
+        if min(self.image_px, *counts) < 1:
+            raise ConfigurationError(f"--sizes expects counts of at least 1, but got {self}.")
+        # Refuses an image that no vehicle fits into, before anything is made.
+        self.scenes("test").half_m(GSD_M)
+
+    def scenes(self, split: str) -> SceneSettings:
+        """Returns how the scenes of a split are drawn; one vehicle an image in an attack."""
+        usual = SceneSettings(size_px=self.image_px)
+        if split == "train":
+            # Some training images are empty, so that ground alone is learnt too.
+            return replace(
+                usual,
+                vehicles_minimum=0,
+                vehicles_maximum=self.training_vehicles,
+                parked_share=self.parked_share,
+            )
+        return replace(usual, vehicles_maximum=1) if split == "attack" else usual
+
+    def count(self, split: Rendered) -> int:
+        """Returns how many images a rendered split has."""
+        counts: dict[Rendered, int] = {
+            "train": self.training_images,
+            "validation": self.validation_images,
+            "test": self.test_images,
+        }
+        return counts[split]
+
+    def megapixels(self, images: int) -> float:
+        """Returns how many million pixels so many images have."""
+        return images * self.image_px**2 / 1e6
+
+
+def world_steps(
+    layout: Layout,
+    sizes: WorldSizes,
+    seed: int,
+    *,
+    imagery: Sequence[Path] = (),
+    imagery_gsd_m: float | None = None,
+    blur_sigma_px: float | None = None,
+    device: str = "auto",
+) -> list[Step]:
+    """Returns the steps from nothing to rendered images to train, validate and test on."""
+    ground = ground_step(
+        layout,
+        sizes,
+        seed,
+        imagery=imagery,
+        imagery_gsd_m=imagery_gsd_m,
+        blur_sigma_px=blur_sigma_px,
+    )
+    splits: tuple[Rendered, ...] = ("train", "validation", "test")
+    scenes = [scene_step(layout, sizes, split, seed) for split in splits]
+    rendered = [render_step(layout, sizes, split, device=device) for split in splits]
+    return [ground, vehicles_step(layout, sizes, seed), *scenes, *rendered]
+
+
+def ground_step(
+    layout: Layout,
+    sizes: WorldSizes,
+    seed: int,
+    *,
+    imagery: Sequence[Path] = (),
+    imagery_gsd_m: float | None = None,
+    blur_sigma_px: float | None = None,
+) -> Step:
+    """Returns the step that draws ground, or cuts it from imagery."""
+    tiling = tiling_for_images(sizes.image_px, gsd_m=GSD_M, imagery=bool(imagery))
+    command = Ground(
+        out=layout.backgrounds,
+        sources=tuple(imagery),
+        tiles=sizes.tiles,
+        blur_sigma_px=blur_sigma_px,
+        seed=seed,
+        tiling=tiling,
+        source=SourceSettings(gsd_m=imagery_gsd_m),
+    )
+    effort_s = START_S + _GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
+    return Step(
+        "ground", "ground", command, tuple(imagery), (layout.backgrounds,), effort_s=effort_s
+    )
+
+
+def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
+    """Returns the step that draws the four fleets."""
+    command = Vehicles(out=layout.fleets, counts=sizes.vehicles, seed=seed)
+    effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
+    return Step("vehicles", "fleets", command, (), (layout.fleets,), effort_s=effort_s)
+
+
+def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) -> Step:
+    """Returns the step that draws the scenes of a split."""
+    command = Scenes(
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / split,
+        out=layout.scenes(split),
+        split=split,
+        count=sizes.count(split),
+        settings=sizes.scenes(split),
+        seed=seed,
+    )
+    inputs = (layout.backgrounds, layout.fleets)
+    return Step("scenes", split, command, inputs, (layout.scenes(split),), effort_s=START_S)
+
+
+def render_s(rendering: Rendering) -> float:
+    """Returns about how long a million pixels take on one core, in seconds."""
+    return _RENDER_S[rendering.renderer]
+
+
+def render_step(
+    layout: Layout,
+    sizes: WorldSizes,
+    split: Rendered,
+    *,
+    rendering: Rendering | None = None,
+    device: str = "auto",
+) -> Step:
+    """Returns the step that draws a split without camouflage, on either renderer."""
+    chosen = rendering or Rendering()
+    name = split if chosen.renderer == "torch" else f"{split}-{chosen.renderer}"
+    command = Render(
+        **vars(chosen),
+        scenes=layout.scenes(split),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / split,
+        out=layout.dataset(name),
+        device=device,
+    )
+    effort_s = START_S + render_s(chosen) * sizes.megapixels(sizes.count(split))
+    inputs = (layout.backgrounds, layout.fleets, layout.scenes(split))
+    return Step("render", name, command, inputs, (layout.dataset(name),), effort_s=effort_s)
