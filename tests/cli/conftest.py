@@ -100,8 +100,9 @@ RESULTS = (
     "detectors/retinanet/weights.safetensors",
     "camouflages/T-U/camouflage.safetensors",
     "camouflages/T-U/texture.png",
-    "evaluation/outcomes.parquet",
-    "datasets/test-T-U/annotations.json",
+    "scores/test/outcomes.parquet",
+    "scores/test/tiles.parquet",
+    "datasets/test/annotations.json",
 )
 
 

@@ -2,19 +2,20 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from skyproof.cli.stages import render_folder
+from skyproof.cli.rendering import Rendering
+from skyproof.cli.report import Report
 from skyproof.errors import ConfigurationError
-from skyproof.files import read_json, write_json
-from skyproof.plans import demo
+from skyproof.files import read_json
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import TINY, Skyproof, bytes_of
-
-# The second render is a stand-in: the differentiable renderer, whose images say that Cycles drew them.
-CYCLES = ("test-cycles", "test-cycles-R-U-0", "test-cycles-R-U-1", "test-cycles-T-U")
 
 KEYS = {
     "camouflage", "renderer", "detector", "vehicles", "easr", "easr_low", "easr_high", "net_easr", "net_easr_low",
@@ -35,10 +36,8 @@ def test_run_folder_holds_results_and_report(finished: Path) -> None:
     environment = json.loads((finished / "environment.json").read_text())
     assert environment["device"] == "cpu"
     assert environment["finished"]
-    assert {row["stage"] for row in json.loads((finished / "timings.json").read_text())} >= {
-        "render",
-        "evaluate",
-    }
+    times = json.loads((finished / "timings.json").read_text())
+    assert {row["stage"] for row in times} >= {"render", "score"}
 
 
 def test_second_call_changes_nothing(finished: Path, skyproof: Skyproof) -> None:
@@ -73,14 +72,14 @@ def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
     copied, skyproof: Skyproof
 ) -> None:
     """A threshold above every score: no vehicle is found before the camouflage, so there is no success rate."""
-    folder = copied("evaluation", "report.html", "results.json")
+    folder = copied("scores", "report.html", "results.json")
     card = folder / "detectors" / "retinanet" / "detector.json"
     good = card.read_text()
     card.write_text(json.dumps({**json.loads(good), "threshold": 1.0}))
     skyproof("demo", "--out", folder, *TINY).refused(
         "retinanet finds none of the", "threshold of 1"
     )
-    assert not (folder / "evaluation").exists()
+    assert not (folder / "scores" / "test").exists()
     card.write_text(good)
     assert skyproof("demo", "--out", folder, *TINY).code == 0
 
@@ -102,14 +101,16 @@ def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> No
     assert all(row["net_easr"] is None for row in rows)
 
 
-def test_every_stage_is_announced_without_a_terminal(copied, skyproof: Skyproof) -> None:
-    folder = copied("datasets/test-T-U", "evaluation", "report.html")
+def test_every_step_is_announced_without_a_terminal(copied, skyproof: Skyproof) -> None:
+    folder = copied("scores", "report.html")
     answer = skyproof("demo", "--out", folder, *TINY)
     assert answer.code == 0
-    for stage in ("render test-T-U", "evaluate"):
-        assert f"{stage} ..." in answer.out
-        assert f"{stage}: done in" in answer.out
-    assert "train retinanet ..." not in answer.out  # it was finished before
+    assert "[12/13] score test (about " in answer.out
+    assert "[13/13] report (about " in answer.out
+    for name in ("render T-U", "score"):
+        assert f"  {name} ..." in answer.out
+        assert f"  {name}: done in" in answer.out
+    assert "train retinanet" not in answer.out  # it was finished before
 
 
 def test_time_left_is_printed(
@@ -129,25 +130,31 @@ def test_time_left_is_printed(
     assert lines[-1] == "  train x: done in 100 s"
 
 
+class Stand(TorchRenderer):
+    """In place of Cycles, the differentiable renderer, whose images say that Cycles drew them."""
+
+    name = "cycles"
+
+
 @pytest.fixture
 def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Replaces Blender; returns the names of the datasets drawn with Cycles, in order."""
+    """Replaces Blender; returns the names of what is drawn with Cycles, in order."""
     drawn: list[str] = []
 
-    def render(
-        *arguments: Path, rendering: demo.Rendering | None = None, **settings: object
-    ) -> None:
-        render_folder(*arguments, **settings)  # type: ignore[arg-type]
-        if rendering is not None:
-            assert (rendering.renderer, rendering.blender) == ("cycles", Path("/opt/blender"))
-            labels = arguments[3] / "annotations.json"
-            document = read_json(labels)
-            document["info"]["renderer"] = "cycles"
-            write_json(labels, document)
-            drawn.append(arguments[3].name)
+    @contextmanager
+    def opened(
+        rendering: Rendering, backgrounds: BackgroundSet, out: Path
+    ) -> Iterator[TorchRenderer]:
+        sensor = RenderSettings.of(backgrounds.sensor)
+        if rendering.renderer == "torch":
+            yield TorchRenderer(backgrounds, sensor)
+            return
+        assert rendering.blender == Path("/opt/blender")
+        drawn.append(out.name)
+        yield Stand(backgrounds, sensor)
 
-    monkeypatch.setattr(demo, "render_folder", render)
-    monkeypatch.setattr(demo, "find_blender", lambda path: path)
+    monkeypatch.setattr("skyproof.cli.renderers.open_renderer", opened)
+    monkeypatch.setattr("skyproof.cycles.blender.find_blender", lambda path: path)
     return drawn
 
 
@@ -158,33 +165,30 @@ def test_cycles_is_added_to_a_finished_demo(
     copied: Callable[..., Path], skyproof: Skyproof, blender: list[str]
 ) -> None:
     folder = copied()
-    before, page = bytes_of(folder), (folder / "report.html").read_text()
+    before = bytes_of(folder)
+    page = (folder / "report.html").read_text()
     answer = skyproof("demo", "--out", folder, *WITH_CYCLES)
     assert answer.code == 0, answer.err
-    assert sorted(blender) == list(CYCLES)
-    assert "train retinanet ..." not in answer.out
-    assert "On Blender Cycles images" in answer.out
+    assert blender == ["test-cycles", "test-cycles"]
+    assert "train retinanet" not in answer.out
+    assert "on Blender Cycles images" in answer.out
     after = bytes_of(folder)
     changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"report.html", "environment.json", "timings.json"}
-    added = {
-        name.rsplit("/", 1)[0]
-        for name in after.keys() - before.keys()
-        if name.startswith("datasets/")
-    }
-    assert added == {f"datasets/{name}{inner}" for name in CYCLES for inner in ("", "/images")}
-    results = [
-        read_json(folder / place / "results.json")["rows"]
-        for place in ("evaluation", "evaluation-cycles")
-    ]
+    assert changed == {"results.json", "report.html", "environment.json", "timings.json"}
+    added = {"/".join(name.split("/")[:2]) for name in after.keys() - before.keys()}
+    assert added == {"datasets/test-cycles", "scores/test-cycles"}
+    rows = read_json(folder / "results.json")["rows"]
     # The stand-in draws the same pictures, so all but the name must come out the same.
-    assert [{**row, "renderer": "cycles"} for row in results[0]] == results[1]
+    half = len(rows) // 2
+    assert [{**row, "renderer": "cycles"} for row in rows[:half]] == rows[half:]
+    assert rows[:half] == json.loads(before["results.json"])["rows"]
     assert "which the attack never saw" in (folder / "report.html").read_text()
     assert "Cycles" not in page
     assert read_json(folder / "environment.json")["finished"]
-    assert {row["stage"] for row in read_json(folder / "timings.json")} >= {
-        "render Cycles",
-        "evaluate Cycles",
+    times = read_json(folder / "timings.json")
+    assert {(row["stage"], row["name"]) for row in times} >= {
+        ("render", "test-cycles"),
+        ("score", "test-cycles"),
     }
 
     # Given again, with Cycles or without: nothing is left to do.
@@ -199,37 +203,24 @@ def test_cycles_goes_on_where_it_was_stopped(
     blender: list[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    folder = copied("report.html", "evaluation")
-    monkeypatch.setattr(demo, "evaluate_folders", _stopped(demo.evaluate_folders, after=1))
-    assert skyproof("demo", "--out", folder, *WITH_CYCLES).code == 130
-    assert sorted(blender) == list(CYCLES)
-    # The demo itself is done by then, and has its page.
-    assert "Cycles" not in (folder / "report.html").read_text()
-    monkeypatch.undo()
-    monkeypatch.setattr(demo, "find_blender", lambda path: path)
+    folder = copied()
+
+    def stop(self: Report) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Report, "run", stop)
+        assert skyproof("demo", "--out", folder, *WITH_CYCLES).code == 130
+    assert blender == ["test-cycles", "test-cycles"]
+    # The older page does not count as finished.
     answer = skyproof("demo", "--out", folder, *WITH_CYCLES)
     assert answer.code == 0, answer.err
-    assert "render test-cycles" not in answer.out
-    page = (folder / "report.html").read_text()
-    assert "Cycles" in page
-    # As if stopped between evaluation and page: the older page does not count as finished.
+    assert blender == ["test-cycles", "test-cycles"]
+    assert "Cycles" in (folder / "report.html").read_text()
     (folder / "report.html").write_text("old")
     os.utime(folder / "report.html", (0, 0))
     assert skyproof("demo", "--out", folder, *WITH_CYCLES).code == 0
-    assert "Time taken" in (folder / "report.html").read_text()
-
-
-def _stopped(work: Callable[..., object], after: int) -> Callable[..., object]:
-    """Does the work so many times; then it is as if the user pressed Ctrl-C."""
-    calls = [0]
-
-    def call(*arguments: object, **settings: object) -> object:
-        calls[0] += 1
-        if calls[0] > after:
-            raise KeyboardInterrupt
-        return work(*arguments, **settings)
-
-    return call
+    assert "Cycles" in (folder / "report.html").read_text()
 
 
 def test_a_missing_blender_is_said_before_anything_is_done(
@@ -238,7 +229,7 @@ def test_a_missing_blender_is_said_before_anything_is_done(
     def missing(path: Path | None) -> None:
         raise ConfigurationError(f"no Blender at {path}; run `make blender`.")
 
-    monkeypatch.setattr(demo, "find_blender", missing)
+    monkeypatch.setattr("skyproof.cycles.blender.find_blender", missing)
     contents = bytes_of(finished)
     for folder in (tmp_path / "run", finished):
         skyproof("demo", "--out", folder, *WITH_CYCLES).refused("make blender", "/opt/blender")

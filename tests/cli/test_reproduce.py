@@ -15,7 +15,6 @@ import pytest
 
 from skyproof.cycles.blender import Blender
 from skyproof.errors import ConfigurationError
-from skyproof.plans import reproduce
 from tests.cli.conftest import Skyproof
 
 TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
@@ -46,7 +45,7 @@ def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Pa
             raise ConfigurationError("Cycles needs Blender; run make blender.")
         return Blender(found, is_python=True, version="4.5.0")
 
-    monkeypatch.setattr(reproduce, "find_blender", find_blender)
+    monkeypatch.setattr("skyproof.cycles.blender.find_blender", find_blender)
     return asked
 
 
@@ -60,8 +59,8 @@ def test_the_cycles_column_is_asked_for(
     )
     assert answer.code == 0, answer.err
     assert asked == [Path("mine")]
-    assert "18 jobs" in answer.out
-    assert "score 2, render_cycles 1, score_cycles 2, tables 1" in answer.out
+    assert "20 steps" in answer.out
+    assert "render 4, train 1, control 1, attack 4, score 4, report 1" in answer.out
     # Jobs run in the run folder: the path must not depend on where the command was given.
     assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
     assert not out.exists()
@@ -85,25 +84,25 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     out = tmp_path / "run"
     out.mkdir()
     (out / "config.json").write_text(json.dumps({"preset": "tiny", **json.loads(TINY.read_text())}))
-    done = {"world/world": 3.0, "score/000": 5.0, "score/001": 6.0, "tables/tables": 2.0}
+    done = {"ground/ground": 3.0, "score/000": 5.0, "score/001": 6.0, "report/report": 2.0}
     write_benchmarks(out, done, 1000)
     stub_blender(monkeypatch, Path("/blender"))
-    monkeypatch.setattr("skyproof.plans.reproduce._snakemake", stub_snakemake(tmp_path, out))
-    answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 1)
+    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", stub_snakemake(tmp_path, out))
+    answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 2)
     assert answer.code == 0, answer.err
-    assert "4 jobs were finished before" in answer.out
+    assert "4 steps were finished before" in answer.out
     said = [line.strip() for line in answer.out.splitlines() if line.startswith("  ")][1:]
-    # The tables were written again, in another time.
-    assert [line.partition(" s (")[0] for line in said] == ["score_cycles 000: 9", "tables: 4"]
-    assert "(6 of 18 jobs" not in answer.out
-    assert "(5 of 18 jobs" in said[-1]
+    # The report was written again, in another time.
+    assert [line.partition(" s (")[0] for line in said] == ["score cycles-000: 9", "report: 4"]
+    assert "(6 of 20 steps" not in answer.out
+    assert "(5 of 20 steps" in said[-1]
     assert json.loads((out / "config.json").read_text()).keys() == {
         "preset",
         *json.loads(TINY.read_text()),
     }
     # Without the flag the column's jobs are not counted.
-    again = skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 1)
-    assert "4 jobs were finished before" in again.out
+    again = skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
+    assert "4 steps were finished before" in again.out
 
 
 def write_benchmarks(out: Path, jobs: dict[str, float], start: float) -> None:
@@ -118,9 +117,9 @@ def write_benchmarks(out: Path, jobs: dict[str, float], start: float) -> None:
 def stub_snakemake(tmp_path: Path, out: Path) -> Callable[..., list[str]]:
     """In place of Snakemake, a script that leaves what two finished jobs would."""
     new = tmp_path / "new"
-    write_benchmarks(new, {"score_cycles/000": 9.0, "tables/tables": 4.0}, 2000)
+    write_benchmarks(new, {"score/cycles-000": 9.0, "report/report": 4.0}, 2000)
     script = f"import shutil; shutil.copytree({str(new)!r}, {str(out)!r}, dirs_exist_ok=True)"
-    return lambda *_: [sys.executable, "-c", script]
+    return lambda *_: [sys.executable, "-c", script, "--"]
 
 
 def test_bad_input_is_refused_before_anything_is_written(
@@ -134,8 +133,8 @@ def test_bad_input_is_refused_before_anything_is_written(
     other.write_text(json.dumps({**json.loads(TINY.read_text()), "detectors": ["ssd"]}))
     skyproof("reproduce", "--preset", other, "--out", out).refused("ssd")
     monkeypatch.setattr("skyproof.plans.reproduce.find_spec", lambda name: None)
-    skyproof("reproduce", "--preset", TINY, "--out", out).refused(
-        "pip install 'skyproof[reproduce]'"
+    skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 2).refused(
+        "pip install 'skyproof[reproduce]'", "--cores 1"
     )
     assert not out.exists()
 
@@ -157,14 +156,28 @@ def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:
     )
 
 
-def test_a_failing_job_is_named_with_its_last_words(tmp_path: Path, skyproof: Skyproof) -> None:
+def test_a_failing_step_is_named_with_its_last_words(tmp_path: Path, skyproof: Skyproof) -> None:
     broken = tmp_path / "broken.json"
     tiny = json.loads(TINY.read_text())
-    broken.write_text(json.dumps({**tiny, "world": {**tiny["world"], "test_images": 0}}))
-    answer = skyproof("reproduce", "--preset", broken, "--out", tmp_path / "run", "--cores", 1)
-    answer.refused(
-        "at least 1", str(tmp_path / "run" / "logs" / "world" / "world.log"), "same command"
-    )
+    # Damaged ground: found where it is read.
+    out = tmp_path / "run"
+    broken.write_text(json.dumps(tiny))
+    (out / "backgrounds").mkdir(parents=True)
+    (out / "backgrounds" / "index.json").write_text("{")
+    (out / "config.json").write_text(json.dumps({"preset": "broken", **tiny}))
+    answer = skyproof("reproduce", "--preset", broken, "--out", out, "--cores", 2)
+    answer.refused("A step failed (", "index.json cannot be read", str(out / "logs"), "same command")
+
+
+def test_a_wrong_world_is_refused_before_anything_is_written(
+    tmp_path: Path, skyproof: Skyproof
+) -> None:
+    broken = tmp_path / "broken.json"
+    tiny = json.loads(TINY.read_text())
+    for changes, word in (({"test_images": 0}, "at least 1"), ({"sun": 1}, "'sun'")):
+        broken.write_text(json.dumps({**tiny, "world": {**tiny["world"], **changes}}))
+        skyproof("reproduce", "--preset", broken, "--out", tmp_path / "run").refused(word)
+    assert not (tmp_path / "run").exists()
 
 
 def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
@@ -177,6 +190,8 @@ def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
         TINY,
         "--out",
         tmp_path / "run",
+        "--cores",
+        "2",
     ]
     run = subprocess.Popen(
         list(map(str, command)),
@@ -190,7 +205,7 @@ def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
     until = time.monotonic() + 60
     while (
         time.monotonic() < until
-        and not (tmp_path / "run" / "logs" / "world" / "world.log").exists()
+        and not (tmp_path / "run" / "logs" / "ground" / "ground.log").exists()
     ):
         time.sleep(0.05)
     below = psutil.Process(run.pid).children(recursive=True)

@@ -57,6 +57,11 @@ class Step:
         """Kind and name, such as "train/retinanet"."""
         return f"{self.kind}/{self.name}"
 
+    @property
+    def title(self) -> str:
+        """Kind and name for people to read: "train retinanet", "ground"."""
+        return self.kind if self.kind == self.name else f"{self.kind} {self.name}"
+
     def is_finished(self) -> bool:
         """Says whether its outputs are there, and new enough where that counts."""
         if not all(output.exists() for output in self.outputs):

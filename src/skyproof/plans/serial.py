@@ -18,7 +18,7 @@ def run_serially(plan: Plan, run: RunFolder) -> None:
         seconds = {name: time for name, time in run.seconds().items() if name in finished}
         left_s = plan.time_left_s(seconds)
         about = "" if left_s is None else f" (about {duration(left_s)} left)"
-        say(f"[{number}/{len(plan.steps)}] {step.kind} {step.name}{about}")
+        say(f"[{number}/{len(plan.steps)}] {step.title}{about}")
         if step.renewed:
             for output in step.outputs:
                 output.unlink(missing_ok=True)

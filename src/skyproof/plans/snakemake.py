@@ -136,11 +136,12 @@ def _say_finished(
     """Says what is new; a step that was done again counts as new, as it took another time."""
     finished = _finished(folder, plan)
     left_s = plan.time_left_s({job.id: job.seconds for job in finished}, cores)
+    titles = {step.id: step.title for step in plan.steps}
     for number, job in enumerate(finished, start=1):
         if job not in before:
             left = "" if left_s is None else f", about {duration(left_s)} left"
             progress = f"({number} of {len(plan.steps)} steps{left})"
-            say(f"  {job.kind} {job.name}: {job.seconds:.0f} s {progress}")
+            say(f"  {titles[job.id]}: {job.seconds:.0f} s {progress}")
     return set(finished)
 
 
