@@ -26,10 +26,8 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     out = tmp_path / "run"
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
-    assert (
-        "14 jobs (world 1, render 3, train 1, attack 4, control 1, measure 1, score 2, tables 1)"
-        in answer.out
-    )
+    counted = "ground 1, vehicles 1, scenes 3, render 3, train 1, control 1, attack 4"
+    assert f"17 steps ({counted}, score 2, report 1)" in answer.out
     assert "-m snakemake --snakefile" in answer.out
     assert f"--configfile {TINY}" in answer.out
     assert not out.exists()
@@ -166,7 +164,9 @@ def test_a_failing_step_is_named_with_its_last_words(tmp_path: Path, skyproof: S
     (out / "backgrounds" / "index.json").write_text("{")
     (out / "config.json").write_text(json.dumps({"preset": "broken", **tiny}))
     answer = skyproof("reproduce", "--preset", broken, "--out", out, "--cores", 2)
-    answer.refused("A step failed (", "index.json cannot be read", str(out / "logs"), "same command")
+    answer.refused(
+        "A step failed (", "index.json cannot be read", str(out / "logs"), "same command"
+    )
 
 
 def test_a_wrong_world_is_refused_before_anything_is_written(
