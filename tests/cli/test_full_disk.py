@@ -18,9 +18,9 @@ from tests.cli.conftest import TINY, Skyproof, assert_same_results
 CASES = {
     "tile": ("tiles/", 3, "backgrounds"),
     "tile index": ("index.json", 1, "backgrounds"),
-    "fleet": ("fleets/train/fleet.safetensors", 1, "fleets/train"),
-    "fleet description": ("fleets/test/fleet.json", 1, "fleets/test"),
-    "scenes": ("scenes/validation.jsonl", 1, "scenes"),
+    "fleet": ("fleets/train/fleet.safetensors", 1, "fleets"),
+    "fleet description": ("fleets/test/fleet.json", 1, "fleets"),
+    "scenes": ("scenes/validation.jsonl", 1, "scenes/validation.jsonl"),
     "dataset labels": ("datasets/validation/annotations.json", 1, "datasets/validation"),
     "dataset image": ("datasets/test/images/", 2, "datasets/test"),
     "training checkpoint": (
@@ -38,12 +38,13 @@ CASES = {
     "camouflage picture": ("T-U/texture.png", 1, "camouflages/T-U/camouflage.json"),
     "camouflage record": ("T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
     "control": ("R-U-1/texture.png", 1, "camouflages/R-U-1/camouflage.json"),
-    "pair image": ("datasets/test-T-U/images/", 4, "datasets/test-T-U"),
-    "detections": ("evaluation/detections/test-T-U", 1, "evaluation"),
-    "outcomes": ("outcomes.parquet", 1, "evaluation"),
-    "evaluation table": ("evaluation/results.json", 1, "evaluation"),
+    "camouflaged image": ("T-U/images/", 4, "scores/test"),
+    "detections": ("detections/T-U", 1, "scores/test"),
+    "outcomes": ("outcomes.parquet", 1, "scores/test"),
+    "score record": ("scores/test/score.json", 1, "scores/test"),
+    "pair picture": ("pairs/T-U/", 1, "scores/test"),
+    "portrait": ("on_vehicle.png", 1, "scores/test"),
     "results": ("results.json", 1, "results.json"),
-    "portrait": ("on_vehicle.png", 1, "camouflages/T-U/on_vehicle.png"),
     "report": ("report.html", 1, "report.html"),
 }
 

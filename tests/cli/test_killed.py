@@ -31,8 +31,8 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("interrupt", ".backgrounds.partial/tiles", 1, "backgrounds"),
         ("write", "tiles/", 4, "backgrounds"),
         ("rename", "/backgrounds", 1, "backgrounds/tiles"),
-        ("write", "fleet.safetensors", 2, "fleets/validation"),
-        ("write", "scenes/test.jsonl", 1, "scenes"),
+        ("write", "fleet.safetensors", 2, "fleets"),
+        ("write", "scenes/test.jsonl", 1, "scenes/test.jsonl"),
         ("write", "datasets/train/images/", 5, "datasets/train"),
         # The first checkpoint is that of step 0.
         ("write", "retinanet/checkpoint.safetensors", 2, "detectors/retinanet/detector.json"),
@@ -50,11 +50,13 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("rename", "T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
         ("rename", "T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
         ("write", "R-U-0/texture.png", 1, "camouflages/R-U-0/camouflage.json"),
-        ("write", "datasets/test-R-U-1/images/", 2, "datasets/test-R-U-1"),
-        ("appears", ".evaluation.partial", 1, "evaluation"),
-        ("rename", "/evaluation", 8, "evaluation"),
+        ("write", "R-U-1/images/", 2, "scores/test"),
+        ("appears", "scores/.test.partial", 1, "scores/test"),
+        ("write", "outcomes.parquet", 1, "scores/test"),
+        ("write", "pairs/T-U/", 1, "scores/test"),
+        ("rename", "on_vehicle.png", 1, "scores/test"),
+        ("rename", "scores/test", 8, "scores/test"),
         ("write", "results.json", 1, "results.json"),
-        ("rename", "on_vehicle.png", 1, "camouflages/T-U/on_vehicle.png"),
         ("write", "report.html", 1, "report.html"),
     ]
     folder = tmp_path / "run"
