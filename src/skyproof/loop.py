@@ -179,10 +179,10 @@ def _joined(name: str, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) 
         part, *keys = path.split("/")
         if part != name or not keys:
             continue
-        place: dict[Any, Any] = state
+        branch: dict[Any, Any] = state
         for key in keys[:-1]:
-            place = place.setdefault(_key(key), {})
-        place[_key(keys[-1])] = value
+            branch = branch.setdefault(_key(key), {})
+        branch[_key(keys[-1])] = value
     return state
 
 

@@ -37,18 +37,18 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
     texture, shape = _parts(camouflage)
     changed = shape is not None and shape.magnitude > 0
     score = score_practicality(texture.constraints if texture else None, shape_changed=changed)
-    worn = None
+    texture_means = None
     if texture is not None:
         block_px = TEXTURE_SIZE // texture.blocks if texture.constraints.pixelised else None
-        worn = mean_measures(
+        texture_means = mean_measures(
             measure_texture(vehicles, texture.bytes(), texture.mask(vehicles), block_px)
         )
-    deformed = None
+    shape_means = None
     if changed and shape is not None:
         rows = measure_shape(vehicles, shape(vehicles))
         names = [name for name, value in asdict(rows[0]).items() if not isinstance(value, str)]
-        deformed = {name: fmean(float(getattr(row, name)) for row in rows) for name in names}
-        deformed["share_self_intersecting"] = fmean(
+        shape_means = {name: fmean(float(getattr(row, name)) for row in rows) for name in names}
+        shape_means["share_self_intersecting"] = fmean(
             row.intersections_after > row.intersections_before for row in rows
         )
     return {
@@ -58,8 +58,8 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
             "shape": asdict(score.shape),
             "total": score.total,
         },
-        "texture": worn,
-        "shape": deformed,
+        "texture": texture_means,
+        "shape": shape_means,
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -53,7 +53,7 @@ class Attack:
         device: auto, cpu or cuda.
     """
 
-    names: tyro.conf.Positional[tuple[str, ...]]
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME ...")]
     out: Path
     detectors: tuple[Path, ...] = ()
     backgrounds: Path | None = None
