@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skyproof.render.composite import composite
-from skyproof.render.layers import Windows
+from skyproof.render.layers import Layers, Windows
 from skyproof.render.settings import RenderSettings
 
 
@@ -104,13 +104,13 @@ def compose(
 ):
     return composite(
         photograph.clone(),
-        (Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
-        (Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
-        torch.tensor(scene),
-        torch.tensor(nearness, dtype=photograph.dtype),
-        list(seeds),
-        settings,
-        photograph.new_tensor(settings.shadow_light).expand(len(photograph), 3),
+        bodies=Layers(Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
+        shadows=Layers(Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
+        scene=torch.tensor(scene),
+        nearness=torch.tensor(nearness, dtype=photograph.dtype),
+        seeds=list(seeds),
+        shadow_light=photograph.new_tensor(settings.shadow_light).expand(len(photograph), 3),
+        settings=settings,
     )
 
 

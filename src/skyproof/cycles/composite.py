@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.sensor import blur_matrix, sensor_noise
+from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.render.settings import RenderSettings
 
 __all__ = ["composite_crops"]
@@ -58,15 +58,16 @@ def composite_crops(
     mean = total / weight.clamp(min=_LEAST_WEIGHT)
     colour, alpha, ratio = mean.split((3, 1, 3))
     taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
-    kernel = blur_matrix(wide, settings.blur_sigma_px, radius, photograph)
     middle = slice(radius, radius + size)
     colour, alpha, taken = (
-        (kernel @ layer @ kernel)[:, middle, middle] for layer in (colour, alpha, taken)
+        blurred(layer, settings.blur_sigma_px, radius)[:, middle, middle]
+        for layer in (colour, alpha, taken)
     )
     pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
     if settings.noise > 0:
-        steps = torch.arange(size, device=photograph.device)[None]
-        noise = sensor_noise([seed], steps, steps, photograph[None])[0]
+        place = torch.arange(size * size, device=photograph.device)
+        noise = sensor_noise([seed], place * 0, place // size, place % size, photograph)
+        noise = noise.view(3, size, size)
         pixels = pixels + settings.noise * alpha * noise
     reached = (taken != 0).any(0) | (alpha[0] > 0)
     return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)

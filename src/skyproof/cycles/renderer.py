@@ -40,6 +40,8 @@ class CyclesRenderer:
 
     name = "cycles"
     differentiable = False
+    # Its processes are the parallel ones.
+    concurrent = False
 
     def __init__(
         self,

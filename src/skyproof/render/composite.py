@@ -1,4 +1,4 @@
-"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them (section S2)."""
+"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.layers import Windows
-from skyproof.render.sensor import blur_matrix, sensor_noise
+from skyproof.render.layers import Layers
+from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.render.settings import RenderSettings
 
 __all__ = ["composite"]
@@ -18,98 +18,104 @@ __all__ = ["composite"]
 
 def composite(
     photographs: Float[Tensor, "B 3 H W"],
-    bodies: tuple[Windows, Float[Tensor, "N 4 S S"]],
-    shadows: tuple[Windows, Float[Tensor, "N 1 P P"]],
+    *,
+    bodies: Layers,
+    shadows: Layers,
     scene: Int[Tensor, " N"],
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
-    settings: RenderSettings,
     shadow_light: Float[Tensor, "B 3"],
+    settings: RenderSettings,
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
-    I = I_bg * (1 - (1 - shadow light) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in linear light. A pixel
-    that nothing reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall on
-    the ground alone.
+    I = I_bg * (1 - (1 - shadow light) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in
+    linear light. A pixel that nothing reaches keeps the photograph's value exactly. A nearer
+    vehicle hides a farther one; shadows fall on the ground alone.
 
-    Differences from the paper: I_bg + G(I_fg - I_bg) (equation 1) is the same on even ground, but leaves I_bg - G(I_bg)
-    standing on top of the vehicle: lane markings shine through. The photograph is already blurred; here it is hidden
-    by as much as the blurred vehicle covers it.
+    Differences from the paper: I_bg + G(I_fg - I_bg) (section 3.2) is the same on even ground, but
+    leaves I_bg - G(I_bg) standing on top of the vehicle: lane markings shine through. The
+    photograph is already blurred; here it is hidden by as much as the blurred vehicle covers it.
 
     Args:
         photographs: sRGB; written over.
-        bodies: per vehicle linear colour times coverage, and coverage.
-        shadows: per vehicle the shaded part of each pixel.
+        bodies: per vehicle linear colour times coverage (3), and coverage (1).
+        shadows: per vehicle the shaded part of each pixel (1).
         scene: each vehicle's image.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
-        seeds: of the noise, per image.
+        seeds: decide the noise, one per image.
+        shadow_light: per image and channel, what remains of the light in a cast shadow.
         settings: blur and noise.
-        shadow_light: per image and channel, what is left of the light in a cast shadow.
     """
     count, _, height, width = photographs.shape
-    origin, size = _whole([bodies[0], shadows[0]], scene, count, settings.blur_radius_px)
+    # One window per image, around all that is drawn into it and its blur.
+    origin, size = _whole([bodies, shadows], scene, count, settings.blur_radius_px)
     rank = _ranks(scene, nearness)
-    layers = _lay(
-        bodies, origin, size, scene, rank, lambda below, above: below * (1 - above[:, 3:]) + above
-    )
-    shadow = _lay(
-        shadows, origin, size, scene, rank, lambda below, above: below + above - below * above
-    )
+    layers = _lay(bodies, origin, size, scene, rank, _cover)
+    shadow = _lay(shadows, origin, size, scene, rank, _join)
+    layers = blurred(layers, settings.blur_sigma_px, settings.blur_radius_px)
+    shadow = blurred(shadow, settings.blur_sigma_px, settings.blur_radius_px)
 
+    # Only the pixels that something reaches are worked on: `K` of them.
     steps = torch.arange(size, device=photographs.device)
-    y, x = origin[:, 1, None] + steps, origin[:, 0, None] + steps
-    channel = torch.arange(count * 3, device=photographs.device).view(count, 3, 1, 1) * (
-        height * width
-    )
-    place = (
-        (y.clamp(0, height - 1) * width)[:, None, :, None]
-        + x.clamp(0, width - 1)[:, None, None, :]
-        + channel
-    )
-    ground_srgb = photographs.view(-1)[place]
-    ground = srgb_to_linear(ground_srgb)
-    kernel = blur_matrix(size, settings.blur_sigma_px, settings.blur_radius_px, ground)
-    layers, shadow = kernel @ layers @ kernel, kernel @ shadow @ kernel
-    colour, alpha = layers[:, :3], layers[:, 3:]
-    composed = ground * (1 - (1 - shadow_light[:, :, None, None]) * shadow) * (1 - alpha) + colour
-    reached = (alpha.detach() > 0) | (shadow.detach() > 0)
-    pixels = linear_to_srgb(composed)
+    rows = origin[:, 1, None] + steps
+    columns = origin[:, 0, None] + steps
+    row_held = ((rows >= 0) & (rows < height))[:, :, None]
+    column_held = ((columns >= 0) & (columns < width))[:, None, :]
+    reached = (layers.detach()[:, 3] > 0) | (shadow.detach()[:, 0] > 0)
+    cell = torch.nonzero((reached & row_held & column_held).view(-1))[:, 0]
+    image = cell // (size * size)
+    cell = cell - image * (size * size)
+    y = origin[:, 1].index_select(0, image) + cell // size
+    x = origin[:, 0].index_select(0, image) + cell % size
+    place = _planes(image, 3, height * width) + (y * width + x)
+    ground = srgb_to_linear(photographs.view(-1).index_select(0, place.view(-1)).view(3, -1))
+    drawn = layers.reshape(-1).index_select(0, (_planes(image, 4, size * size) + cell).view(-1))
+    colour, alpha = drawn.view(4, -1).split((3, 1))
+    shade = shadow.reshape(-1).index_select(0, image * (size * size) + cell)
+
+    # Light adds up; then the sensor makes a picture of it.
+    kept_light = 1 - (1 - shadow_light.index_select(0, image).T) * shade
+    pixels = linear_to_srgb(ground * kept_light * (1 - alpha) + colour)
     if settings.noise > 0:
-        noise = sensor_noise(seeds, y, x, ground)
+        noise = sensor_noise(seeds, image, y, x, ground)
         pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
-    pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
-    inside = ((y >= 0) & (y < height))[:, None, :, None] & ((x >= 0) & (x < width))[
-        :, None, None, :
-    ]
-    place, pixels = place.reshape(-1), pixels.reshape(-1)
-    if not bool(inside.all()):
-        held = torch.nonzero(inside.expand(-1, 3, -1, -1).reshape(-1))[:, 0]
-        place, pixels = place.index_select(0, held), pixels.index_select(0, held)
     # In place: a copy of the images would cost as much as the rest of this function.
-    photographs.view(-1).index_put_((place,), pixels)
+    photographs.view(-1).index_put_((place.view(-1),), pixels.clamp(0.0, 1.0).view(-1))
     return photographs
+
+
+def _planes(image: Int[Tensor, " K"], channels: int, area: int) -> Int[Tensor, "C K"]:
+    """Returns where each channel of an image begins in a flat batch of images."""
+    channel = torch.arange(channels, device=image.device)[:, None]
+    return (image * channels + channel) * area
 
 
 @torch.no_grad()
 def _whole(
-    windows: Sequence[Windows], scene: Tensor, count: int, margin_px: int
+    drawn: Sequence[Layers], scene: Int[Tensor, " N"], count: int, margin_px: int
 ) -> tuple[Int[Tensor, "B 2"], int]:
-    """Per image the top-left pixel of one window around all of its small ones and the blur; one common size."""
+    """Returns per image the top-left pixel of one window around all small ones and the blur.
+
+    All of these windows have one size, which is returned too.
+    """
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4
     low = torch.full((count, 2), far, dtype=torch.long, device=scene.device)
     high = -low
-    for window in windows:
+    for layers in drawn:
+        window = layers.window
         low = low.scatter_reduce(0, index, window.origin, "amin")
         high = high.scatter_reduce(0, index, window.origin + window.size, "amax")
     empty = low == far
-    low, high = low.masked_fill(empty, 0) - margin_px, high.masked_fill(empty, 0) + margin_px
+    low = low.masked_fill(empty, 0) - margin_px
+    high = high.masked_fill(empty, 0) + margin_px
     return low, int((high - low).max())
 
 
 @torch.no_grad()
 def _ranks(scene: Int[Tensor, " N"], nearness: Float[Tensor, " N"]) -> Int[Tensor, " N"]:
-    """The place of each vehicle among those of its image, the farthest first."""
+    """Returns the place of each vehicle among those of its image, the farthest first."""
     order = torch.argsort(nearness, stable=True)
     order = order[torch.argsort(scene[order], stable=True)]
     sorted_scene = scene[order]
@@ -119,8 +125,18 @@ def _ranks(scene: Int[Tensor, " N"], nearness: Float[Tensor, " N"]) -> Int[Tenso
     return rank
 
 
+def _cover(below: Tensor, above: Tensor) -> Tensor:
+    """Lays a body over what is there."""
+    return below * (1 - above[:, 3:]) + above
+
+
+def _join(below: Tensor, above: Tensor) -> Tensor:
+    """Joins two shadows, which darken the ground once."""
+    return below + above - below * above
+
+
 def _lay(
-    drawn: tuple[Windows, Float[Tensor, "N C S S"]],
+    drawn: Layers,
     origin: Int[Tensor, "B 2"],
     size: int,
     scene: Int[Tensor, " N"],
@@ -128,19 +144,21 @@ def _lay(
     over: Callable[[Tensor, Tensor], Tensor],
 ) -> Float[Tensor, "B C W W"]:
     """Lays every vehicle's layers into its image's window, one vehicle per image at a time."""
-    window, layers = drawn
+    window, layers = drawn.window, drawn.values
     channels = layers.shape[1]
+    # Where each pixel of each vehicle's window lies on the canvas of all windows.
     shift = window.origin - origin[scene]
     steps = torch.arange(window.size, device=layers.device)
-    rows, columns = shift[:, 1, None] + steps, shift[:, 0, None] + steps
-    plane = (scene[:, None] * channels + torch.arange(channels, device=layers.device))[
-        :, :, None, None
-    ]
-    place = (plane * size + rows[:, None, :, None]) * size + columns[:, None, None, :]
+    rows = (shift[:, 1, None] + steps)[:, None, :, None]
+    columns = (shift[:, 0, None] + steps)[:, None, None, :]
+    channel = torch.arange(channels, device=layers.device)
+    plane = (scene[:, None] * channels + channel)[:, :, None, None]
+    place = (plane * size + rows) * size + columns
     canvas = layers.new_zeros(len(origin) * channels * size * size)
     for turn in range(int(rank.max()) + 1):
         chosen = rank == turn
-        where, above = place[chosen], layers[chosen]
+        where = place[chosen]
+        above = layers[chosen]
         laid = above if turn == 0 else over(canvas[where], above)
-        canvas = canvas.index_put((where,), laid)
+        canvas.index_put_((where,), laid)
     return canvas.view(len(origin), channels, size, size)

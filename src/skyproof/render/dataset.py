@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -12,12 +16,15 @@ from torch import Tensor
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
-from skyproof.render.frames import Renderer
+from skyproof.render.frames import Frames, Renderer
 from skyproof.scenes.scene import Scene, write_scenes
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["ground_corners", "placed_vehicles", "render_dataset"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
@@ -78,39 +85,89 @@ def render_dataset(
     Raises:
         RunFolderError: the folder exists, or the disk cannot take it.
     """
-    gsd_m, source = (
-        scenes[0].camera.gsd_m,
-        {"renderer": renderer.name, "rendering": renderer.record()},
-    )
+    source = {"renderer": renderer.name, "rendering": renderer.record()}
+
+    @torch.no_grad()
+    def draw(batch: Sequence[Scene]) -> tuple[Frames, Float[Tensor, "N 4 2"]]:
+        vehicles = placed_vehicles(fleet, batch).to(device)
+        if camouflage:
+            vehicles = camouflage(vehicles)
+        return renderer(batch, vehicles, masks=True), ground_corners(batch, vehicles)
+
+    batches = [scenes[start : start + batch_size] for start in range(0, len(scenes), batch_size)]
+    several = renderer.concurrent and torch.device(device).type == "cpu"
     with (
         finished_folder(folder) as partial,
-        CocoWriter(partial, gsd_m=gsd_m, source=source) as writer,
+        CocoWriter(partial, gsd_m=scenes[0].camera.gsd_m, source=source) as writer,
+        _in_threads(draw, batches, torch.get_num_threads() if several else 1) as drawn,
     ):
         write_scenes(partial / "scenes.jsonl", scenes)
-        for start in range(0, len(scenes), batch_size):
-            batch = scenes[start : start + batch_size]
-            vehicles = placed_vehicles(fleet, batch).to(device)
-            worn = camouflage(vehicles) if camouflage else vehicles
-            frames = renderer(batch, worn, masks=True)
-            corners = ground_corners(batch, worn).tolist()
-            images = (frames.image * 255).round().byte().cpu()
-            for index, scene in enumerate(batch):
-                rows = torch.nonzero(frames.scene_index == index)[:, 0].tolist()
-                annotations = []
-                for place, row in enumerate(rows):
-                    left, top, right, bottom = frames.boxes[row].tolist()
-                    x, y = frames.centres[row].tolist()
-                    annotations.append(
-                        Annotation(
-                            box_xyxy=(left, top, right, bottom),
-                            centre_px=(x, y),
-                            visible_fraction=float(frames.visible_fraction[row]),
-                            mask=None if frames.masks is None else frames.masks[row].cpu(),
-                            vehicle=scene.placements[place].vehicle,
-                            placement_index=place,
-                            corners_px=tuple((x, y) for x, y in corners[row]),
-                        )
-                    )
-                writer.add(images[index], scene.id, annotations)
+        done = 0
+        for batch, (frames, corners) in zip(batches, drawn, strict=True):
+            _write(writer, batch, frames, corners)
+            done += len(batch)
             if progress:
-                progress(start + len(batch), len(scenes))
+                progress(done, len(scenes))
+
+
+@contextmanager
+def _in_threads(
+    work: Callable[[Item], Result], items: Sequence[Item], count: int
+) -> Iterator[Iterator[Result]]:
+    """Yields the results of work in order, worked out by some threads while they are waited for.
+
+    A batch consists of many small operations, which two threads on one batch speed up little; on
+    two batches they have nothing to wait for. At most one result per thread is kept in advance.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
+
+    def results() -> Iterator[Result]:
+        waiting: deque[Future[Result]] = deque()
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > count:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+    try:
+        yield results()
+    finally:
+        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)
+
+
+@torch.no_grad()
+def _write(
+    writer: CocoWriter,
+    scenes: Sequence[Scene],
+    frames: Frames,
+    corners: Float[Tensor, "N 4 2"],
+) -> None:
+    """Writes one batch of images with their labels."""
+    images = (frames.image * 255).round().byte().cpu()
+    masks = None if frames.masks is None else frames.masks.cpu()
+    scene_of = frames.scene_index.tolist()
+    boxes = frames.boxes.tolist()
+    centres = frames.centres.tolist()
+    fractions = frames.visible_fraction.tolist()
+    for index, scene in enumerate(scenes):
+        annotations = []
+        rows = [row for row, owner in enumerate(scene_of) if owner == index]
+        for place, row in enumerate(rows):
+            left, top, right, bottom = boxes[row]
+            x, y = centres[row]
+            annotations.append(
+                Annotation(
+                    box_xyxy=(left, top, right, bottom),
+                    centre_px=(x, y),
+                    visible_fraction=fractions[row],
+                    mask=None if masks is None else masks[row],
+                    vehicle=scene.placements[place].vehicle,
+                    placement_index=place,
+                    corners_px=tuple((x, y) for x, y in corners[row].tolist()),
+                )
+            )
+        writer.add(images[index], scene.id, annotations)

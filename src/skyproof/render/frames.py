@@ -45,10 +45,12 @@ class Renderer(Protocol):
     Attributes:
         name: as tables show it.
         differentiable: whether gradients reach textures and vertices.
+        concurrent: whether several threads may call it at once.
     """
 
     name: str
     differentiable: bool
+    concurrent: bool
 
     def record(self) -> dict[str, Any]:
         """The settings that its images depend on, as plain JSON values."""

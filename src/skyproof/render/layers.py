@@ -15,7 +15,7 @@ from skyproof.render.shade import LinearTexture, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Windows", "draw_bodies", "draw_shadows", "windows_around"]
+__all__ = ["Layers", "Windows", "draw_bodies", "draw_shadows", "windows_around"]
 
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on average, but a
 # single hit outweighs the whole body. Below this width the derivative is held at what this width would give.
@@ -37,6 +37,20 @@ class Windows:
     def samples(self, screen: Float[Tensor, "N V 2"], factor: int) -> Float[Tensor, "N V 2"]:
         """Image pixels to samples of the window."""
         return (screen - self.origin[:, None].to(screen.dtype)) * factor
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What vehicles, or their shadows, put on the pixels of their windows.
+
+    Attributes:
+        window: where the pixels lie.
+        values: `[N, C, S, S]` of bodies linear colour times coverage and coverage (4 channels), of
+            shadows the part of the ground that the sun does not reach (1 channel).
+    """
+
+    window: Windows
+    values: Float[Tensor, "N C S S"]
 
 
 @torch.no_grad()

@@ -142,16 +142,24 @@ def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
 def _visible(
     visibility: Visibility, window: Windows, factor: int, size_px: int, masks: bool
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
-    """Visible pixels, the fraction inside the image, and the masks."""
+    """Returns visible pixels, the share of them inside the image, and the masks."""
     count = len(visibility.keys)
     vehicle = visibility.vehicle
-    pixel = window.origin[vehicle] + torch.stack((visibility.x, visibility.y), dim=-1) // factor
-    held = ((pixel >= 0) & (pixel < size_px)).all(-1)
+    cell_x = visibility.x // factor
+    cell_y = visibility.y // factor
+    # Samples inside the image, of all.
+    x = window.origin[:, 0].index_select(0, vehicle) + cell_x
+    y = window.origin[:, 1].index_select(0, vehicle) + cell_y
+    held = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
     every = torch.bincount(vehicle, minlength=count).double()
     visible = torch.bincount(vehicle[held], minlength=count).double()
     drawn = None
     if masks:
-        index = (vehicle * size_px + pixel[:, 1]) * size_px + pixel[:, 0]
-        shares = torch.bincount(index[held], minlength=count * size_px * size_px)
-        drawn = (shares * 2 >= factor**2).view(count, size_px, size_px)
+        # A pixel belongs to the mask where at least half of its samples see the vehicle.
+        cell = (vehicle * window.size + cell_y) * window.size + cell_x
+        samples = torch.bincount(cell[held], minlength=count * window.size**2)
+        samples = samples.view(count, window.size, window.size)
+        owner, row, column = torch.nonzero(samples * 2 >= factor**2, as_tuple=True)
+        drawn = torch.zeros(count, size_px, size_px, dtype=torch.bool, device=vehicle.device)
+        drawn[owner, window.origin[owner, 1] + row, window.origin[owner, 0] + column] = True
     return visible / factor**2, visible / every.clamp(min=1), drawn

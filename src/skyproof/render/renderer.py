@@ -12,7 +12,7 @@ from torch import Tensor
 
 from skyproof.render.composite import composite
 from skyproof.render.frames import Frames
-from skyproof.render.layers import draw_bodies, draw_shadows, windows_around
+from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, shadow_lights, sky_shares, wet_grounds
@@ -56,6 +56,7 @@ class TorchRenderer:
 
     name = "torch"
     differentiable = True
+    concurrent = True
 
     def __init__(self, backgrounds: Backgrounds, settings: RenderSettings | None = None) -> None:
         self.backgrounds = backgrounds
@@ -96,10 +97,15 @@ class TorchRenderer:
             own_sky,
         )
         shadows = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)
-        left = shadow_lights(scenes, settings.shadow_light, vehicles.vertices)
-        nearness, seeds = (placed.ground * placed.viewer).sum(-1), [each.seed for each in scenes]
         image = composite(
-            ground, (window, bodies), (cast, shadows), placed.scene, nearness, seeds, settings, left
+            ground,
+            bodies=Layers(window, bodies),
+            shadows=Layers(cast, shadows),
+            scene=placed.scene,
+            nearness=(placed.ground * placed.viewer).sum(-1),
+            seeds=[scene.seed for scene in scenes],
+            shadow_light=shadow_lights(scenes, settings.shadow_light, vehicles.vertices),
+            settings=settings,
         )
         image = finish_images(image, scenes)
         return label(image, placed, visibility, window, settings.supersampling, masks=masks)

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import torch
@@ -85,6 +86,8 @@ class BackgroundSet:
         self.sensor = sensor or Sensor()
         self._tiles = {tile.id: tile for tile in tiles}
         self._decoded: OrderedDict[str, UInt8[Tensor, "3 H W"]] = OrderedDict()
+        # Several threads may draw on one set.
+        self._decoding = Lock()
 
     @classmethod
     def open(cls, folder: Path) -> BackgroundSet:
@@ -135,10 +138,20 @@ class BackgroundSet:
         Raises:
             StoredFileError: the tile's file is missing, damaged or of another size than the index says.
         """
-        if tile_id in self._decoded:
+        with self._decoding:
+            if tile_id not in self._decoded:
+                self._decoded[tile_id] = self._decode(self.tile(tile_id))
             self._decoded.move_to_end(tile_id)
-            return self._decoded[tile_id]
-        tile = self.tile(tile_id)
+            pixels = self._decoded[tile_id]
+            # The tile that was asked for is the last one, and stays.
+            while (
+                len(self._decoded) > 1
+                and sum(tile.numel() for tile in self._decoded.values()) > CACHE_BYTES
+            ):
+                self._decoded.popitem(last=False)
+        return pixels
+
+    def _decode(self, tile: BackgroundTile) -> UInt8[Tensor, "3 H W"]:
         path = self.folder / tile.file
         try:
             with Image.open(path) as image:
@@ -151,12 +164,7 @@ class BackgroundSet:
             raise StoredFileError(
                 f"Tile {path} has another size than the index says; prepare the backgrounds again."
             )
-        self._decoded[tile_id] = torch.from_numpy(array).permute(2, 0, 1).contiguous()
-        while (
-            len(self._decoded) > 1 and sum(t.numel() for t in self._decoded.values()) > CACHE_BYTES
-        ):
-            self._decoded.popitem(last=False)
-        return self._decoded[tile_id]
+        return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
         """Cuts a square window, sRGB in [0, 1]; an exact copy on whole pixels and by quarters, else bilinear.

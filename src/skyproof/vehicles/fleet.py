@@ -100,9 +100,11 @@ class Fleet:
             ConfigurationError: an id that is not in this fleet.
         """
         rows = torch.tensor([self._row(vehicle_id) for vehicle_id in ids], dtype=torch.int64)
-        return VehicleBatch(
-            self.template, self.vertices[rows], self.textures[rows], self.parts[rows], tuple(ids)
+        # Whole maps are copied, for which `index_select` is several times faster than indexing.
+        vertices, textures, parts = (
+            values.index_select(0, rows) for values in (self.vertices, self.textures, self.parts)
         )
+        return VehicleBatch(self.template, vertices, textures, parts, tuple(ids))
 
     def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
         """Returns length, width (without mirrors) and height in metres."""
