@@ -218,7 +218,7 @@ def test_a_detector_of_another_resolution_is_refused(tmp_path):
 def test_damaged_labels_are_named(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="a")
     (folder / "train" / "annotations.json").write_text('{"images": [{}], "annotations": []}')
-    with pytest.raises(StoredFileError, match=r"annotations.json is not a label file"):
+    with pytest.raises(StoredFileError, match=r"annotations\.json is not a dataset of ours"):
         cleared(folder, tmp_path)
 
 

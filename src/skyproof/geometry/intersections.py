@@ -39,7 +39,8 @@ def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
 
 def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) -> Int[Tensor, "2 P"]:
     """Returns the pairs without a common vertex whose boxes overlap."""
-    low, high = triangles.amin(1), triangles.amax(1)
+    low = triangles.amin(1)
+    high = triangles.amax(1)
     overlap = torch.ones(len(faces), len(faces), dtype=torch.bool, device=faces.device).triu(1)
     for axis in range(3):
         overlap &= low[:, None, axis] < high[None, :, axis]

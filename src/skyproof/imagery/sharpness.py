@@ -102,7 +102,8 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
     ]
     profile = np.mean(lines, axis=0)
     steepest = (np.diff(profile, axis=1) / STEP_PX).max(1)
-    middle, sigma = profile.shape[1] // 2, np.full(len(profile), 1.0)
+    middle = profile.shape[1] // 2
+    sigma = np.full(len(profile), 1.0)
     for _ in range(4):
         # As far as the edge reaches, and no farther: beyond lies something else.
         width = np.clip(np.round(3 * sigma / STEP_PX), 6, middle).astype(int)

@@ -32,7 +32,8 @@ def export_glb(vehicles: VehicleBatch, index: int, path: Path) -> None:
         RunFolderError: the file cannot be written.
     """
     template = vehicles.template
-    faces, face_uvs = template.faces.cpu().numpy(), template.face_uvs.cpu().numpy()
+    faces = template.faces.cpu().numpy()
+    face_uvs = template.face_uvs.cpu().numpy()
     # glTF has one index for position and UV: a vertex for each pair that occurs.
     pairs, corners = np.unique(
         np.stack([faces, face_uvs], -1).reshape(-1, 2), axis=0, return_inverse=True

@@ -78,7 +78,8 @@ def build_body(dimensions: BodyDimensions) -> Body:
     half = _close(dimensions, sections)
 
     size = half.new_tensor([dimensions.length, dimensions.width, dimensions.height])
-    low, high = half.amin((0, 1)), half.amax((0, 1))
+    low = half.amin((0, 1))
+    high = half.amax((0, 1))
     extent = torch.stack([high[0] - low[0], 2 * high[1], high[2]])
     middle = torch.stack([(high[0] + low[0]) / 2, low.new_zeros(()), low.new_zeros(())])
     scale = size / extent

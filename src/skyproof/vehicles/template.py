@@ -78,7 +78,8 @@ def make_template() -> Template:
     faces = torch.cat([_fan(vertex[0], nose), _quads(vertex), _fan(vertex[-1], tail).flip(1)])
     face_uvs = torch.cat([_fan(uv[0], nose_uv), _quads(uv), _fan(uv[-1], tail_uv).flip(1)])
 
-    u, v = column_u(torch.float32), row_v(torch.float32)
+    u = column_u(torch.float32)
+    v = row_v(torch.float32)
     grid = torch.stack(torch.meshgrid(u, v[1:-1], indexing="xy"), dim=-1)
     middle = (u[1:] + u[:-1]) / 2
     poles = [torch.stack([middle, torch.full_like(middle, end)], dim=1) for end in (0.0, 1.0)]

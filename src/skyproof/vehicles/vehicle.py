@@ -116,7 +116,8 @@ class VehicleBatch:
 
     def row(self, index: int) -> VehicleBatch:
         """Returns one vehicle as a batch of its own."""
-        one, over = slice(index, index + 1), self.overlay
+        one = slice(index, index + 1)
+        over = self.overlay
         return VehicleBatch(
             self.template,
             self.vertices[one],

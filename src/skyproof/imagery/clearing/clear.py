@@ -244,7 +244,9 @@ def _clear_tile(
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected))
     before = backgrounds.pixels(tile.id)
     size = (tile.height_px, tile.width_px)
-    image, mask, boxes = before, torch.zeros(size, dtype=torch.bool), found.boxes
+    image = before
+    mask = torch.zeros(size, dtype=torch.bool)
+    boxes = found.boxes
     remaining = torch.zeros(0, 4)
     while True:
         own = vehicle_mask(size, boxes, shadow, gsd_m=backgrounds.gsd_m, margin_m=settings.margin_m)

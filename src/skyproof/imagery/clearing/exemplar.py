@@ -83,7 +83,8 @@ def fill_by_exemplar(
         A new image; equal to `image` outside `mask`.
     """
     settings = settings or ExemplarSettings()
-    filled, unknown = image.copy(), mask.copy()
+    filled = image.copy()
+    unknown = mask.copy()
     if start is not None:
         filled[mask] = start[mask]
     # Small holes first: once filled they may serve the large ones' rings, but are never copied
@@ -106,7 +107,8 @@ def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
     for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
         own = labels == number
         height, width = rows.stop - rows.start, columns.stop - columns.start
-        down, across = math.ceil(height / piece_px), math.ceil(width / piece_px)
+        down = math.ceil(height / piece_px)
+        across = math.ceil(width / piece_px)
         for row in range(down):
             for column in range(across):
                 part = np.zeros_like(mask)
@@ -165,19 +167,24 @@ def _best_shifts(
         return fft.irfft2(np.conj(template) * field, size)
 
     ground = spectrum(sound)
-    ring_spectrum, hole_spectrum = spectrum(ring), spectrum(window.hole)
+    ring_spectrum = spectrum(ring)
+    hole_spectrum = spectrum(window.hole)
     copied = ndimage.binary_dilation(window.hole)
     seen = correlate(ring_spectrum, ground).round()
     valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (
         seen >= SEEN_SHARE * ring.sum()
     )
     seen = np.maximum(seen, 1)
-    mismatch, contrast = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    mismatch = np.zeros(size, np.float32)
+    contrast = np.zeros(size, np.float32)
     for channel in np.moveaxis(window.values, 2, 0):
         # Around the ring's mean the sums of squares stay small and exact.
         values = np.where(sound | ring, channel - channel[ring].mean(), 0.0)
-        theirs, ours = np.where(sound, values, 0.0), np.where(ring, values, 0.0)
-        field, squares, own = spectrum(theirs), spectrum(theirs**2), spectrum(ours)
+        theirs = np.where(sound, values, 0.0)
+        ours = np.where(ring, values, 0.0)
+        field = spectrum(theirs)
+        squares = spectrum(theirs**2)
+        own = spectrum(ours)
         # Sums over the part of the shifted ring that lies on sound ground.
         squared = (
             correlate(spectrum(ours**2), ground)
@@ -272,10 +279,8 @@ def _join(
             & (to_column >= 0)
             & (to_column < window.hole.shape[1])
         )
-        to_row, to_column = (
-            to_row.clip(0, window.hole.shape[0] - 1),
-            to_column.clip(0, window.hole.shape[1] - 1),
-        )
+        to_row = to_row.clip(0, window.hole.shape[0] - 1)
+        to_column = to_column.clip(0, window.hole.shape[1] - 1)
         in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
         # Towards the picture's edge and towards pieces still to be filled nothing is asked.
         asked = inside & (in_hole | fixed)

@@ -120,7 +120,8 @@ def _draw_row(row: SheetRow) -> Image.Image:
     for box in (row.remaining * scale).tolist():
         draw.rectangle([round(value) for value in box], outline=REMAINING, width=2)
     width, height = pictures[0].size
-    text, font = f"{row.tile}   {row.caption}", ImageFont.load_default(15)
+    text = f"{row.tile}   {row.caption}"
+    font = ImageFont.load_default(15)
     page = Image.new(
         "RGB",
         (max(2 * width + GAP_PX, int(font.getlength(text)) + 8), height + CAPTION_PX),

@@ -10,11 +10,11 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torchvision import ops
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
-from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json
+from skyproof.errors import ConfigurationError
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["VehicleFinder", "check_resolution", "other_vehicles", "read_boxes"]
@@ -43,7 +43,8 @@ class VehicleFinder:
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             keep = detections.scores.cpu() >= lowest_score
             found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
-        boxes, scores = torch.cat([f[0] for f in found]), torch.cat([f[1] for f in found])
+        boxes = torch.cat([f[0] for f in found])
+        scores = torch.cat([f[1] for f in found])
         return boxes[ops.nms(boxes, scores, 0.5)].reshape(-1, 4)
 
 
@@ -55,25 +56,15 @@ def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
     Raises:
         StoredFileError: an annotation file is damaged.
     """
-    paths = [
-        path for split in SPLITS if (path := Path(folder) / split / "annotations.json").is_file()
-    ]
-    boxes: dict[str, list[list[float]]] = {}
-    for path in paths:
-        document = read_json(path)
-        try:
-            names = {image["id"]: str(image["scene_id"]) for image in document["images"]}
-            boxes.update({name: [] for name in names.values()})
-            for row in document["annotations"]:
-                left, top, width, height = map(float, row["bbox"])
-                boxes[names[row["image_id"]]].append([left, top, left + width, top + height])
-        except (KeyError, TypeError, ValueError) as error:
-            raise StoredFileError(
-                f"{path} is not a label file of ours ({error!r}); tile the imagery again."
-            ) from error
-    return (
-        {name: torch.tensor(rows).reshape(-1, 4) for name, rows in boxes.items()} if paths else None
-    )
+    folders = [Path(folder) / split for split in SPLITS]
+    datasets = [Dataset.open(place) for place in folders if (place / "annotations.json").is_file()]
+    if not datasets:
+        return None
+    return {
+        name: torch.cat((vehicles, others))
+        for data in datasets
+        for name, vehicles, others in zip(data.ids, data.boxes, data.ignore, strict=True)
+    }
 
 
 def other_vehicles(boxes: Tensor, known: Tensor) -> Tensor:

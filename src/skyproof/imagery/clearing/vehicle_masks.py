@@ -194,17 +194,16 @@ def _arrival(
     left, top, right, bottom = box
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)
-    xs, ys = (
-        np.arange(columns.start, columns.stop)[None, :] + 0.5,
-        np.arange(rows.start, rows.stop)[:, None] + 0.5,
-    )
+    xs = np.arange(columns.start, columns.stop)[None, :] + 0.5
+    ys = np.arange(rows.start, rows.stop)[:, None] + 0.5
     for places, low, high, speed in (
         (xs, left, right, direction[0]),
         (ys, top, bottom, direction[1]),
     ):
         if abs(speed) < 1e-9:
             outside = (places < low) | (places > high)
-            first, last = np.where(outside, np.inf, first), np.where(outside, -np.inf, last)
+            first = np.where(outside, np.inf, first)
+            last = np.where(outside, -np.inf, last)
             continue
         one, other = (places - high) / speed, (places - low) / speed
         first = np.maximum(first, np.minimum(one, other))

@@ -50,11 +50,9 @@ def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
         where = f"{path} annotation {row.get('id', number) if isinstance(row, dict) else number}"
         try:
             left, top, width, height = (float(value) for value in row["bbox"])
-            image_id, category_id, ignore = (
-                row["image_id"],
-                row["category_id"],
-                bool(row.get("iscrowd", 0)),
-            )
+            image_id = row["image_id"]
+            category_id = row["category_id"]
+            ignore = bool(row.get("iscrowd", 0))
             if not all(map(math.isfinite, (left, top, width, height))):
                 raise ValueError("not finite")
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -300,7 +300,8 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
             f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of "
             "georeferenced tiles, as `skyproof ground` cuts them."
         )
-    document, found = read_json(path), {}
+    document = read_json(path)
+    found = {}
     try:
         for feature in document["features"]:
             properties = feature["properties"]

@@ -113,7 +113,8 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
         ImageryError: it does not, or it has no size.
     """
     left, top, right, bottom = bounds(label)
-    (width, height), points = size_px, len(label.corners) == 1
+    width, height = size_px
+    points = len(label.corners) == 1
     if not points and not (right > left and bottom > top):
         raise ImageryError(f"{where} has a box without size; correct it.")
     if {x for x, _ in label.corners} == {left, right} and {y for _, y in label.corners} == {
@@ -141,7 +142,8 @@ def border_strips(
 ) -> list[tuple[float, float, float, float]]:
     """Returns the band along an image's border as boxes, pixel xyxy: top, bottom, left, right."""
     width, height = map(float, size_px)
-    x, y = min(border_px, width), min(border_px, height)
+    x = min(border_px, width)
+    y = min(border_px, height)
     return [
         (0.0, 0.0, width, y),
         (0.0, height - y, width, height),

@@ -76,7 +76,8 @@ def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
 
     Straight lines of one system are curves in another.
     """
-    width, height = float(width_px), float(height_px)
+    width = float(width_px)
+    height = float(height_px)
     shares = [i / steps for i in range(steps)]
     half = [
         *((share * width, 0.0) for share in shares),

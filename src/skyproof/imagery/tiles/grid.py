@@ -185,8 +185,10 @@ def _frame(
     minimum_px: int,
     gsd_m: float,
 ) -> Grid:
-    left, bottom = min(e[0] for e in extents.values()), min(e[1] for e in extents.values())
-    right, top = max(e[2] for e in extents.values()), max(e[3] for e in extents.values())
+    left = min(e[0] for e in extents.values())
+    bottom = min(e[1] for e in extents.values())
+    right = max(e[2] for e in extents.values())
+    top = max(e[3] for e in extents.values())
     while True:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
         corner = (left, top) if crs is None or narrow else (0.0, 0.0)
@@ -256,7 +258,8 @@ def cells_of(grid: Grid) -> list[Cell]:
             tile_id = f"{grid.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
         else:
             tile_id = f"{grid.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
-        sources, block = tuple(sorted(numbers)), (grid.name, row, column)
+        sources = tuple(sorted(numbers))
+        block = (grid.name, row, column)
         cells.append(
             Cell(
                 tile_id,

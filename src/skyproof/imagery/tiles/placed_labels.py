@@ -101,13 +101,15 @@ class PlacedLabels:
     def _place_ground(
         self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]
     ) -> int:
-        path, count = self._settings.path, len(labels.labels)
+        path = self._settings.path
+        count = len(labels.labels)
         if all(crs is None for crs, _ in planes.values()):
             raise ImageryError(
                 f"{path} gives labels in map coordinates but no image says where it lies; give "
                 "georeferenced imagery."
             )
-        system, inside = CRS.from_user_input(labels.crs), np.zeros(count, bool)
+        system = CRS.from_user_input(labels.crs)
+        inside = np.zeros(count, bool)
         flat = [corner for label in labels.labels for corner in label.corners]
         for plane, (crs, numbers) in planes.items():
             if crs is None:
@@ -136,10 +138,8 @@ class PlacedLabels:
     def _place_pixels(
         self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]
     ) -> int:
-        path, number_of = (
-            self._settings.path,
-            {source.path.stem: i for i, source in enumerate(self._sources)},
-        )
+        path = self._settings.path
+        number_of = {source.path.stem: i for i, source in enumerate(self._sources)}
         unknown = [stem for stem in labels.images if stem not in number_of]
         total = sum(map(len, labels.images.values()))
         outside = sum(len(labels.images[stem]) for stem in unknown)
@@ -217,7 +217,8 @@ class PlacedLabels:
             cell: the tile's ground.
             owner: the number of the source of each of its pixels, -1 where empty.
         """
-        plane, (left, bottom, right, top) = plane_of(cell.crs, cell.sources), cell.extent
+        plane = plane_of(cell.crs, cell.sources)
+        left, bottom, right, top = cell.extent
         near: dict[int, _Placed] = {}
         for column in range(math.floor(left / BIN_M), math.floor(right / BIN_M) + 1):
             for row in range(math.floor(bottom / BIN_M), math.floor(top / BIN_M) + 1):

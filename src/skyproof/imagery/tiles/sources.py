@@ -277,7 +277,8 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
 
 def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     """Returns the 1st and 99th percentile of an image's valid values, all colours together."""
-    bands, found = sorted({*source.bands}), []
+    bands = sorted({*source.bands})
+    found = []
     whole = Window(0, 0, dataset.width, dataset.height)
     shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
     # Where all probes fall on empty ground, which is rare, the whole image has to be looked at.

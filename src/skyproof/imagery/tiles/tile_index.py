@@ -78,7 +78,8 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
     try:
         for feature in document["features"]:
             properties: dict[str, Any] = feature["properties"]
-            tile, name = background_set.tile(properties["id"]), str(properties["crs"])
+            tile = background_set.tile(properties["id"])
+            name = str(properties["crs"])
             left, bottom, right, top = (float(value) for value in properties["bounds"])
             crs = CRS.from_user_input(name)
             if name not in extents:

@@ -109,7 +109,8 @@ def tile_imagery(
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
-    files, notes = find_images(paths), []
+    files = find_images(paths)
+    notes = []
     source_settings = source_settings or SourceSettings()
     with gdal_limits(), SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]

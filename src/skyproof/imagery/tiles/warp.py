@@ -85,7 +85,8 @@ def _read_from(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Reads a cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
     size = cell.size_px
-    pixels, valid = np.zeros((3, size, size), np.uint8), np.zeros((size, size), np.bool_)
+    pixels = np.zeros((3, size, size), np.uint8)
+    valid = np.zeros((size, size), np.bool_)
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
     # Piece by piece, so that memory does not grow with the cell or the source's fineness.
     step = max(16, min(size, int(PIECE_PX / max(shrink, 1.0))))
@@ -167,8 +168,10 @@ def _window(
         return None, False
     inverse = ~source.georeference.transform
     pixels = [inverse * place for place in places]
-    left, right = min(x for x, _ in pixels), max(x for x, _ in pixels)
-    top, bottom = min(y for _, y in pixels), max(y for _, y in pixels)
+    left = min(x for x, _ in pixels)
+    right = max(x for x, _ in pixels)
+    top = min(y for _, y in pixels)
+    bottom = max(y for _, y in pixels)
     tiny = 1e-3
     inside = (
         left >= -tiny
@@ -176,10 +179,8 @@ def _window(
         and right <= source.width_px + tiny
         and bottom <= source.height_px + tiny
     )
-    first_column, first_row = (
-        max(0, math.floor(left) - margin_px),
-        max(0, math.floor(top) - margin_px),
-    )
+    first_column = max(0, math.floor(left) - margin_px)
+    first_row = max(0, math.floor(top) - margin_px)
     last_column = min(source.width_px, math.ceil(right) + margin_px)
     last_row = min(source.height_px, math.ceil(bottom) + margin_px)
     if first_column >= last_column or first_row >= last_row:

@@ -118,7 +118,8 @@ def _transform(node: Element) -> Float[np.ndarray, "4 4"]:
     for element in node:
         if element.tag not in ("matrix", "translate", "scale", "rotate"):
             continue
-        values, step = np.array((element.text or "").split(), float), np.eye(4)
+        values = np.array((element.text or "").split(), float)
+        step = np.eye(4)
         if element.tag == "matrix":
             step = values.reshape(4, 4)
         elif element.tag == "translate":

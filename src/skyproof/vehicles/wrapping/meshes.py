@@ -105,7 +105,8 @@ def _sample(
     """Samples bilinearly between texel centres; the picture repeats."""
     height, width = picture.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    left = np.floor(x).astype(np.int64)
+    top = np.floor(y).astype(np.int64)
     right, down = (x - left)[:, None], (y - top)[:, None]
     rows, columns = (top % height, (top + 1) % height), (left % width, (left + 1) % width)
     upper = picture[rows[0], columns[0]] * (1 - right) + picture[rows[0], columns[1]] * right

@@ -69,7 +69,8 @@ def orient(
             forward = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
             turned = turned * [-1.0, -1.0, 1.0]
     flat = turned.reshape(-1, 3)
-    low, high = flat.min(0), flat.max(0)
+    low = flat.min(0)
+    high = flat.max(0)
     turned = turned - [(low[0] + high[0]) / 2, _middle_y(flat), low[2]]
     facts: dict[str, str | float] = {"scale": unit_m, "up": up, "forward": forward, "nose": how}
     return replace(mesh, corners=turned), facts
@@ -157,10 +158,13 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
        which stick out by more than 5 cm, are in the front half.
     """
     points = _spread(corners)
-    low, high = points[:, 0].min(), points[:, 0].max()
-    length, height = high - low, points[:, 2].max() - points[:, 2].min()
+    low = points[:, 0].min()
+    high = points[:, 0].max()
+    length = high - low
+    height = points[:, 2].max() - points[:, 2].min()
     at = np.clip(((points[:, 0] - low) / length * 200).astype(int), 0, 199)
-    top, wide = np.full(200, -np.inf), np.zeros(200)
+    top = np.full(200, -np.inf)
+    wide = np.zeros(200)
     np.maximum.at(top, at, points[:, 2] - points[:, 2].min())
     np.maximum.at(wide, at, np.abs(points[:, 1] - np.median(points[:, 1])))
 
@@ -168,7 +172,8 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
         reach = [int(np.argmax(profile >= share * height)) / 200 * length for share in (0.75, 0.85)]
         return reach[1], reach[1] - reach[0]
 
-    (front, front_run), (rear, rear_run) = ways(top[::-1]), ways(top)
+    front, front_run = ways(top[::-1])
+    rear, rear_run = ways(top)
     if max(front_run, rear_run) > 2 * min(front_run, rear_run) + 0.05:
         return bool(front_run > rear_run), "the windscreen slopes more than the rear"
     if max(front, rear) > 1.2 * min(front, rear) + 0.15:

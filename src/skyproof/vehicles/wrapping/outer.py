@@ -65,7 +65,8 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
     for number, (azimuth, elevation) in enumerate(_VIEWS):
         axes = view_axes(np.radians(azimuth), np.radians(elevation))
         view = corners @ axes.T
-        low, high = view.reshape(-1, 3).min(0)[:2], view.reshape(-1, 3).max(0)[:2]
+        low = view.reshape(-1, 3).min(0)[:2]
+        high = view.reshape(-1, 3).max(0)[:2]
         rows, columns = np.ceil((high - low) / pixel).astype(int)[::-1] + 1
         seen = parallel_view(view, low, pixel, (int(rows), int(columns)))
         hit = seen.face >= 0
@@ -79,7 +80,8 @@ def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = 
         np.add.at(
             votes, face, np.where(np.abs(towards) > 0.1, np.sign(towards), 0).astype(np.int64)
         )
-    face, weight = np.concatenate(faces), np.concatenate(weights)
+    face = np.concatenate(faces)
+    weight = np.concatenate(weights)
     points = np.einsum("nk,nkc->nc", weight, corners[face])
     normals = normal[face] * np.concatenate(signs)[:, None]
     return Outer(

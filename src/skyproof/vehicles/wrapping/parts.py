@@ -148,7 +148,8 @@ def _wheels(
 ) -> Bool[np.ndarray, "512 512"]:
     """Finds discs on the sides where the lower edge comes down to the ground."""
     hull = wrapping.hull
-    low, at = hull.low, hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
+    low = hull.low
+    at = hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
     found = np.zeros_like(x, bool)
     grounded = np.flatnonzero(low < 0.15)
     if not len(grounded):

@@ -29,7 +29,8 @@ def outline_iou(
     axes = view_axes(np.radians(azimuth_deg), np.radians(elevation_deg))
     views = [corners @ axes.T for corners in (first, second)]
     points = np.concatenate([view.reshape(-1, 3) for view in views])[:, :2]
-    low, high = points.min(0) - _PIXEL_M, points.max(0) + _PIXEL_M
+    low = points.min(0) - _PIXEL_M
+    high = points.max(0) + _PIXEL_M
     columns, rows = np.ceil((high - low) / _PIXEL_M).astype(int)
     one, other = (
         parallel_view(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views
@@ -55,7 +56,8 @@ def measure_wrapping(
     wrapped = wrapping.vertices.double().numpy()[template.faces.numpy()]
     skin = look_around(wrapped)
     clouds = [(cloud.points[~cloud.below], cloud.normals[~cloud.below]) for cloud in (outer, skin)]
-    there, back = _distances(*clouds), _distances(*clouds[::-1])
+    there = _distances(*clouds)
+    back = _distances(*clouds[::-1])
     return {
         "iou_above": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=90.0), 4),
         "iou_side": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=0.0), 4),

@@ -31,7 +31,9 @@ class _Neighbours(Resolver):
     """Gives trimesh the files that a mesh names, by the rule of `find_texture`."""
 
     def __init__(self, mesh: Path, missing: tuple[str, ...] = ()) -> None:
-        self.mesh, self.missing, self.found = mesh, list(missing), list[str]()
+        self.mesh = mesh
+        self.missing = list(missing)
+        self.found = list[str]()
 
     def get(self, key: str) -> bytes:
         # Options of a map statement, such as "-s 1 1 1", stand before the name.
@@ -81,7 +83,9 @@ def read_mesh(path: Path) -> SourceMesh:
 def _read_with_trimesh(path: Path) -> SourceMesh:
     resolver = _Neighbours(path)
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
-    pieces, materials, notes = [], [], list(resolver.found)
+    pieces = []
+    materials = []
+    notes = list(resolver.found)
     clouds = 0
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
@@ -115,7 +119,8 @@ def _look_of(
 ) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
     """Returns material, UVs and corner colours of one trimesh object."""
     count = len(geometry.faces)
-    uvs, colours = np.zeros((count, 3, 2)), np.full((count, 3, 3), np.nan)
+    uvs = np.zeros((count, 3, 2))
+    colours = np.full((count, 3, 3), np.nan)
     visual: Any = geometry.visual
     if visual.kind == "vertex":
         colours = np.asarray(visual.vertex_colors, float)[geometry.faces][..., :3] / 255

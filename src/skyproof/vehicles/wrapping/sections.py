@@ -158,7 +158,8 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     floor = np.minimum(floor, np.median(low) + 0.25)
 
     ends = start[0] + (np.flatnonzero(footprint.any(1))[[0, -1]] + [0, 1]) * cell
-    front, rear = look(1, 2, 0, 1.0), -look(1, 2, 0, -1.0)
+    front = look(1, 2, 0, 1.0)
+    rear = -look(1, 2, 0, -1.0)
     front, rear = (np.where(np.isfinite(side), side.clip(*ends), np.nan) for side in (front, rear))
     return Hull(cell, start, top, sides, front, rear, low, floor)
 

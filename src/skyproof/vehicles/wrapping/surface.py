@@ -70,7 +70,8 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     upper = [column for column in range(COLUMNS) if min(column, COLUMNS - column) > TOPOLOGY_SILL]
     rings[:, upper] = hull.snap(rings[:, upper].reshape(-1, 3)).reshape(_BODY_RINGS, -1, 3)
     rings[:, _HALF, 1] = 0.0
-    nose, tail = _cap(hull, rings[0], nose=True), _cap(hull, rings[-1], nose=False)
+    nose = _cap(hull, rings[0], nose=True)
+    tail = _cap(hull, rings[-1], nose=False)
     body = np.concatenate([nose[1:], rings, tail[:0:-1]])
     vertices = np.concatenate([body.reshape(-1, 3), nose[:1, 0], tail[:1, 0]])
     vertices[:, 2] = (vertices[:, 2] - vertices[:, 2].min()).clip(0.0)
@@ -107,12 +108,14 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
 
     By dynamic programming.
     """
-    first, last = _end(sections, 1), _end(sections, -1)
+    first = _end(sections, 1)
+    last = _end(sections, -1)
     profiles = _profiles(sections)[first : last + 1]
     cell = float(sections.station[1] - sections.station[0])
     count = len(profiles)
     mean = (count - 1) / (_BODY_RINGS - 1)
-    least, most = max(int(_SPACING[0] * mean), 1), max(int(np.ceil(_SPACING[1] * mean)), 2)
+    least = max(int(_SPACING[0] * mean), 1)
+    most = max(int(np.ceil(_SPACING[1] * mean)), 2)
     cost = np.full((most + 1, count), np.inf)  # of a gap that is j planes long and ends at i
     for gap in range(least, most + 1):
         misfit = np.zeros(count - gap)
@@ -142,7 +145,8 @@ def _belt_height(sections: Sections) -> float:
     """
     y, z = sections.points()
     middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
-    side, wide = z[middle].ravel(), np.abs(y[middle]).ravel()
+    side = z[middle].ravel()
+    wide = np.abs(y[middle]).ravel()
     top = float(np.median(z[middle].max(1)))
     levels = np.linspace(0.45, 0.9, 46) * top
     width = np.array([np.median(wide[np.abs(side - level) < 0.02 * top]) for level in levels])
@@ -182,7 +186,8 @@ def _places(
     shoulder = np.array(
         [_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))]
     )
-    arcs, rails = [], np.empty(len(z))
+    arcs = []
+    rails = np.empty(len(z))
     for row in range(len(z)):
         s = shoulder[row]
         along = np.r_[
@@ -229,8 +234,10 @@ def _ring(
     axis_z, low = sections.axis_z[row], sections.low[row]
     index = np.arange(len(_ANGLE))
     for half, sign in zip(halves, (1.0, -1.0), strict=True):
-        y, z = half * np.cos(_ANGLE), axis_z + half * np.sin(_ANGLE)
-        along_y, along_z = np.interp(place, index, y), np.interp(place, index, z)
+        y = half * np.cos(_ANGLE)
+        z = axis_z + half * np.sin(_ANGLE)
+        along_y = np.interp(place, index, y)
+        along_z = np.interp(place, index, z)
         top = along_z[TOPOLOGY_BELT]
         heights = np.linspace(low, top, TOPOLOGY_BELT - TOPOLOGY_SILL + 1)
         # The side as a height field; the bottom edge takes the width just above it.

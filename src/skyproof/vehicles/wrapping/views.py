@@ -28,8 +28,10 @@ class View:
 
 def view_axes(azimuth_rad: float, elevation_rad: float) -> Float[np.ndarray, "3 3"]:
     """Returns image right, image down and away from a viewer at this azimuth and elevation."""
-    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    ce, se = np.cos(elevation_rad), np.sin(elevation_rad)
+    c = np.cos(azimuth_rad)
+    s = np.sin(azimuth_rad)
+    ce = np.cos(elevation_rad)
+    se = np.sin(elevation_rad)
     return np.array([[-s, c, 0.0], [c * se, s * se, -ce], [-c * ce, -s * ce, -se]])
 
 

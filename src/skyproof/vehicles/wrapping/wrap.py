@@ -89,7 +89,8 @@ def wrap_mesh(
     colour = np.where(
         plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour
     )
-    low, high = wrapping.vertices.amin(0), wrapping.vertices.amax(0)
+    low = wrapping.vertices.amin(0)
+    high = wrapping.vertices.amax(0)
     report = {
         "mesh": str(path),
         "triangles": len(mesh.corners),
