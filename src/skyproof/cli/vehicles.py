@@ -87,14 +87,14 @@ class Vehicles:
     def _combine(self) -> None:
         from skyproof.vehicles.fleet import Fleet, mix_fleets
 
-        others = [Fleet.load(source) for source in self.sources if source.is_dir()]
+        fleets_given = [Fleet.load(source) for source in self.sources if source.is_dir()]
         meshes = [source for source in self.sources if not source.is_dir()]
         wrapped = self._wrap(meshes) if meshes else {}
         reports = {
             vehicle_id: {**vehicle.report, "licence": self.wrapping.licence}
             for vehicle_id, vehicle in wrapped.items()
         }
-        fleets = [_fleet_of(wrapped, reports), *others] if wrapped else others
+        fleets = [_fleet_of(wrapped, reports), *fleets_given] if wrapped else fleets_given
         fleet = mix_fleets(fleets)
         if wrapped:
             _say_reports(reports)

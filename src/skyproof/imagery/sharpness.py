@@ -56,14 +56,14 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
         grey = srgb_to_linear(image.double() / 255).mean(0).numpy()
         sigmas.append(_edge_blurs(grey))
         spreads.append(_noise(image.double().mean(0).numpy() / 255))
-    found = np.concatenate(sigmas) if sigmas else np.zeros(0)
-    if len(found) < LEAST_EDGES:
+    blurs = np.concatenate(sigmas) if sigmas else np.zeros(0)
+    if len(blurs) < LEAST_EDGES:
         raise ImageryError(
             f"Measuring the blur of imagery expects at least {LEAST_EDGES} clear edges but found "
-            f"{len(found)}; give its blur yourself with --blur-sigma-px."
+            f"{len(blurs)}; give its blur yourself with --blur-sigma-px."
         )
     return Sensor(
-        blur_sigma_px=round(float(np.quantile(found, SHARPEST_SHARE)), 2),
+        blur_sigma_px=round(float(np.quantile(blurs, SHARPEST_SHARE)), 2),
         noise=round(float(np.median(spreads)), 4),
     )
 
@@ -75,6 +75,7 @@ def _middle(image: UInt8[Tensor, "3 H W"]) -> UInt8[Tensor, "3 h w"]:
 
 def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns σ in pixels at the strongest edges of one image."""
+    # The strongest edges: local maxima of the slope, away from the border.
     across_x = ndimage.gaussian_filter(grey, 0.7, order=(0, 1))
     across_y = ndimage.gaussian_filter(grey, 0.7, order=(1, 0))
     strength = np.hypot(across_x, across_y)
@@ -85,6 +86,7 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     order = np.argsort(-strength[rows, columns], kind="stable")[:EDGES_PER_IMAGE]
     rows, columns = rows[order], columns[order]
+    # The brightness along a line across each edge.
     x = across_x[rows, columns] / strength[rows, columns]
     y = across_y[rows, columns] / strength[rows, columns]
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
@@ -101,6 +103,7 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
         for side in (-1.0, 0.0, 1.0)
     ]
     profile = np.mean(lines, axis=0)
+    # The blur from height and steepness of the step, with a window that follows it.
     steepest = (np.diff(profile, axis=1) / STEP_PX).max(1)
     middle = profile.shape[1] // 2
     sigma = np.full(len(profile), 1.0)

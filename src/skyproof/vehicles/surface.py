@@ -120,6 +120,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
     roof_end = deck - d.rear_run
     roof_length = roof_end - roof_front
     deck_fall = 0.0 if d.bed_depth else 0.02
+    # Roof line: nose, bonnet, windscreen, roof, rear window, boot or bed.
     top = [
         (_CAP_DEPTH_M, d.nose_height - 0.10),
         (0.22, d.nose_height),
@@ -132,6 +133,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
         (d.length - 0.11, d.deck_height - deck_fall),
         (tail, d.deck_height - (0.02 if d.bed_depth else 0.09)),
     ]
+    # Shoulder line; a pickup's follows the sides of its bed.
     belt_rear = min(d.belt_height + 0.04, d.deck_height - 0.05)
     belt = [
         (_CAP_DEPTH_M, d.nose_height - 0.16),
@@ -147,11 +149,13 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
             (deck, d.deck_height - 0.03),
             (tail, d.deck_height - 0.04),
         ]
+    # Both smoothed, the shoulder below the roof line.
     curves = {"at": at}
     for name, points in (("top", top), ("belt", belt)):
         x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
         curves[name] = _smooth(interpolate(at, x, y), round(_SMOOTHING_M / 2 / step))
     curves["belt"] = torch.minimum(curves["belt"], curves["top"] - 0.03)
+    # Depth of the bed between its walls.
     wall = torch.tensor(
         [deck + 0.08, deck + 0.13, d.length - 0.14, d.length - 0.09], dtype=torch.float64
     )
@@ -197,6 +201,7 @@ def _sections(
     top, belt, depth = (
         interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth")
     )
+    # Half widths: narrower towards the ends.
     from_tail = d.length - station
     taper = (
         0.10 * (1 - station / 1.0).clamp(0.0) ** 2 + 0.06 * (1 - from_tail / 0.9).clamp(0.0) ** 2
@@ -223,6 +228,7 @@ def _sections(
     x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
     glass_bow = interpolate(station, x, y)
 
+    # The sections, and how far each point lies behind the nose.
     lower = _lower_side(d, station + bow, half_width, belt)
     upper, rail_z, rail_y = _upper_side(d, lower[:, -1], top, belt)
     if d.bed_depth:

@@ -116,15 +116,15 @@ class VehicleBatch:
 
     def row(self, index: int) -> VehicleBatch:
         """Returns one vehicle as a batch of its own."""
-        one = slice(index, index + 1)
+        single = slice(index, index + 1)
         over = self.overlay
         return VehicleBatch(
             self.template,
-            self.vertices[one],
-            self.texture if len(self.texture) == 1 else self.texture[one],
-            self.parts[one],
-            self.ids[one],
-            over and Overlay(over.texture, over.mask[one]),
+            self.vertices[single],
+            self.texture if len(self.texture) == 1 else self.texture[single],
+            self.parts[single],
+            self.ids[single],
+            over and Overlay(over.texture, over.mask[single]),
             self.repainted,
         )
 
@@ -141,5 +141,5 @@ class VehicleBatch:
         """
         if self.overlay is None:
             return self.texture
-        own = self.texture.float() / 255 if self.texture.dtype == torch.uint8 else self.texture
-        return torch.where(self.overlay.mask[:, None], self.overlay.texture, own)
+        texture = self.texture.float() / 255 if self.texture.dtype == torch.uint8 else self.texture
+        return torch.where(self.overlay.mask[:, None], self.overlay.texture, texture)

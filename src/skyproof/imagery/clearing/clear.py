@@ -122,12 +122,14 @@ def clear_backgrounds(
         )
     for used in (finder, checker):
         check_resolution(used, backgrounds.gsd_m)
+    # Vehicles of all tiles first: a shadow is estimated from all tiles of one picture.
     found = {}
     for done, tile in enumerate(tiles, start=1):
         found[tile.id] = _find(backgrounds, tile, (labels or {}).get(tile.id), finder, settings)
         if progress is not None:
             progress("find", done, len(tiles))
     shadows = _shadows(tiles, found)
+    # Each tile is filled, checked and written.
     rows, kept = [], []
     with ContactSheet(out / "sheets") as sheet:
         for done, tile in enumerate(tiles, start=1):

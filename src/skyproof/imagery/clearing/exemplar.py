@@ -105,7 +105,7 @@ def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
     labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
     for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
-        own = labels == number
+        piece = labels == number
         height, width = rows.stop - rows.start, columns.stop - columns.start
         down = math.ceil(height / piece_px)
         across = math.ceil(width / piece_px)
@@ -121,7 +121,7 @@ def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
                         columns.start + width * (column + 1) // across,
                     ),
                 )
-                part[place] = own[place]
+                part[place] = piece[place]
                 if part.any():
                     pieces.append(part)
     return pieces
@@ -166,6 +166,7 @@ def _best_shifts(
     ) -> NDArray[np.float32]:
         return fft.irfft2(np.conj(template) * field, size)
 
+    # Which shifts copy from sound ground alone, and how much of the ring they see.
     ground = spectrum(sound)
     ring_spectrum = spectrum(ring)
     hole_spectrum = spectrum(window.hole)
@@ -175,6 +176,7 @@ def _best_shifts(
         seen >= SEEN_SHARE * ring.sum()
     )
     seen = np.maximum(seen, 1)
+    # How the shifted ring differs from ours, and how lively the copied ground is.
     mismatch = np.zeros(size, np.float32)
     contrast = np.zeros(size, np.float32)
     for channel in np.moveaxis(window.values, 2, 0):
@@ -184,23 +186,25 @@ def _best_shifts(
         ours = np.where(ring, values, 0.0)
         field = spectrum(theirs)
         squares = spectrum(theirs**2)
-        own = spectrum(ours)
+        ring_field = spectrum(ours)
         # Sums over the part of the shifted ring that lies on sound ground.
         squared = (
             correlate(spectrum(ours**2), ground)
             + correlate(ring_spectrum, squares)
-            - 2 * correlate(own, field)
+            - 2 * correlate(ring_field, field)
         )
-        even = correlate(own, ground) - correlate(ring_spectrum, field)
+        even = correlate(ring_field, ground) - correlate(ring_spectrum, field)
         mismatch += squared / seen - settings.brightness_freedom * (even / seen) ** 2
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
+    # What a shift costs; those that are not allowed cost infinitely much.
     cost = np.where(
         valid, np.maximum(mismatch, 0) + settings.plainness * np.maximum(contrast, 0), np.inf
     )
     down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
     far = np.maximum(abs(down), abs(across)) > settings.search_px
     cost[far] = np.inf
+    # The cheapest shifts, apart from each other.
     chosen: list[Shift] = []
     best = math.inf
     while len(chosen) < settings.shifts:
@@ -258,19 +262,22 @@ def _join(
     weight `hold`, the copies levelled to the ring's brightness: what differs at one place of the
     ring does not bleed through the hole.
     """
+    # What each shift would copy, brought to its brightness.
     copies = np.stack(
         [
             _shifted(window.values, shift) + level
             for shift, level in zip(shifts, levels, strict=True)
         ]
     )
+    # The pixels of the hole are the unknowns, numbered.
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
     number[rows, columns] = np.arange(len(rows))
-    own = choice[rows, columns]
+    shift_here = choice[rows, columns]
     count = np.zeros(len(rows))
     right = np.zeros((len(rows), 3))
     links: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    # Every pixel is to differ from its four neighbours as the copies do.
     for down, across in ((0, 1), (1, 0), (0, -1), (-1, 0)):
         to_row, to_column = rows + down, columns + across
         inside = (
@@ -284,19 +291,22 @@ def _join(
         in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
         # Towards the picture's edge and towards pieces still to be filled nothing is asked.
         asked = inside & (in_hole | fixed)
-        theirs = np.where(in_hole, choice[to_row, to_column], own)
-        step = copies[own, rows, columns] - copies[own, to_row, to_column]
-        step = (step + copies[theirs, rows, columns] - copies[theirs, to_row, to_column]) / 2
+        shift_there = np.where(in_hole, choice[to_row, to_column], shift_here)
+        step = copies[shift_here, rows, columns] - copies[shift_here, to_row, to_column]
+        step = (
+            step + copies[shift_there, rows, columns] - copies[shift_there, to_row, to_column]
+        ) / 2
         count += asked
         right += np.where(asked[:, None], step, 0.0)
         on_ring = asked & ~in_hole
         right[on_ring] += window.values[to_row[on_ring], to_column[on_ring]]
         linked = np.nonzero(asked & in_hole)[0]
         links.append((linked, number[to_row[linked], to_column[linked]]))
+    # The equations as a sparse matrix, solved for all colours at once.
     start, end = (np.concatenate([link[side] for link in links]) for side in (0, 1))
     matrix = sparse.csc_array((-np.ones(len(start)), (start, end)), shape=(len(rows), len(rows)))
     matrix = matrix + sparse.diags_array(count + hold)
-    solved = splu(matrix.tocsc()).solve(right + hold * copies[own, rows, columns])
+    solved = splu(matrix.tocsc()).solve(right + hold * copies[shift_here, rows, columns])
     filled = window.values.copy()
     filled[rows, columns] = solved
     return filled

@@ -79,9 +79,9 @@ def apply_inpainting(
 
 def inpainting_record(inpainting: Inpainting) -> dict[str, Any]:
     """Returns what a clearing's record says of it: its own `record`, or its name alone."""
-    own = getattr(inpainting, "record", None)
-    if callable(own):
-        return dict(own())
+    record = getattr(inpainting, "record", None)
+    if callable(record):
+        return dict(record())
     return {"name": str(getattr(inpainting, "__name__", type(inpainting).__name__))}
 
 

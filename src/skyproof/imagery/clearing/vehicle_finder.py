@@ -36,15 +36,15 @@ class VehicleFinder:
 
     def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""
-        found = []
+        detected = []
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
             detections = detect_batch(self.loaded.detector, part[None])[0]
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             keep = detections.scores.cpu() >= lowest_score
-            found.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
-        boxes = torch.cat([f[0] for f in found])
-        scores = torch.cat([f[1] for f in found])
+            detected.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
+        boxes = torch.cat([f[0] for f in detected])
+        scores = torch.cat([f[1] for f in detected])
         return boxes[ops.nms(boxes, scores, 0.5)].reshape(-1, 4)
 
 
@@ -57,13 +57,17 @@ def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
         StoredFileError: an annotation file is damaged.
     """
     folders = [Path(folder) / split for split in SPLITS]
-    datasets = [Dataset.open(place) for place in folders if (place / "annotations.json").is_file()]
+    datasets = [
+        Dataset.open(split_folder)
+        for split_folder in folders
+        if (split_folder / "annotations.json").is_file()
+    ]
     if not datasets:
         return None
     return {
-        name: torch.cat((vehicles, others))
+        name: torch.cat((vehicles, ignored))
         for data in datasets
-        for name, vehicles, others in zip(data.ids, data.boxes, data.ignore, strict=True)
+        for name, vehicles, ignored in zip(data.ids, data.boxes, data.ignore, strict=True)
     }
 
 

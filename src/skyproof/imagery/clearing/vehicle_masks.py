@@ -124,12 +124,12 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
         None with fewer than 3 vehicles; without direction and length where no side is darker than
         the one across, as under an overcast sky.
     """
-    found = [
+    measured = [
         one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()
     ]
-    if len(found) < FEWEST_VEHICLES:
+    if len(measured) < FEWEST_VEHICLES:
         return None
-    stacked = np.stack(found[:SAMPLE_LIMIT])
+    stacked = np.stack(measured[:SAMPLE_LIMIT])
     near_layers = round(NEAR_M / LAYER_M)
     near = (
         _median(stacked[:, :, :near_layers].reshape(len(stacked), -1))
@@ -205,7 +205,7 @@ def _arrival(
             first = np.where(outside, np.inf, first)
             last = np.where(outside, -np.inf, last)
             continue
-        one, other = (places - high) / speed, (places - low) / speed
-        first = np.maximum(first, np.minimum(one, other))
-        last = np.minimum(last, np.maximum(one, other))
+        first_edge, second_edge = (places - high) / speed, (places - low) / speed
+        first = np.maximum(first, np.minimum(first_edge, second_edge))
+        last = np.minimum(last, np.maximum(first_edge, second_edge))
     return np.where(first <= last, first, np.inf)

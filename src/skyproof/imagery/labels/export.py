@@ -123,7 +123,7 @@ def _read(folder: Path) -> _Dataset:
         for row in document["annotations"]:
             left, top, width, height = map(float, row["bbox"])
             corners = tuple((float(x), float(y)) for x, y in row.get("corners_px") or ()) or None
-            one = _Object(
+            item = _Object(
                 (left, top, width, height),
                 categories[row["category_id"]],
                 bool(row["iscrowd"]),
@@ -131,7 +131,7 @@ def _read(folder: Path) -> _Dataset:
                 row,
             )
             if width > 0 and height > 0:
-                objects[row["image_id"]].append(one)
+                objects[row["image_id"]].append(item)
         images = tuple(
             _Image(
                 row["scene_id"],
@@ -152,8 +152,8 @@ def _read(folder: Path) -> _Dataset:
 
 
 def _count(data: _Dataset, **more: int) -> Exported:
-    objects = [one for image in data.images for one in image.objects]
-    ignored = sum(one.ignore for one in objects)
+    objects = [item for image in data.images for item in image.objects]
+    ignored = sum(item.ignore for item in objects)
     return Exported(
         len(data.images), len(objects) - ignored, ignored - more.get("left_out", 0), **more
     )
@@ -168,15 +168,15 @@ def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
         images.append(
             {"id": number, "file_name": file, "width": image.width, "height": image.height}
         )
-        for one in image.objects:
+        for item in image.objects:
             row: dict[str, Any] = {
                 "id": len(annotations) + 1,
                 "image_id": number,
-                "category_id": numbers[one.category],
+                "category_id": numbers[item.category],
             }
-            row |= {"bbox": list(one.box), "iscrowd": int(one.ignore)}
+            row |= {"bbox": list(item.box), "iscrowd": int(item.ignore)}
             annotations.append(
-                row | {key: one.row[key] for key in ("area", "segmentation") if key in one.row}
+                row | {key: item.row[key] for key in ("area", "segmentation") if key in item.row}
             )
         progress(number, len(data.images))
     categories = [{"id": number, "name": name} for name, number in numbers.items()]
@@ -196,20 +196,20 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
     numbers = {name: index for index, name in enumerate(data.categories)}
 
     def lines(image: _Image) -> list[str]:
-        found = []
-        for one in image.objects:
-            if not one.ignore:
-                x, y = one.centre
+        rows = []
+        for item in image.objects:
+            if not item.ignore:
+                x, y = item.centre
                 parts = (
                     x / image.width,
                     y / image.height,
-                    one.box[2] / image.width,
-                    one.box[3] / image.height,
+                    item.box[2] / image.width,
+                    item.box[3] / image.height,
                 )
-                found.append(
-                    f"{numbers[one.category]} " + " ".join(f"{part:.7f}" for part in parts)
+                rows.append(
+                    f"{numbers[item.category]} " + " ".join(f"{part:.7f}" for part in parts)
                 )
-        return found
+        return rows
 
     with finished_folder(out) as partial:
         _write_texts(data, partial, "labels", lines, progress)
@@ -218,7 +218,9 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
         remark = "# To validate on another export, name its images folder."
         text = f"{remark}\ntrain: images\nval: images\nnames:\n"
         (partial / "data.yaml").write_text(text + names, encoding="utf-8")
-    return _count(data, left_out=sum(one.ignore for image in data.images for one in image.objects))
+    return _count(
+        data, left_out=sum(item.ignore for image in data.images for item in image.objects)
+    )
 
 
 def _write_dota(data: _Dataset, out: Path, progress: Progress) -> Exported:
@@ -226,16 +228,16 @@ def _write_dota(data: _Dataset, out: Path, progress: Progress) -> Exported:
 
     def lines(image: _Image) -> list[str]:
         nonlocal upright
-        found = []
-        for one in image.objects:
-            corners = one.upright
-            if one.corners and not one.ignore and _middle_inside(one.corners, image):
-                corners = one.corners
-            elif not one.ignore:
+        rows = []
+        for item in image.objects:
+            corners = item.upright
+            if item.corners and not item.ignore and _middle_inside(item.corners, image):
+                corners = item.corners
+            elif not item.ignore:
                 upright += 1
             numbers = " ".join(f"{value:.2f}" for corner in corners for value in corner)
-            found.append(f"{numbers} {one.category.replace(' ', '-')} {int(one.ignore)}")
-        return found
+            rows.append(f"{numbers} {item.category.replace(' ', '-')} {int(item.ignore)}")
+        return rows
 
     with finished_folder(out) as partial:
         _write_texts(data, partial, LABEL_FOLDERS[1], lines, progress)
@@ -272,9 +274,9 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
     for number, image in enumerate(data.images, 1):
         crs, (left, bottom, right, top) = tiles[image.name]
         step_x, step_y = (right - left) / image.width, (top - bottom) / image.height
-        for one in image.objects:
+        for item in image.objects:
             # Rings of a polygon end where they began, and run anticlockwise with north up.
-            pixels = [*reversed(one.upright), one.upright[-1]] if one.ignore else [one.centre]
+            pixels = [*reversed(item.upright), item.upright[-1]] if item.ignore else [item.centre]
             ground = [(left + x * step_x, top - y * step_y) for x, y in pixels]
             longitudes, latitudes = transform_places(
                 crs, "EPSG:4326", [x for x, _ in ground], [y for _, y in ground]
@@ -283,9 +285,9 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
                 [round(x, 9), round(y, 9)] for x, y in zip(longitudes, latitudes, strict=True)
             ]
             geometry = {"type": "Polygon", "coordinates": [places]}
-            if not one.ignore:
+            if not item.ignore:
                 geometry = {"type": "Point", "coordinates": places[0]}
-            properties = {"class": one.category, "ignore": one.ignore, "tile": image.name}
+            properties = {"class": item.category, "ignore": item.ignore, "tile": image.name}
             features.append({"type": "Feature", "properties": properties, "geometry": geometry})
         progress(number, len(data.images))
     write_json(out, {"type": "FeatureCollection", "features": features})
@@ -301,24 +303,24 @@ def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, fl
             "georeferenced tiles, as `skyproof ground` cuts them."
         )
     document = read_json(path)
-    found = {}
+    tiles = {}
     try:
         for feature in document["features"]:
             properties = feature["properties"]
             left, bottom, right, top = map(float, properties["bounds"])
             crs = rasterio.crs.CRS.from_user_input(properties["crs"])
-            found[str(properties["id"])] = crs, (left, bottom, right, top)
+            tiles[str(properties["id"])] = crs, (left, bottom, right, top)
     except (KeyError, TypeError, ValueError, AttributeError, RasterioError) as error:
         raise StoredFileError(
             f"{path} is not an index of ours ({error!r}); tile the imagery again."
         ) from error
-    missing = next((image.name for image in data.images if image.name not in found), None)
+    missing = next((image.name for image in data.images if image.name not in tiles), None)
     if missing is not None:
         raise ImageryError(
             f"{data.folder} holds {missing}, which {path} does not place on the map; leave out "
             "imagery without georeference when tiling, or choose another form."
         )
-    return found
+    return tiles
 
 
 LABEL_FORMS: Mapping[str, Callable[[_Dataset, Path, Progress], Exported]] = {

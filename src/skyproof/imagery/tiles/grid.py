@@ -117,11 +117,11 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
     Raises:
         ImageryError: the source lies outside what `crs` covers.
     """
-    own = [
+    border = [
         source.georeference.transform * point
         for point in outline(source.width_px, source.height_px)
     ]
-    points = to_reference_system(source.georeference.crs, crs, own)
+    points = to_reference_system(source.georeference.crs, crs, border)
     if not all(math.isfinite(value) for point in points for value in point):
         raise ImageryError(
             f"{source.path} lies outside what its reference system covers; check its system (or "

@@ -120,10 +120,10 @@ class PlacedLabels:
                 for label in labels.labels
             ]
             middles = np.array([_middle(label) for label in moved])
-            here = np.zeros(count, bool)
+            in_plane = np.zeros(count, bool)
             for number in numbers:
-                here |= _within(middles, extent_of(self._sources[number], crs))
-            inside |= here
+                in_plane |= _within(middles, extent_of(self._sources[number], crs))
+            inside |= in_plane
             self._add(
                 plane,
                 (_Placed(label, None) for label in moved if math.isfinite(sum(_middle(label)))),
@@ -165,9 +165,9 @@ class PlacedLabels:
                         f"{path} was made for {stem} of {labels.sizes_px[stem]} px but "
                         f"{source.path} has {size} px; give the image the labels were made on."
                     )
-                own = labels.images[stem]
-                kept = [label for label in own if _inside_picture(_middle(label), size)]
-                outside += len(own) - len(kept)
+                labels_here = labels.images[stem]
+                kept = [label for label in labels_here if _inside_picture(_middle(label), size)]
+                outside += len(labels_here) - len(kept)
                 self._add(
                     plane, (_Placed(self._to_plane(label, number, crs), number) for label in kept)
                 )
@@ -180,9 +180,9 @@ class PlacedLabels:
 
     def _to_plane(self, label: Label, number: int, crs: CRS | None) -> Label:
         georeference = self._sources[number].georeference
-        own = [georeference.transform * corner for corner in label.corners]
+        corners = [georeference.transform * corner for corner in label.corners]
         return dataclasses.replace(
-            label, corners=tuple(to_reference_system(georeference.crs, crs, own))
+            label, corners=tuple(to_reference_system(georeference.crs, crs, corners))
         )
 
     def _add_regions(
@@ -200,15 +200,15 @@ class PlacedLabels:
 
     def _add(self, plane: str, placed: Iterable[_Placed]) -> None:
         reach = self._settings.point_box_m / 2
-        for one in placed:
-            xs, ys = zip(*one.label.corners, strict=True)
+        for item in placed:
+            xs, ys = zip(*item.label.corners, strict=True)
             for column in range(
                 math.floor((min(xs) - reach) / BIN_M), math.floor((max(xs) + reach) / BIN_M) + 1
             ):
                 for row in range(
                     math.floor((min(ys) - reach) / BIN_M), math.floor((max(ys) + reach) / BIN_M) + 1
                 ):
-                    self._bins[plane, column, row].append(one)
+                    self._bins[plane, column, row].append(item)
 
     def on(self, cell: Cell, owner: Int[NDArray[np.int32], "S S"]) -> list[Annotation]:
         """Returns vehicles and ignore regions of a tile.
@@ -254,7 +254,7 @@ class PlacedLabels:
             border_px=0.0,
             point_box_px=self._settings.point_box_m / cell.gsd_m,
         )
-        found = []
+        annotations = []
         for box, ignore in [
             *((b, False) for b in truths.tolist()),
             *((b, True) for b in ignored.tolist()),
@@ -267,12 +267,12 @@ class PlacedLabels:
                     / max(_area(label, self._settings, cell), 1e-9)
                 )
             centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2) if ignore else (x, y)
-            found.append(
+            annotations.append(
                 Annotation(
                     (box[0], box[1], box[2], box[3]), centre, min(fraction, 1.0), ignore=ignore
                 )
             )
-        return found
+        return annotations
 
     def _in_border(self, place: Point, crs: CRS | None, number: int) -> bool:
         border, source = self._settings.border_px, self._sources[number]

@@ -93,12 +93,12 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            found = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
-            if not found:
+            images = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+            if not images:
                 raise ImageryError(
                     f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
                 )
-            files += found
+            files += images
         elif path.is_file():
             files.append(path)
         else:
@@ -278,7 +278,7 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
 def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     """Returns the 1st and 99th percentile of an image's valid values, all colours together."""
     bands = sorted({*source.bands})
-    found = []
+    samples = []
     whole = Window(0, 0, dataset.width, dataset.height)
     shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
     # Where all probes fall on empty ground, which is rare, the whole image has to be looked at.
@@ -289,9 +289,9 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
                 np.float32
             )
             valid = read_mask(dataset, source, window, size) > 0
-            found.append(values[:, valid & np.isfinite(values).all(0)].ravel())
-        if any(len(values) for values in found):
-            low, high = np.percentile(np.concatenate(found), [1, 99])
+            samples.append(values[:, valid & np.isfinite(values).all(0)].ravel())
+        if any(len(values) for values in samples):
+            low, high = np.percentile(np.concatenate(samples), [1, 99])
             return float(low), max(float(high), float(low) + 1e-6)
     raise ImageryError(f"{source.path} holds no valid pixel; leave it out.")
 

@@ -112,6 +112,7 @@ def tile_imagery(
     files = find_images(paths)
     notes = []
     source_settings = source_settings or SourceSettings()
+    # Every cell that sources fill becomes a tile, written while it is at hand.
     with gdal_limits(), SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
@@ -131,6 +132,7 @@ def tile_imagery(
                     annotations[cell.id] = placed.on(cell, image.owner)
             if progress is not None:
                 progress(done, len(cells))
+    # Too little imagery is refused before anything else is written.
     if not kept:
         raise ImageryError(
             f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more "
@@ -144,6 +146,7 @@ def tile_imagery(
             "more or larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of "
             "`demo`)."
         )
+    # Blocks of tiles go to the splits.
     splits, blocks_m = _splits(kept, settings, generator)
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
     for split in SPLITS:
@@ -154,6 +157,7 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
+    # What was done, and the index last.
     record = TilingRecord(
         settings=_plain(
             dataclasses.asdict(settings)
@@ -280,10 +284,10 @@ def _counts(
 ) -> dict[str, dict[str, int]]:
     counts = {split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS}
     for tile in tiles:
-        own = annotations.get(tile.id, [])
+        rows = annotations.get(tile.id, [])
         counts[tile.split]["tiles"] += 1
-        counts[tile.split]["vehicles"] += sum(not one.ignore for one in own)
-        counts[tile.split]["ignored"] += sum(one.ignore for one in own)
+        counts[tile.split]["vehicles"] += sum(not annotation.ignore for annotation in rows)
+        counts[tile.split]["ignored"] += sum(annotation.ignore for annotation in rows)
     return counts
 
 

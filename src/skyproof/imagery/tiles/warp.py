@@ -66,9 +66,9 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
         parts.append((number, pixels, valid))
     pixels = np.zeros((3, cell.size_px, cell.size_px), np.uint8)
     owner = np.full((cell.size_px, cell.size_px), -1, np.int32)
-    for number, own, valid in parts:
+    for number, values, valid in parts:
         fresh = valid & (owner < 0)
-        pixels[:, fresh], owner[fresh] = own[:, fresh], number
+        pixels[:, fresh], owner[fresh] = values[:, fresh], number
     valid = owner >= 0
     return CellImage(_filled(pixels, valid), owner) if valid.mean() >= FULL_SHARE else None
 
@@ -118,6 +118,7 @@ def _fill_piece(
     `transform` takes the piece's pixels to coordinates.
     """
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
+    # What is needed of the source, with room for the resampling.
     window, inside = _window(
         source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2
     )
@@ -127,13 +128,15 @@ def _fill_piece(
     mask = read_mask(dataset, source, window)
     if not mask.any():
         return
+    # The values as bytes, or as numbers on their scale.
     values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
         values = np.nan_to_num(
             (values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0
         )
-    there = {
+    # The colours, taken to the ground.
+    placement = {
         "src_transform": source.georeference.transform
         * Affine.translation(window.col_off, window.row_off),
         "src_crs": source.georeference.crs or _NO_SYSTEM,
@@ -143,17 +146,24 @@ def _fill_piece(
     shrinking = shrink > SHRINKING_FROM
     warped = np.zeros((len(bands), *pixels.shape[1:]), values.dtype)
     reproject(
-        values, warped, resampling=Resampling.average if shrinking else Resampling.cubic, **there
+        values,
+        warped,
+        resampling=Resampling.average if shrinking else Resampling.cubic,
+        **placement,
     )
     if warped.dtype != np.uint8:
         warped = (np.clip(warped, 0, 255) + 0.5).astype(np.uint8)
     pixels[:] = warped[[bands.index(band) for band in source.bands]]
+    # Where they are valid, by the same way.
     if inside and mask.all():
         valid[:] = True
         return
     shares = np.zeros(valid.shape, np.uint8)
     reproject(
-        mask, shares, resampling=Resampling.average if shrinking else Resampling.nearest, **there
+        mask,
+        shares,
+        resampling=Resampling.average if shrinking else Resampling.nearest,
+        **placement,
     )
     valid[:] = shares >= 128
 

@@ -63,21 +63,21 @@ def bake(
         compact_nodes=False,
     )
     wanted = np.concatenate([points, _TURN_M / 2 * normals], axis=-1).reshape(-1, 6)
-    distance, found = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
-    found = kept[found]
+    distance, nearest = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
+    nearest = kept[nearest]
     colours, alphas = mesh.look(outer.face, outer.weights, mask)
     weight = 1 / (distance + 0.004)
     # Only points on the nearest one's own material are averaged: a tyre does not bleed into the
     # arch.
-    weight *= mesh.material[outer.face[found]] == mesh.material[outer.face[found[:, :1]]]
+    weight *= mesh.material[outer.face[nearest]] == mesh.material[outer.face[nearest[:, :1]]]
     weight /= weight.sum(1, keepdims=True)
     shape = (TEXTURE_SIZE, TEXTURE_SIZE)
     return Texels(
         points,
         normals,
-        outer.face[found[:, 0]].reshape(shape),
-        (weight * alphas[found]).sum(1).reshape(shape),
-        (weight[..., None] * colours[found]).sum(1).reshape(*shape, 3),
+        outer.face[nearest[:, 0]].reshape(shape),
+        (weight * alphas[nearest]).sum(1).reshape(shape),
+        (weight[..., None] * colours[nearest]).sum(1).reshape(*shape, 3),
     )
 
 

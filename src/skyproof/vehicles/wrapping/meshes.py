@@ -81,18 +81,18 @@ class SourceMesh:
         colours = np.einsum("nk,nkc->nc", weights, self.colours[face])
         alpha = np.ones(len(face))
         for index, material in enumerate(self.materials):
-            own = self.material[face] == index
-            missing = own & np.isnan(colours[:, 0])
+            covered = self.material[face] == index
+            missing = covered & np.isnan(colours[:, 0])
             colours[missing] = material.colour
-            if material.picture is not None and own.any():
-                texels = _sample(material.picture, uv[own]) / 255
-                colours[own], alpha[own] = (
+            if material.picture is not None and covered.any():
+                texels = _sample(material.picture, uv[covered]) / 255
+                colours[covered], alpha[covered] = (
                     texels[:, :3],
                     texels[:, 3] if texels.shape[1] == 4 else 1.0,
                 )
             if material.opacity < 1:
-                colours[own] = (
-                    material.opacity * colours[own] + (1 - material.opacity) * _DARK_CABIN
+                colours[covered] = (
+                    material.opacity * colours[covered] + (1 - material.opacity) * _DARK_CABIN
                 )
         if mask is not None:
             alpha = _sample(mask[..., None], uv)[:, 0] / 255

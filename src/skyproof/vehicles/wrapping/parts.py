@@ -74,6 +74,7 @@ def label_parts(
     Returns:
         labels, the share of texels that each rule decided, and notes.
     """
+    # What names and transparency of the materials say.
     names = np.array(
         [int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials]
     )
@@ -86,6 +87,7 @@ def label_parts(
     by_name = float(decided.mean())
 
     notes: list[str] = []
+    # What is paint, by mask or by colour.
     paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
     open_ = ~decided
     if not masked and paint[open_].mean() < 0.4:
@@ -94,6 +96,7 @@ def label_parts(
             "paint"
         )
         paint = np.ones_like(paint)
+    # What is not paint, by its place.
     height = float(z.max())
     window_z = min(wrapping.belt_m - 0.05, (0.57 if height < 2.5 else 0.5) * height)
     ends = np.minimum(x - x.min(), x.max() - x)
@@ -109,6 +112,7 @@ def label_parts(
         other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
     parts = np.where(paint, parts, other)
 
+    # Wheels and underside by place; names overrule colour.
     discs = _wheels(wrapping, x, y, z)
     if not (named == int(Part.WHEEL)).any():
         parts[discs] = Part.WHEEL
@@ -150,10 +154,10 @@ def _wheels(
     hull = wrapping.hull
     low = hull.low
     at = hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
-    found = np.zeros_like(x, bool)
+    wheels = np.zeros_like(x, bool)
     grounded = np.flatnonzero(low < 0.15)
     if not len(grounded):
-        return found
+        return wheels
     half = np.abs(y).max()
     side = (np.abs(y) > 0.55 * half) & (_column() <= TOPOLOGY_BELT)[None]
     for run in np.split(grounded, np.flatnonzero(np.diff(grounded) > 1) + 1):
@@ -161,8 +165,8 @@ def _wheels(
         # A circle on the ground that is `2 reach` wide at a height of 0.15 m.
         radius = float(np.clip((reach**2 + 0.15**2) / (2 * 0.15), 0.25, 0.6))
         middle = (at[run[0]] + at[run[-1]]) / 2
-        found |= side & (np.hypot(x - middle, z - radius) < 1.03 * radius)
-    return found
+        wheels |= side & (np.hypot(x - middle, z - radius) < 1.03 * radius)
+    return wheels
 
 
 def _mode(parts: np.ndarray) -> np.ndarray:

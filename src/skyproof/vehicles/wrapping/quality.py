@@ -56,15 +56,15 @@ def measure_wrapping(
     wrapped = wrapping.vertices.double().numpy()[template.faces.numpy()]
     skin = look_around(wrapped)
     clouds = [(cloud.points[~cloud.below], cloud.normals[~cloud.below]) for cloud in (outer, skin)]
-    there = _distances(*clouds)
-    back = _distances(*clouds[::-1])
+    to_mesh = _distances(*clouds)
+    to_template = _distances(*clouds[::-1])
     return {
         "iou_above": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=90.0), 4),
         "iou_side": round(outline_iou(corners, wrapped, azimuth_deg=-90.0, elevation_deg=0.0), 4),
         "iou_front": round(outline_iou(corners, wrapped, azimuth_deg=0.0, elevation_deg=0.0), 4),
-        "hausdorff_m": round(float(max(there.max(), back.max())), 4),
-        "median_m": round(float(np.median(there)), 4),
-        "p95_m": round(float(np.percentile(there, 95)), 4),
+        "hausdorff_m": round(float(max(to_mesh.max(), to_template.max())), 4),
+        "median_m": round(float(np.median(to_mesh)), 4),
+        "p95_m": round(float(np.percentile(to_mesh, 95)), 4),
         "crossings": self_intersections(wrapping.vertices, template.faces),
     }
 
@@ -79,8 +79,8 @@ def _distances(
     """
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
-    distance, found = tree.query(points)
-    offset = points - goal[0][found]
-    plane = np.abs((offset * goal[1][found]).sum(1))
+    distance, nearest = tree.query(points)
+    offset = points - goal[0][nearest]
+    plane = np.abs((offset * goal[1][nearest]).sum(1))
     beside = np.sqrt((distance**2 - plane**2).clip(0.0))
     return np.where(beside < 2 * _PIXEL_M, plane, distance)

@@ -110,8 +110,12 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
         notes.append(f"{len(pieces)} objects were joined.")
     up = "y" if path.suffix.lower() in (".glb", ".gltf") else None
     unit_m = 1.0 if up else None
-    triangles, uvs, colours, own = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    return SourceMesh(triangles, uvs, colours, own, tuple(materials), up, unit_m, tuple(notes))
+    triangles, uvs, colours, material_of = (
+        np.concatenate(parts) for parts in zip(*pieces, strict=True)
+    )
+    return SourceMesh(
+        triangles, uvs, colours, material_of, tuple(materials), up, unit_m, tuple(notes)
+    )
 
 
 def _look_of(

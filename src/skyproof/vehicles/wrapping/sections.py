@@ -65,8 +65,10 @@ class Hull:
             _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5)
             - points[:, 2]
         )
-        own = self.sides[(points[:, 1] < 0).astype(np.int64), column]
-        out = _between(own, (points[:, 2] - self.start[2]) / self.cell - 0.5) - np.abs(points[:, 1])
+        edges = self.sides[(points[:, 1] < 0).astype(np.int64), column]
+        out = _between(edges, (points[:, 2] - self.start[2]) / self.cell - 0.5) - np.abs(
+            points[:, 1]
+        )
         up = np.abs(top) <= np.abs(out)
         near = np.minimum(np.abs(top), np.abs(out)) < self.cell
         snapped = points.copy()
@@ -77,14 +79,14 @@ class Hull:
     def inside(self, points: Float[np.ndarray, "N 3"], slack_m: float) -> np.ndarray:
         """Says which points lie inside the outline from above and the sides, to `slack_m`."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
-        own = self.sides[
+        edges = self.sides[
             (points[:, 1] < 0).astype(np.int64),
             column,
             self.index(points[:, 2], 2, self.sides.shape[2]),
         ]
         ends = np.flatnonzero(np.isfinite(self.top).any(1))[[0, -1]] * self.cell + self.start[0]
         along = (points[:, 0] > ends[0] - slack_m) & (points[:, 0] < ends[1] + self.cell + slack_m)
-        return along & (np.abs(points[:, 1]) < own + slack_m)
+        return along & (np.abs(points[:, 1]) < edges + slack_m)
 
     def face(self, points: Float[np.ndarray, "N 3"], *, nose: bool) -> Float[np.ndarray, " N"]:
         """Returns x of the surface in front of (or behind) points; NaN where nothing is."""
@@ -103,6 +105,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     Args:
         corners: triangles in the vehicle's axes.
     """
+    # The grid.
     points = corners.reshape(-1, 3)
     extent = np.ptp(points, axis=0)
     cell = max(_CELL_M, float(extent[0]) / 700)
@@ -119,6 +122,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
         value = np.einsum("xyk,xyk->xy", seen.weights, corners[seen.face][..., depth]) * sign
         return np.where(seen.face >= 0, value, -np.inf)
 
+    # From above: outline and roof, without ladders.
     top = look(0, 1, 2, 1.0)
     footprint = _largest(binary_opening(np.isfinite(top), _disc(_THIN_M / 2 / cell)))
     # Thin aerials go; a few millimetres of noise may stay.
@@ -126,6 +130,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     top = grey_closing(top, round(_RUNGS_M / cell), mode="nearest")
     top = np.where(footprint, top, -np.inf)
 
+    # From the sides, without mirrors, and with closed wheel arches.
     y = start[1] + (np.arange(counts[1]) + 0.5) * cell
     reach = np.stack([np.where(footprint, side, 0.0).max(1) + cell / 2 for side in (y, -y)])
     reach[:, ~footprint.any(1)] = 0.0
@@ -145,6 +150,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     )
     sides = np.minimum(sides, reach[:, :, None])
 
+    # From below: lower edge and floor.
     solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
     low = np.where(solid.any(1), z[solid.argmax(1)] - cell / 2, np.nan).clip(0.0)
     low = np.interp(np.arange(len(low)), np.flatnonzero(np.isfinite(low)), low[np.isfinite(low)])
@@ -157,6 +163,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     # Without a floor of its own one sees up into the roof.
     floor = np.minimum(floor, np.median(low) + 0.25)
 
+    # From the front and from behind.
     ends = start[0] + (np.flatnonzero(footprint.any(1))[[0, -1]] + [0, 1]) * cell
     front = look(1, 2, 0, 1.0)
     rear = -look(1, 2, 0, -1.0)
@@ -169,8 +176,8 @@ def _between(
 ) -> Float[np.ndarray, " N"]:
     """Interpolates one value of each row between two cells; not finite where one of them is not."""
     left = np.floor(at).astype(np.int64).clip(0, rows.shape[1] - 2)
-    each = np.arange(len(rows))
-    low, high = rows[each, left], rows[each, left + 1]
+    row = np.arange(len(rows))
+    low, high = rows[row, left], rows[row, left + 1]
     with np.errstate(invalid="ignore"):
         value = low + (at - left) * (high - low)
     return np.where(np.isfinite(low) & np.isfinite(high), value, np.inf)

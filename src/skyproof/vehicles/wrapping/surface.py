@@ -178,6 +178,7 @@ def _places(
     Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the
     columns run evenly.
     """
+    # How the columns above the belt share the way to the roof's middle.
     u = column_u().numpy()[: _HALF + 1]
     upper = (u[TOPOLOGY_BELT:] - u[TOPOLOGY_BELT]) / (u[_HALF] - u[TOPOLOGY_BELT])
     split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
@@ -186,6 +187,7 @@ def _places(
     shoulder = np.array(
         [_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))]
     )
+    # Lengths along each outline, and where its rail lies.
     arcs = []
     rails = np.empty(len(z))
     for row in range(len(z)):
@@ -203,6 +205,7 @@ def _places(
         arcs.append(along)
     cell = float(sections.station[1] - sections.station[0])
     rails = gaussian_filter1d(rails, 0.08 / cell, mode="nearest")
+    # Columns above the belt, by length on both sides of the rail.
     places = np.zeros((len(z), _HALF + 1))
     for row, along in enumerate(arcs):
         rail = rails[row]

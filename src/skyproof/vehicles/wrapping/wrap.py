@@ -66,6 +66,7 @@ def wrap_mesh(
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
     """
+    # The mesh in the vehicle frame, and what of it is seen from outside.
     mask = None if paintable is None else _read_mask(paintable)
     mesh, facts = orient(read_mesh(path), scale=scale, up=up, forward=forward)
     notes = list(mesh.notes)
@@ -77,6 +78,7 @@ def wrap_mesh(
         )
     if not any(m.picture is not None for m in mesh.materials) and np.isnan(mesh.colours).any():
         notes.append("no texture: plain colours of materials or parts are used.")
+    # The template around it, with colours and parts.
     wrapping = wrap_surface(mesh.corners)
     texels = bake(mesh, outer, wrapping, mask)
     clear = float((texels.alpha < 0.5).mean())
@@ -89,6 +91,7 @@ def wrap_mesh(
     colour = np.where(
         plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour
     )
+    # How well it fits.
     low = wrapping.vertices.amin(0)
     high = wrapping.vertices.amax(0)
     report = {
