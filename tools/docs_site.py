@@ -17,6 +17,7 @@ PAGES = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
 }
+_TITLES = {"skyproof": "used by all rooms"}
 
 
 def rooms() -> dict[str, list[str]]:
@@ -113,7 +114,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=text))
     files.append(File.generated(config, "reference/index.md", content=public_names()))
     for room, modules in rooms().items():
-        text = f"# {room}\n\n" + "\n\n".join(f"::: {module}" for module in modules) + "\n"
+        text = f"# {_TITLES.get(room, room)}\n\n" + "\n\n".join(f"::: {module}" for module in modules) + "\n"
         files.append(File.generated(config, f"reference/{room}.md", content=text))
     return files
 
@@ -128,6 +129,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Appends the reference to the menu."""
     names: dict[str, str] = {"import skyproof as sp": "reference/index.md"}
-    pages = [names, *({room: f"reference/{room}.md"} for room in rooms())]
+    # The modules beside the rooms come last.
+    order = sorted(rooms(), key=lambda room: (room in _TITLES, room))
+    pages = [names, *({_TITLES.get(room, room): f"reference/{room}.md"} for room in order)]
     config.nav = [*(config.nav or []), {"Reference": pages}]
     return config
