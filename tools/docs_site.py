@@ -114,7 +114,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=text))
     files.append(File.generated(config, "reference/index.md", content=public_names()))
     for room, modules in rooms().items():
-        text = f"# {_TITLES.get(room, room)}\n\n" + "\n\n".join(f"::: {module}" for module in modules) + "\n"
+        text = (
+            f"# {_TITLES.get(room, room)}\n\n"
+            + "\n\n".join(f"::: {module}" for module in modules)
+            + "\n"
+        )
         files.append(File.generated(config, f"reference/{room}.md", content=text))
     return files
 
