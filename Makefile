@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Blender's Python package exists for one Python only, and wants an older NumPy: an environment of its own.
+# Blender's Python package exists for one Python only, and wants an older NumPy, so it gets an
+# environment of its own.
 BLENDER_PYTHON ?= python3.11
 BLENDER := .venv-blender
 
