@@ -1,7 +1,7 @@
 """Speaks the worker's protocol without Blender: python fake_worker.py PLAN LOG WORKER SCRATCH.
 
-PLAN is a JSON list with what to do at each request, counted over all processes, or an object with what to do with each
-job, by its seed; where it says nothing, "done":
+PLAN is a JSON list with what to do at each request, counted over all processes, or an object with
+what to do with each job, by its seed; where it says nothing, "done":
 
 - "done": the result holds the job's seed;
 - "die": ended by a signal in the middle, half a result in its partial file;

@@ -134,12 +134,13 @@ def test_the_found_one_is_a_python_of_4_5(blender):
 
 @pytest.mark.blender
 def test_an_executable_draws_the_same(blender, workers, tmp_path):
-    """A stand-in that takes Blender's options and hands the script what comes after the two dashes."""
+    """A stand-in takes Blender's options and hands the script what comes after the dashes."""
     # Blender itself leaves all of its options in sys.argv; the worker takes the last word.
     path = blender_of(
         tmp_path / "blender",
         "4.5.3",
-        f'[ "$1 $2 $3 $4 $5 $7" = "--background --factory-startup --python-exit-code 1 --python --" ] || exit 9\n'
+        'expected="--background --factory-startup --python-exit-code 1 --python --"\n'
+        '[ "$1 $2 $3 $4 $5 $7" = "$expected" ] || exit 9\n'
         f'echo "Blender 4.5.3 (hash abc)"; exec {blender.path} "$6" "$@"',
     )
     executable = find_blender(path)

@@ -1,4 +1,4 @@
-"""Both renderers put vehicle and shadow in the same place: silhouettes at four times the resolution."""
+"""Both renderers put vehicle and shadow in the same place, at four times the resolution."""
 
 import dataclasses
 import math
@@ -144,7 +144,7 @@ def test_places_and_headings_are_the_same(silhouettes):
 
 
 def test_the_sun_stands_in_the_same_place(drawn, silhouettes):
-    """Cycles' shadows overlap the other renderer's more than they would if its sun stood one degree elsewhere."""
+    """Cycles' shadows overlap the other renderer's more than with a sun one degree elsewhere."""
     scenes, vehicles, placed, crops, results = drawn
     ground = [~(ours | theirs) for ours, theirs in silhouettes]
     dark = [result[..., 4:].mean(-1) < SHADED for result in results]
@@ -156,7 +156,8 @@ def test_the_sun_stands_in_the_same_place(drawn, silhouettes):
         ]
 
     same = overlaps()
-    # The darkest ground under the sills belongs to no cast shadow, and few paths leave single pixels wrong.
+    # The darkest ground under the sills belongs to no cast shadow, and few paths leave single
+    # pixels wrong.
     assert min(same) > 0.9
     assert np.mean(same) > 0.96
     for elsewhere in (

@@ -52,7 +52,7 @@ def test_a_white_matt_level_surface_sends_1(workers, elevation_deg, overcast):
     ("column", "towards"), [(16, (0, 1)), (32, (1, 0)), (48, (0, -1)), (0, (-1, 0))]
 )
 def test_a_bright_patch_of_sky_casts_shadows_away_from_it(workers, column, towards):
-    """The middle column of the map looks along +x, and columns go clockwise seen from above; row 0 is at the zenith."""
+    """The middle column of the map looks along +x, columns go clockwise, row 0 is the zenith."""
     job = one_job(
         under(0, 45), body(0.6, 0.6, 1.5), settings=CyclesSettings(samples=64), margin_m=1.0
     )
@@ -96,7 +96,7 @@ def test_red_paint_lights_the_ground_beside_its_sunlit_side(workers):
 
 
 def test_photograph_below_lights_the_body_from_below(workers):
-    """A vertical side under a high sun takes most of its light from the ground, in the ground's colour."""
+    """A vertical side under a high sun takes most light from the ground, in the ground's colour."""
     shown = {}
     for name, colour in (("red", (0.8, 0.0, 0.0)), ("blue", (0.0, 0.0, 0.8))):
         place = dataclasses.replace(

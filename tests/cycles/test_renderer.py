@@ -1,4 +1,4 @@
-"""Whole images: the photograph where nothing is, the same labels as the other renderer, the same bytes every time."""
+"""Whole images: the photograph where nothing is, the same labels, the same bytes every time."""
 
 import dataclasses
 import json
@@ -31,7 +31,7 @@ LABELS = ("scene_index", "boxes", "centres", "visible_px", "visible_fraction", "
 
 
 class Shadows(Workers):
-    """Stands for Blender: every crop is ground in half its light, with a grey body in its middle."""
+    """Stands for Blender: every crop is ground in half its light, a grey body in its middle."""
 
     def __init__(self):
         self.blender, self.asked = Blender(Path("nowhere"), True, "4.5.0"), []
@@ -103,7 +103,8 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
     assert (other.name, other.differentiable) == ("torch", True)
     record = renderer.record()
     assert (record["samples"], record["finish"], record["blender"]) == (7, "matt", "4.5.0")
-    # Of what the sensor does, all that its images depend on, and no light of the other renderer's own.
+    # Of what the sensor does, all that its images depend on, and no light of the other renderer's
+    # own.
     shared = ("blur_sigma_px", "noise", "sky_share")
     assert {name: record[name] for name in shared} == {
         name: other.record()[name] for name in shared

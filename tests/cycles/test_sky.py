@@ -24,7 +24,7 @@ def directions():
 
 
 def look(sky, elevation, azimuth):
-    """Radiance in a direction: row 0 at the zenith, the middle column along +x, clockwise seen from above."""
+    """Returns radiance in a direction: row 0 at the zenith, the middle column along +x."""
     rows, columns, _ = sky.shape
     row = ((np.pi / 2 - elevation) / np.pi * rows).astype(int).clip(0, rows - 1)
     column = np.floor((0.5 - azimuth / (2 * np.pi)) * columns).astype(int) % columns
@@ -73,7 +73,8 @@ def test_an_overcast_sky_hides_the_sun_and_is_grey_and_brightest_overhead():
     light = daylight(Sun(1.0, 0.5), 0.25, 1.0)
     assert light.sun_irradiance == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(light.sky[..., 0], light.sky[..., 2], rtol=1e-6)
-    # CIE 15469, type 1: (1 + 4 exp(-0.7 / cos Z)) is about 3 times as bright overhead as at the horizon.
+    # CIE 15469, type 1: (1 + 4 exp(-0.7 / cos Z)) is about 3 times as bright overhead as at the
+    # horizon.
     zenith, horizon = light.sky[0, 0, 0], light.sky[15, :, 0].mean()
     assert zenith / horizon == pytest.approx(1 + 4 * math.exp(-0.7), rel=0.02)
     np.testing.assert_allclose(

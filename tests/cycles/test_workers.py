@@ -31,7 +31,8 @@ class Fake:
         (folder / "plan.json").write_text(json.dumps(plan))
         program = folder / "python"
         words = shlex.join([sys.executable, str(FAKE), str(folder / "plan.json"), str(self.log)])
-        # A wrapped one is a process of its own above the one that works, as a launcher of Blender may be.
+        # A wrapped one is a process of its own above the one that works, as a launcher of Blender
+        # may be.
         program.write_text(
             f'#!/bin/sh\n{words} "$@"\nexit $?\n' if wrapped else f'#!/bin/sh\nexec {words} "$@"\n'
         )

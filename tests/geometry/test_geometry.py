@@ -58,7 +58,8 @@ def test_ground_points_stay_where_they_are_whatever_the_tilt(tilt_deg, azimuth_d
 def test_height_leans_away_from_the_camera_by_height_times_the_tangent_of_the_tilt(
     azimuth_deg, away
 ):
-    # A camera in the east (0 degrees) sees a roof displaced to the west, which is left in the image.
+    # A camera in the east (0 degrees) sees a roof displaced to the west, which is left in the
+    # image.
     place, _ = seen_by([[0, 0, 1.6]], tilt_deg=20, azimuth_deg=azimuth_deg)
     lean_px = 1.6 * math.tan(math.radians(20)) / 0.125
     expected = [50 + away[0] * lean_px, 50 + away[1] * lean_px]

@@ -50,7 +50,7 @@ def reference(screen, depth, faces, size):
 
 
 def compare(screen, depth, faces, size):
-    """Asserts that every vehicle's samples see what the reference sees; returns how many were compared, covered."""
+    """Asserts that samples see what the reference sees; returns how many it compared, covered."""
     drawn = rasterise(screen, depth, faces, size)
     face = torch.full((len(screen) * size * size,), -1)
     face[drawn.covered] = drawn.face
@@ -134,7 +134,8 @@ def test_slivers_thinner_than_a_sample_match_the_reference():
 
 
 def test_a_closed_convex_body_has_no_cracks():
-    # The outline of a convex body is convex: in each row and column its samples follow one another without a gap.
+    # The outline of a convex body is convex: in each row and column its samples follow one another
+    # without a gap.
     template, body = sphere_template(), rounded_box(power=0.9)
     generator = torch.Generator().manual_seed(1)
     draws = torch.rand(12, 4, generator=generator).tolist()

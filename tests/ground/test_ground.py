@@ -1,4 +1,4 @@
-"""The procedural ground: every kind draws, the light follows the sun, sizes follow the resolution."""
+"""The procedural ground: every kind draws, light follows the sun, sizes the resolution."""
 
 import math
 
@@ -42,7 +42,8 @@ def test_seeds_repeat_and_differ():
     ("azimuth_deg", "shadow"), [(0, (0, -1)), (90, (1, 0)), (180, (0, 1)), (270, (-1, 0))]
 )
 def test_shadow_falls_away_from_the_sun(azimuth_deg, shadow):
-    # A pole of 3 m in the middle; at 45 degrees its shadow is 3 m = 24 px long, on the far side from the sun.
+    # A pole of 3 m in the middle; at 45 degrees its shadow is 3 m = 24 px long, on the far side
+    # from the sun.
     canvas = _flat_canvas(math.radians(azimuth_deg))
     canvas.raise_to(canvas.rectangle((0.0, 0.0), (0.8, 0.8)), 3.0)
     light = canvas._sunlight()

@@ -1,4 +1,4 @@
-"""Small closed bodies on a template of their own, so that renderer tests do not depend on the fleet."""
+"""Small closed bodies on a template of their own, so that tests do not depend on the fleet."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Template, VehicleBatch
 
 
 def sphere_template(rings: int = 31, columns: int = 32) -> Template:
-    """A grid of rings between two poles, as the fleet's template is built, with evenly spaced (u, v)."""
+    """Builds rings between two poles, as the fleet's template has, with evenly spaced (u, v)."""
     count = rings * columns
     nose, tail = count, count + 1
     faces, face_uvs = [], []
@@ -58,7 +58,7 @@ def rounded_box(
     rings: int = 31,
     columns: int = 32,
 ) -> torch.Tensor:
-    """Vertices `[1, V, 3]` of a superellipsoid standing on the ground; power 1 is an ellipsoid, below 1 is boxier."""
+    """Returns a superellipsoid on the ground; power 1 is an ellipsoid, below 1 is boxier."""
 
     def bent(value: float) -> float:
         return math.copysign(abs(value) ** power, value)
@@ -69,7 +69,8 @@ def rounded_box(
         for c in range(columns):
             around = 2 * math.pi * c / columns
             radius = bent(math.sin(polar))
-            # As in the fleet's template: from the middle of the underside up the left side, so faces look outward.
+            # As in the fleet's template: from the middle of the underside up the left side, so
+            # faces look outward.
             points.append(
                 (
                     bent(math.cos(polar)),

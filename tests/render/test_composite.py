@@ -21,7 +21,7 @@ def to_srgb(linear):
 
 
 def blurred(picture, sigma_px):
-    """A two-dimensional kernel of k x k, k = 6 ceil(sigma) - 1, applied by adding shifted copies."""
+    """Applies a kernel of k x k, k = 6 ceil(sigma) - 1, by adding shifted copies."""
     side = 6 * math.ceil(sigma_px) - 1
     steps = np.arange(side) - side // 2
     kernel = np.exp(-(steps[:, None] ** 2 + steps[None, :] ** 2) / (2 * sigma_px**2))
@@ -41,7 +41,7 @@ def place(canvas, layer, left, top, margin):
 
 
 def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
-    """The photograph hidden by blurred coverage, on a canvas that repeats the photograph's edge pixels."""
+    """Hides the photograph by blurred coverage, on a canvas that repeats its edge pixels."""
     size = photograph.shape[-1]
     ground = to_linear(
         np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
@@ -60,7 +60,7 @@ def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
 
 
 def test_on_even_ground_the_blur_is_the_papers():
-    """I = I_bg + G(I_fg - I_bg) (section S2.1), from which ours differs only where the ground has detail."""
+    """I = I_bg + G(I_fg - I_bg) (section S2.1); ours differs only where the ground has detail."""
     settings = RenderSettings(noise=0.0)
     photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
     image = compose(
@@ -183,9 +183,15 @@ def test_the_nearer_vehicle_hides_the_farther_one(nearness):
     red[[0, 3]], blue[[2, 3]] = 1.0, 1.0
     nothing = torch.zeros(2, 1, 1, 1, dtype=torch.float64)
     image = compose(
-        noise_photograph(), torch.stack((red, blue)), [(10, 10), (14, 12)], nothing, [(10, 10)] * 2, settings,
-        scene=(0, 0), nearness=nearness,
-    )  # fmt: skip
+        noise_photograph(),
+        torch.stack((red, blue)),
+        [(10, 10), (14, 12)],
+        nothing,
+        [(10, 10)] * 2,
+        settings,
+        scene=(0, 0),
+        nearness=nearness,
+    )
     both = image[0, :, 12:18, 14:18]
     expected = [1.0, 0.0, 0.0] if nearness[0] > nearness[1] else [0.0, 0.0, 1.0]
     torch.testing.assert_close(

@@ -95,7 +95,8 @@ def test_a_camouflage_changes_pixels_of_the_vehicle_and_no_labels(fleet):
     )
     near = near[:, 32:128, 32:128]
     assert not (differs & ~near).any()
-    # I_bg + G(I_fg - I_bg) keeps the ground's fine detail; its blackest pixels are clipped in both images.
+    # I_bg + G(I_fg - I_bg) keeps the ground's fine detail; its blackest pixels are clipped in both
+    # images.
     assert differs[masks].float().mean() > 0.97
     change = (original.image - camouflaged.image).abs().amax(1)
     assert change[masks].median() > 0.05
@@ -182,7 +183,8 @@ def test_the_ground_a_vehicle_stands_on(tmp_path, fleet):
         length, width, _ = fleet.size_m(placement.vehicle)
         forward = np.array([np.cos(placement.heading_rad), -np.sin(placement.heading_rad)])
         left = np.array([-np.sin(placement.heading_rad), -np.cos(placement.heading_rad)])
-        # 96 px of 12.5 cm; rows run down, the world's y up. Bodies are centred to within some centimetres.
+        # 96 px of 12.5 cm; rows run down, the world's y up. Bodies are centred to within some
+        # centimetres.
         middle = np.array([48 + placement.x_m / 0.125, 48 - placement.y_m / 0.125])
         signs = [(1, 1), (1, -1), (-1, -1), (-1, 1)]
         expected = [middle + (a * forward * length + b * left * width) / 0.25 for a, b in signs]

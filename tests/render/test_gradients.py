@@ -1,4 +1,4 @@
-"""Gradients against finite differences: texture, light, interior of a body, silhouettes, whole-body motions."""
+"""Gradients against finite differences: texture, light, interior, silhouettes, whole bodies."""
 
 import dataclasses
 from functools import lru_cache
@@ -152,7 +152,8 @@ def shift(base, angle_deg):
 
 
 def test_inside_the_body_every_pixel_follows_the_vertices():
-    # No blur: pixels that the body covers fully before and after depend on shading and texture alone.
+    # No blur: pixels that the body covers fully before and after depend on shading and texture
+    # alone.
     renderer = TorchRenderer(GROUND, RenderSettings(blur_sigma_px=0.0, noise=0.0))
     batch = double(vehicles(1, seed=3))
     place = [scene((0.2, -0.1, 33.0), size_px=SIZE, tilt_deg=8.0)]
@@ -185,7 +186,7 @@ PLACES = [(-0.4, -0.3, 20.0), (0.3, 0.2, 77.0), (0.1, -0.1, 141.0)]
 
 @lru_cache
 def agreement(kind, uniform):
-    """Cosine and slope of autograd at 4x against central differences at 16x, over scenes, directions and weights."""
+    """Returns cosine and slope of autograd at 4x against central differences at 16x."""
 
     def renderer(factor):
         reflectance = 0.0 if uniform else 0.04

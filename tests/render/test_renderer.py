@@ -1,4 +1,4 @@
-"""Whole images: where shadows fall, how roofs lean, which way vehicles face, and what batches must not change."""
+"""Whole images: where shadows fall, how roofs lean, which way vehicles face, what batches keep."""
 
 import dataclasses
 import math
@@ -207,9 +207,12 @@ def test_a_scene_is_the_same_alone_and_within_a_batch():
     together = renderer(scenes, batch, masks=True)
     for index, rows in enumerate(([0], [1, 2], [3])):
         own = dataclasses.replace(
-            batch, vertices=batch.vertices[rows], texture=batch.texture[rows], parts=batch.parts[rows],
+            batch,
+            vertices=batch.vertices[rows],
+            texture=batch.texture[rows],
+            parts=batch.parts[rows],
             ids=tuple(batch.ids[row] for row in rows),
-        )  # fmt: skip
+        )
         alone = renderer([scenes[index]], own, masks=True)
         torch.testing.assert_close(together.image[index], alone.image[0], atol=1e-6, rtol=0)
         assert torch.equal(together.masks[rows], alone.masks)

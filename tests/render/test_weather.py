@@ -67,7 +67,8 @@ def test_haze_comes_before_exposure():
 
 
 def test_wet_ground_by_hand():
-    # a / (a + 1.33^2 (1 - a)) for 0.1: 0.1 / (0.1 + 1.7689 * 0.9) = 0.0591; for 0.4: 0.4 / 1.46134 = 0.2737.
+    # a / (a + 1.33^2 (1 - a)) for 0.1: 0.1 / (0.1 + 1.7689 * 0.9) = 0.0591; for 0.4: 0.4 / 1.46134
+    # = 0.2737.
     dry = torch.tensor([0.0, 0.1, 0.4, 1.0], dtype=torch.float64)
     assert wet(dry, 1.0).tolist() == pytest.approx([0.0, 0.05910, 0.27372, 1.0], abs=1e-5)
     assert wet(dry, 0.5).tolist() == pytest.approx([0.0, 0.07955, 0.33686, 1.0], abs=1e-5)
@@ -127,7 +128,8 @@ def test_noise_lies_on_the_whole_picture_with_its_strength_and_seed():
 
 
 def test_the_pictures_noise_is_not_that_of_its_vehicles():
-    # Both follow the scene's seed; were they one, vehicles would show it twice as strong. 64 px is the tile of theirs.
+    # Both follow the scene's seed; were they one, vehicles would show it twice as strong. 64 px is
+    # the tile of theirs.
     still, noisy = RenderSettings(noise=0.0), RenderSettings(noise=0.02)
     place, weather = scene((0, 0, 0.0), seed=3, size_px=64), Weather("noise", noise=0.02)
     quiet = TorchRenderer(PlainGround(0.4), still)([place], vehicles(), masks=True)
@@ -189,7 +191,8 @@ def test_a_low_suns_shadow_is_as_long_as_height_over_tangent(elevation_deg):
     ("overcast", "remains"), [(0.0, (0.2, 0.25, 0.3)), (0.4, (0.52, 0.55, 0.58)), (1.0, (1, 1, 1))]
 )
 def test_the_sky_under_clouds_lights_the_shadow(overcast, remains):
-    # Of green light 0.25 + 0.75 * overcast stays in the full shadow; all of it where no sun is left.
+    # Of green light 0.25 + 0.75 * overcast stays in the full shadow; all of it where no sun is
+    # left.
     place = scene((0, 0, 0), tilt_deg=0.0)
     sun = dataclasses.replace(place.sun, azimuth_rad=0.0, elevation_rad=math.radians(45))
     place = dataclasses.replace(place, sun=sun, weather=Weather("overcast", overcast=overcast))
@@ -201,7 +204,8 @@ def test_the_sky_under_clouds_lights_the_shadow(overcast, remains):
 
 
 def test_without_sun_only_the_sky_lights_a_vehicle():
-    # A level white matt roof on open ground sends 1 under every sky; its sun side is no brighter than the other.
+    # A level white matt roof on open ground sends 1 under every sky; its sun side is no brighter
+    # than the other.
     settings = dataclasses.replace(SHARP, reflectance=0.0)
     batch = dataclasses.replace(vehicles(), texture=torch.full((1, 3, 512, 512), 0.6))
     images = [

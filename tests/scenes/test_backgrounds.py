@@ -41,13 +41,14 @@ def test_half_pixel_shift_averages_neighbours(tmp_path, noise):
 
 
 def test_quarter_turn_is_counter_clockwise(tmp_path):
-    # A red mark right of the middle of the tile and a green one above it. The window's x axis points up the
-    # screen after a quarter turn, so that green lies to its right and red below.
+    # A red mark right of the middle of the tile and a green one above it. The window's x axis
+    # points up the screen after a quarter turn, so that green lies to its right and red below.
     image = torch.zeros(3, 40, 40, dtype=torch.uint8)
     image[0, 20, 26] = 255
     image[1, 13, 20] = 255
     window = _set(tmp_path, image).window(BackgroundWindow("one", 20.5, 20.5, math.pi / 2), 21)
-    # Offsets from the middle pixel (10, 10): red at (+6, 0) turns to (0, +6), green at (0, -7) to (+7, 0).
+    # Offsets from the middle pixel (10, 10): red at (+6, 0) turns to (0, +6), green at (0, -7) to
+    # (+7, 0).
     assert window[0].argmax() == (10 + 6) * 21 + 10
     assert window[1].argmax() == 10 * 21 + 10 + 7
     assert float(window.max()) == pytest.approx(1, abs=1e-4)

@@ -50,7 +50,8 @@ def test_vehicles_keep_their_distance(backgrounds):
         for i in range(len(points)):
             for j in range(i):
                 pairs += 1
-                # Points every 0.1 m: the nearest two are at most 0.15 m further apart than the outlines.
+                # Points every 0.1 m: the nearest two are at most 0.15 m further apart than the
+                # outlines.
                 assert float(torch.cdist(points[i], points[j]).min()) > 0.4 - 1e-4
     assert pairs > 600
 
@@ -113,7 +114,8 @@ def test_camera_is_a_uniform_point_on_the_disc(backgrounds):
     )
     azimuth = torch.tensor([s.camera.azimuth_rad for s in scenes])
     assert radius.max() <= 1
-    # On a uniform disc the squared radius is uniform: half of the points lie outside 0.707 of the radius.
+    # On a uniform disc the squared radius is uniform: half of the points lie outside 0.707 of the
+    # radius.
     squared = torch.histc(radius**2, 5, 0, 1) / len(scenes)
     assert (squared - 0.2).abs().max() < 0.04
     assert (torch.histc(azimuth, 4, 0, 2 * math.pi) / len(scenes) - 0.25).abs().max() < 0.04

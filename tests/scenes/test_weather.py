@@ -43,14 +43,20 @@ def sample(backgrounds, *conditions, count=200, seed=0):
 
 
 def test_a_clear_days_scenes_are_those_of_before_there_was_weather(backgrounds):
-    # Drawn with these settings and seed by the version before; rounded, because sines differ between machines.
+    # Drawn with these settings and seed by the version before; rounded, because sines differ
+    # between machines.
     scene = sample(backgrounds, count=2)[1]
     assert scene.weather == CLEAR == Weather()
     assert scene.seed == 3969543146641149121
     drawn = [
-        scene.background.centre_x_px, scene.background.centre_y_px, scene.background.rotation_rad,
-        scene.camera.tilt_rad, scene.camera.azimuth_rad, scene.sun.azimuth_rad, scene.sun.elevation_rad,
-    ]  # fmt: skip
+        scene.background.centre_x_px,
+        scene.background.centre_y_px,
+        scene.background.rotation_rad,
+        scene.camera.tilt_rad,
+        scene.camera.azimuth_rad,
+        scene.sun.azimuth_rad,
+        scene.sun.elevation_rad,
+    ]
     before = [
         283.6964485,
         263.1198577,

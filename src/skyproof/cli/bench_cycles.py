@@ -1,4 +1,4 @@
-"""`skyproof bench --renderer cycles`: vehicle crops that Blender path-traces in an hour, and memory."""
+"""`skyproof bench --renderer cycles`: vehicle crops that Blender path-traces in an hour."""
 
 from __future__ import annotations
 

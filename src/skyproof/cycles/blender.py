@@ -1,4 +1,4 @@
-"""Finding a Blender that the worker can run in (bpy from the package index, or the user's own executable)."""
+"""Finds a Blender that the worker can run in: a Python with bpy, or the user's executable."""
 
 from __future__ import annotations
 

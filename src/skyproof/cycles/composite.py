@@ -1,4 +1,4 @@
-"""Path-traced crops laid over the photograph, in linear light, and what the sensor does to them (section S2)."""
+"""Path-traced crops laid over the photograph, in linear light (section S2)."""
 
 from __future__ import annotations
 
@@ -25,16 +25,19 @@ def composite_crops(
     margin_px: int,
     settings: RenderSettings,
 ) -> Float[Tensor, "3 H W"]:
-    """One image: I = I_bg * (1 - G(taken)) + G(colour), in linear light, and noise where a vehicle is.
+    """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
 
-    What is taken from the ground's light, per channel: all of it behind vehicles, and 1 - ratio beside them, where
-    ratio is the light there over the light without vehicles (below 1 in shadow, above 1 beside a bright side).
-    Pixels that nothing reaches keep the photograph's value exactly.
+    Noise is added where a vehicle is.
+
+    What is taken from the ground's light, per channel: all of it behind vehicles, and 1 - ratio
+    beside them, where ratio is the light there over the light without vehicles (below 1 in shadow,
+    above 1 beside a bright side). Pixels that nothing reaches keep the photograph's value exactly.
 
     Args:
         photograph: sRGB.
-        crops: left, top, width, height in image pixels, and linear colour times coverage (3), coverage (1), ratio (3).
-            Each shows all that is to be seen in its window, so that where two overlap either is right.
+        crops: left, top, width, height in image pixels, and linear colour times coverage (3),
+            coverage (1), ratio (3). Each shows all that is to be seen in its window, so that where
+            two overlap either is right.
         seed: of the noise.
         margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels.
         settings: blur and noise.

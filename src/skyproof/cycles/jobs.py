@@ -39,7 +39,8 @@ class Job:
     Attributes:
         name: for messages, such as "vehicle 2 of test-0007".
         scene: index of the image it belongs to.
-        window_px: left, top, width, height in image pixels; may reach beyond the image by the sensor's blur.
+        window_px: left, top, width, height in image pixels; may reach beyond the image by the
+            sensor's blur.
         numbers: camera, sun, samples, seed.
         arrays: vehicles, ground and sky.
     """
@@ -70,8 +71,8 @@ class Job:
 def crop_windows(placed: Placed, margin_px: int, border_px: int) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
-    Cut at the image's border, beyond which only what the sensor's blur brings in is drawn; without area where nothing
-    of the vehicle is near the image.
+    Cut at the image's border, beyond which only what the sensor's blur brings in is drawn; without
+    area where nothing of the vehicle is near the image.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
@@ -184,7 +185,7 @@ class _Rows:
 def _patch(
     photograph: Float[Tensor, "3 H W"], window: tuple[int, int, int, int], gsd_m: float
 ) -> tuple[list[int], Float[np.ndarray, "h w 3"]]:
-    """The photograph around a window, and the patch's top-left pixel; at least one pixel where it lies outside."""
+    """Returns the photograph around a window, at least one pixel, and its top-left pixel."""
     border = math.ceil(_GROUND_BORDER_M / gsd_m)
     size = photograph.shape[-1]
     left, top = (min(max(value - border, 0), size - 1) for value in window[:2])

@@ -13,8 +13,9 @@ __all__ = ["CAMOUFLAGE", "material_labels", "material_table"]
 CAMOUFLAGE = len(Part)
 """Label of texels that a camouflage covers, beside the parts' own."""
 
-# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), roughness of the coat. Our estimates: a
-# coat in daily use is neither polished nor dull. Vehicles are closed shells: windows are dark mirrors, as from above.
+# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), roughness of the coat.
+# Our estimates: a coat in daily use is neither polished nor dull. Vehicles are closed shells:
+# windows are dark mirrors, as from above.
 _FINISHES = {
     Part.BODY: (0.6, 1.0, 0.0, 0.12),
     Part.GLASS: (0.03, 0.0, 0.5, 0.0),
@@ -28,7 +29,9 @@ _CAMOUFLAGE = {"gloss": _FINISHES[Part.BODY], "matt": (0.9, 0.0, 0.2, 0.0)}
 
 
 def material_table(finish: str) -> Float[Tensor, "8 4"]:
-    """Roughness, clear coat, specular level and the coat's roughness by label (Blender's Principled BSDF).
+    """Returns the finish of each label, as Blender's Principled BSDF has it.
+
+    It is roughness, clear coat, specular level and the coat's roughness.
 
     Args:
         finish: of camouflage: "gloss", under the same clear coat as paint, or "matt".
@@ -37,6 +40,6 @@ def material_table(finish: str) -> Float[Tensor, "8 4"]:
 
 
 def material_labels(vehicles: VehicleBatch) -> UInt8[Tensor, "N 512 512"]:
-    """Each texel's part, or `CAMOUFLAGE` where a camouflage covers it: paint on a window is paint, not glass."""
+    """Returns each texel's part, or `CAMOUFLAGE` where it is covered: paint on glass is paint."""
     covered = vehicles.covered_texels()
     return vehicles.parts if covered is None else vehicles.parts.masked_fill(covered, CAMOUFLAGE)

@@ -1,4 +1,4 @@
-"""The path tracer as a renderer: the same scenes, vehicles and labels, other light (section S3.2.2)."""
+"""The path tracer as a renderer: the same scenes and labels, other light (section S3.2.2)."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ __all__ = ["CyclesRenderer"]
 class CyclesRenderer:
     """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.
 
-    Sun and sky add up to the light the photograph was exposed for. Vehicles hide, shade and mirror each other and
-    themselves, take light from the ground that the photograph shows, and send theirs to it. Camera, places, headings,
-    labels, blur, noise and weather are those of `TorchRenderer`.
+    Sun and sky add up to the light the photograph was exposed for. Vehicles hide, shade and mirror
+    each other and themselves, take light from the ground that the photograph shows, and send theirs
+    to it. Camera, places, headings, labels, blur, noise and weather are those of `TorchRenderer`.
 
-    Differences from the paper: only crops are path-traced, and the photograph is the ground; the authors' Blender
-    scenes are not available. No camera effects beyond the sensor model; vehicles are closed shells without an inside.
+    Differences from the paper: only crops are path-traced, and the photograph is the ground; the
+    authors' Blender scenes are not available. No camera effects beyond the sensor model; vehicles
+    are closed shells without an inside.
     """
 
     name = "cycles"
@@ -55,7 +56,7 @@ class CyclesRenderer:
 
     def record(self) -> dict[str, Any]:
         """Its settings, and Blender's version."""
-        # Of the sensor's settings those that the differentiable renderer alone has make no difference here.
+        # What only the differentiable renderer is told makes no difference here.
         sensor = {
             name: getattr(self.sensor, name) for name in ("blur_sigma_px", "noise", "sky_share")
         }

@@ -15,24 +15,24 @@ __all__ = ["SUN_DIAMETER_RAD", "Daylight", "daylight"]
 SUN_DIAMETER_RAD = math.radians(0.53)
 
 _ROWS, _COLUMNS = 32, 64
-# CIE standard general sky (ISO 15469:2004), luminance by zenith distance Z and distance from the sun:
-# (1 + a exp(b / cos Z)) (1 + c (exp(d x) - exp(d pi / 2)) + e cos^2 x).
+# CIE standard general sky (ISO 15469:2004), luminance by zenith distance Z and distance from the
+# sun: (1 + a exp(b / cos Z)) (1 + c (exp(d x) - exp(d pi / 2)) + e cos^2 x).
 _CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)  # type 12: standard clear sky
 _OVERCAST = (4.0, -0.7, 0.0, -1.0, 0.0)  # type 1: standard overcast sky
-# A clear sky's daylight of 10,000 K on the CIE daylight locus (CIE 15) in linear sRGB, luminance 1: what white, which
-# is daylight of 6,504 K, is to the whole light.
+# A clear sky's daylight of 10,000 K on the CIE daylight locus (CIE 15) in linear sRGB, luminance 1:
+# what white, which is daylight of 6,504 K, is to the whole light.
 _CLEAR_COLOUR = (0.824, 1.012, 1.403)
 
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light on a scene, in units in which a white matt surface lying on open ground sends 1 in every channel.
+    """Light on a scene, in units in which a white matt surface on open ground sends 1.
 
     Attributes:
         sun_irradiance: linear red, green, blue across the sun's rays.
-        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row, -90 in the last) and azimuth, as
-            Blender's environment texture wants it: the middle column looks along +x, columns go clockwise seen from
-            above; nothing below the horizon.
+        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row, -90 in the
+            last) and azimuth, as Blender's environment texture wants it: the middle column looks
+            along +x, columns go clockwise seen from above; nothing below the horizon.
     """
 
     sun_irradiance: tuple[float, float, float]
@@ -40,7 +40,7 @@ class Daylight:
 
 
 def daylight(sun: Sun, clear_sky_share: float, overcast: float) -> Daylight:
-    """Sun, and a clear or overcast sky, whose irradiances on level ground add up to pi in every channel.
+    """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
 
     Args:
         sun: where it stands.
@@ -57,7 +57,7 @@ def daylight(sun: Sun, clear_sky_share: float, overcast: float) -> Daylight:
 def _dome(
     coefficients: tuple[float, float, float, float, float], sun: Sun
 ) -> Float[np.ndarray, "32 64"]:
-    """Relative luminance of the sky, scaled so that a white matt surface lying under it alone sends 1."""
+    """Returns the sky's luminance, scaled so that a white matt surface under it alone sends 1."""
     a, b, c, d, e = coefficients
     elevation = np.pi / 2 - (np.arange(_ROWS) + 0.5) * np.pi / _ROWS
     azimuth = np.pi - (np.arange(_COLUMNS) + 0.5) * 2 * np.pi / _COLUMNS

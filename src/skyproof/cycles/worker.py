@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Copyright (C) 2026 The skyproof developers
 #
-# This one file runs inside Blender and uses its Python interface, which is under the GNU General Public License; so is
-# this file: you can redistribute it and change it under the terms of that licence, version 3 or, at your choice, any
-# later version. It comes WITHOUT ANY WARRANTY. The licence: https://www.gnu.org/licenses/gpl-3.0.html
+# This one file runs inside Blender and uses its Python interface, which is under the GNU General
+# Public License; so is this file: you can redistribute it and change it under the terms of that
+# licence, version 3 or, at your choice, any later version. It comes WITHOUT ANY WARRANTY. The
+# licence: https://www.gnu.org/licenses/gpl-3.0.html
 #
-# It imports nothing of skyproof, and skyproof does not import it: they exchange files. The rest of skyproof is under
-# the Apache License 2.0.
+# It imports nothing of skyproof, and skyproof does not import it: they exchange files. The rest of
+# skyproof is under the Apache License 2.0.
 """Runs inside Blender: reads job files, path-traces each crop, writes arrays.
 
-Started as `python worker.py SCRATCH` with bpy, or as `blender --background --python worker.py -- SCRATCH`.
-Every line of standard input names a job file (.npz) and the file for its result (.npy), separated by a tab. Lines that
-are meant for skyproof begin with `skyproof-worker` on standard output; Blender prints there too.
+Started as `python worker.py SCRATCH` with bpy, or as `blender --background --python worker.py --
+SCRATCH`. Every line of standard input names a job file (.npz) and the file for its result (.npy),
+separated by a tab. Lines that are meant for skyproof begin with `skyproof-worker` on standard
+output; Blender prints there too.
 """
 
 import json
@@ -27,7 +29,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 MARK = "skyproof-worker"
-# Metres; beyond it lies no ground. Far larger than a crop, so that only light near the horizon notices.
+# Metres; beyond it lies no ground. Far larger than a crop, so that only light near the horizon
+# notices.
 GROUND_HALF_WIDTH_M = 300.0
 CAMERA_DISTANCE_M = 60.0
 CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [
@@ -36,7 +39,7 @@ CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [
 
 
 class Stage:
-    """An empty Blender scene with ground, sun, sky and camera; every job puts its own values and vehicles in."""
+    """A Blender scene with ground, sun, sky and camera, into which every job puts its vehicles."""
 
     def __init__(self, scratch: Path) -> None:
         self.picture = scratch / f"{os.getpid()}.exr"
@@ -56,7 +59,10 @@ class Stage:
         self.scene.camera = self.camera
 
     def render(self, job: dict[str, Any], arrays: dict[str, np.ndarray]) -> np.ndarray:
-        """One crop: `[H, W, 7]` linear colour times coverage, coverage, and the ground's light over undisturbed."""
+        """Returns one crop, `[H, W, 7]`.
+
+        It holds linear colour times coverage, coverage, and the ground's light over undisturbed.
+        """
         self._point_camera(job)
         self._light(job, arrays["sky"])
         self._texture_ground(job, arrays["ground"])
@@ -96,7 +102,8 @@ class Stage:
             "glossy_bounces": 3,
             "transmission_bounces": 0,
             "caustics_reflective": False,
-            # In units of a sunlit white surface: the mirrored sun is cut here, or blurred it would hide half a vehicle.
+            # In units of a sunlit white surface: the mirrored sun is cut here, or blurred it would
+            # hide half a vehicle.
             "sample_clamp_direct": 5.0,
             "sample_clamp_indirect": 5.0,
         }
@@ -104,7 +111,7 @@ class Stage:
             setattr(scene.cycles, name, value)
 
     def _ground(self) -> tuple[Any, Any]:
-        """A matt plane that shows only in light: what vehicles take from it, and what it sends up to them."""
+        """Adds a matt plane that shows only in the light vehicles take from it and get from it."""
         half = GROUND_HALF_WIDTH_M
         mesh = bpy.data.meshes.new("ground")
         mesh.from_pydata(
@@ -137,7 +144,8 @@ class Stage:
         world = bpy.data.worlds.new("sky")
         self.scene.world = world
         world.use_nodes = True
-        # A smooth sky needs no importance map, and without one every thread count gives the same bytes.
+        # A smooth sky needs no importance map, and without one every thread count gives the same
+        # bytes.
         world.cycles.sampling_method = "NONE"
         image = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
         world.node_tree.links.new(
@@ -146,7 +154,7 @@ class Stage:
         return image
 
     def _point_camera(self, job: dict[str, Any]) -> None:
-        """A parallel camera whose pixels lie on the ground as an orthophoto's do, whatever its tilt."""
+        """Adds a parallel camera whose pixels lie on the ground as an orthophoto's do."""
         left, top, width, height = job["window_px"]
         gsd_m, render = job["gsd_m"], self.scene.render
         middle = (left + width / 2 - job["size_px"] / 2, job["size_px"] / 2 - top - height / 2)
@@ -171,7 +179,8 @@ class Stage:
         height, width = ground.shape[:2]
         left, top = job["ground_origin_px"]
         gsd_m, half = job["gsd_m"], job["size_px"] / 2
-        # Metres to the image's own coordinates, which run from its lower left corner to its upper right one.
+        # Metres to the image's own coordinates, which run from its lower left corner to its upper
+        # right one.
         self.ground_place.inputs["Scale"].default_value = (
             1 / (width * gsd_m),
             1 / (height * gsd_m),
@@ -196,7 +205,8 @@ class Stage:
         mesh.polygons.add(len(faces))
         mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
         mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
-        # Row 0 of our maps is at v = 0; Blender's images begin at the bottom, and so do the arrays handed over.
+        # Row 0 of our maps is at v = 0; Blender's images begin at the bottom, and so do the arrays
+        # handed over.
         mesh.uv_layers.new(name="uv").data.foreach_set("uv", face_uvs.astype(np.float32).ravel())
         mesh.update(calc_edges=True)
         material, images = self._surface(
@@ -210,7 +220,10 @@ class Stage:
     def _surface(
         self, texture: np.ndarray, labels: np.ndarray, table: np.ndarray
     ) -> tuple[Any, list[Any]]:
-        """One material whose colour and finish (roughness, coat, specular level, coat's roughness) come from maps."""
+        """Makes one material whose colour and finish come from maps.
+
+        The finish is roughness, coat, specular level and the coat's roughness.
+        """
         material = bpy.data.materials.new("vehicle")
         material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -251,7 +264,10 @@ def new_image(values: np.ndarray) -> Any:
 
 
 def replace_image(node: Any, values: np.ndarray) -> None:
-    """New pixels need a new image: an old one's would be served again. Values have the first row at the top."""
+    """Makes an image of values whose first row is at the top.
+
+    New pixels need a new image: an old one's would be served again.
+    """
     old = node.image
     node.image = new_image(values[::-1])
     if old is not None:
@@ -259,9 +275,10 @@ def replace_image(node: Any, values: np.ndarray) -> None:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """The channels we need of an uncompressed multilayer OpenEXR file of 32-bit floats, as `[H, W, 7]`.
+    """Reads the channels we need of an uncompressed multilayer OpenEXR file, as `[H, W, 7]`.
 
-    Blender does not hand out a multilayer file's pixels. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
+    Blender does not hand out a multilayer file's pixels. Layout:
+    https://openexr.com/en/latest/OpenEXRFileLayout.html
     """
     data = path.read_bytes()
     place, header = 8, {}
@@ -278,7 +295,8 @@ def read_exr(path: Path) -> np.ndarray:
         entry = end + 17
     left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
-    # After the header: an offset of 8 bytes per line, then the lines, each with its number and its size before it.
+    # After the header: an offset of 8 bytes per line, then the lines, each with its number and its
+    # size before it.
     start, line = place + 1 + 8 * height, 8 + 4 * width * len(names)
     lines = np.frombuffer(data, np.uint8, height * line, start).reshape(height, line)[:, 8:]
     values = np.ascontiguousarray(lines).view("<f4").reshape(height, len(names), width)

@@ -33,10 +33,11 @@ _LAST_LINES = 3
 
 
 class Workers:
-    """Some Blender processes of one thread each, started when the first job comes; use as a context.
+    """Some Blender processes of one thread each, used as a context; the first job starts them.
 
-    What a job gives depends on the job alone: the same bytes whatever the number of processes. Finished results are
-    kept in a folder under the jobs' digests, so that work that was stopped goes on where it was.
+    What a job gives depends on the job alone: the same bytes whatever the number of processes.
+    Finished results are kept in a folder under the jobs' digests, so that work that was stopped
+    goes on where it was.
 
     Args:
         blender: what runs them.
@@ -82,7 +83,8 @@ class Workers:
         """The results of all jobs, in their order; those that are there already are read.
 
         Raises:
-            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full; names it.
+            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full;
+                names it.
         """
         executor = ThreadPoolExecutor(self.count)
         try:
@@ -125,7 +127,8 @@ class Workers:
                 return
             why = answer["why"]
         raise RunFolderError(
-            f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make room or give fewer "
+            f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make "
+            "room or give fewer "
             "--workers, then run the same command again (finished pictures are kept)."
         )
 
@@ -205,7 +208,8 @@ class _Process:
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            # With all that it started: a launcher's child would hold the pipe open, and a thread would wait for it.
+            # With all that it started: a launcher's child would hold the pipe open, and a thread
+            # would wait for it.
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()

@@ -1,4 +1,7 @@
-"""sRGB, in which images are stored; linear light, which adds up (IEC 61966-2-1); CIELAB, which the eye judges by."""
+"""sRGB, which images are stored in; linear light, which adds up; CIELAB, which the eye judges by.
+
+sRGB is that of IEC 61966-2-1.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ def srgb_to_linear(srgb: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
 
 
 class _SrgbToLinear(torch.autograd.Function):
-    """The derivative follows from the result without another power: textures are large, and converted at every step."""
+    """Takes the derivative from the result, without another power.
+
+    Textures are large, and converted at every step.
+    """
 
     @staticmethod
     def forward(context: Any, srgb: Tensor) -> Tensor:

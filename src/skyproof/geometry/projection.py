@@ -1,4 +1,4 @@
-"""The oblique orthophoto projection: ground points stay on the pixel grid, height leans away from the viewer."""
+"""The oblique orthophoto projection: the ground stays on the pixel grid, height leans away."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def project(
     gsd_m: float,
     size_px: int,
 ) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
-    """Projects world points along parallel rays onto the ground plane and from there onto the pixel grid.
+    """Projects world points along parallel rays onto the ground and so onto the pixel grid.
 
     With `direction` towards the sun instead of the camera, this is where the points' shadows fall.
 
@@ -35,8 +35,8 @@ def project(
         size_px: image size; world (0, 0) is the image centre.
 
     Returns:
-        Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel), and depth in metres:
-        smaller is nearer to the viewer.
+        Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel),
+        and depth in metres: smaller is nearer to the viewer.
     """
     lean = (direction[:, :2] / direction[:, 2:])[:, None]
     ground = points[..., :2] - points[..., 2:] * lean

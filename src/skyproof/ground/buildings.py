@@ -1,4 +1,4 @@
-"""Buildings of the procedural ground: tiled, metal, rusty and flat roofs with what stands on them."""
+"""Buildings of the procedural ground: tiled, metal, rusty and flat roofs, and things on them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ FLAT_COLOURS: tuple[Colour, ...] = (
 def add_building(
     canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str
 ) -> None:
-    """A building; `kind` is tiled, village (rusty sheets), metal or flat. Length is along its ridge."""
+    """Builds a house of a kind: tiled, village (rusty sheets), metal or flat.
+
+    Its length is along its ridge.
+    """
     patch = canvas.rectangle(place, size_m, angle_rad)
     if patch.empty:
         return
@@ -116,7 +119,10 @@ def _flat_roof(
 def _roof_furniture(
     canvas: Canvas, place: Place, size_m: tuple[float, float], angle_rad: float, kind: str
 ) -> None:
-    """Roof lights, dormers, solar panels, chimneys, air conditioning: bright and dark boxes on a large plain shape."""
+    """Puts roof lights, solar panels, chimneys or air conditioning on a roof.
+
+    They are bright and dark boxes on a large plain shape.
+    """
     rng = canvas.rng
     half_u, half_v = size_m[0] / 2 - 1.2, size_m[1] / 2 - 1.2
     if half_u <= 0.5 or half_v <= 0.5 or kind == "village":

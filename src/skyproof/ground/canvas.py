@@ -1,4 +1,4 @@
-"""The canvas of the procedural ground: reflectance and height drawn in metres, then lit and photographed."""
+"""The canvas of the procedural ground: reflectance and height, then lit and photographed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ class Patch:
 
 @dataclass(frozen=True)
 class GroundSensor:
-    """How the lit ground becomes a picture; drawn anew for every tile so that a detector cannot lean on one look."""
+    """How the lit ground becomes a picture.
+
+    It is drawn anew for every tile, so that a detector cannot lean on one look.
+    """
 
     exposure: float
     haze: float
@@ -74,9 +77,10 @@ class GroundSensor:
 
 
 class Canvas:
-    """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with axes along which streets run straight.
+    """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with axes for straight streets.
 
-    Places are metres along these axes: origin at the centre, u along the street, v to its left. One sun lights all.
+    Places are metres along these axes: origin at the centre, u along the street, v to its left.
+    One sun lights all.
     """
 
     def __init__(
@@ -116,7 +120,10 @@ class Canvas:
         return fields
 
     def noise(self, name: str, patch: Patch | None = None) -> Array:
-        """Unit noise under `patch`, or everywhere: the stored field at a random shift, so repeats do not line up."""
+        """Returns unit noise under `patch`, or everywhere.
+
+        It is the stored field at a random shift, so that repeats do not line up.
+        """
         shift = self.rng.integers(0, self.pixels, 2)
         field = self._fields[name]
         if patch is None:
@@ -163,7 +170,10 @@ class Canvas:
         angle_rad: float = 0.0,
         corner_m: float = 0.0,
     ) -> Patch:
-        """A rectangle (length along u, width along v) about `place`, its corners rounded by `corner_m`."""
+        """Returns a rectangle about a place, its corners rounded by `corner_m`.
+
+        Its length is along u, its width along v.
+        """
         half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
         radius_m = min(math.hypot(*size_m) / 2, 2 * self.reach_m + math.hypot(*place))
         rows, columns, u, v = self._local(*place, angle_rad, radius_m)
@@ -180,7 +190,7 @@ class Canvas:
         raggedness: float = 0.0,
         stretch: float = 1.0,
     ) -> Patch:
-        """A disc; with `raggedness` its outline wanders by about that part of the radius, as a crown's."""
+        """Returns a disc whose outline wanders by a part `raggedness` of its radius."""
         angle = float(self.rng.uniform(0, math.pi))
         rows, columns, u, v = self._local(
             *place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch)
@@ -194,7 +204,7 @@ class Canvas:
         return patch
 
     def everywhere(self, angle_rad: float = 0.0, wander_m: float = 0.0) -> Patch:
-        """The whole canvas in the coordinates of its axes; with `wander_m` the v axis meanders, as a track does."""
+        """Returns the whole canvas along its axes; with `wander_m` v meanders, as a track does."""
         rows, columns, u, v = self._local(0.0, 0.0, angle_rad, 3 * self.reach_m)
         if wander_m:
             period = float(self.rng.uniform(40, 90))
@@ -206,7 +216,7 @@ class Canvas:
     def band(
         self, base: Patch, centre_v_m: float, width_m: float, roughness_m: float = 0.0
     ) -> Patch:
-        """A strip of `base` along u about `centre_v_m`, for roads, pavements, kerbs and long markings."""
+        """Returns a strip of `base` along u about `centre_v_m`, for roads and long markings."""
         inside = width_m / 2 - np.abs(base.v - centre_v_m)
         if roughness_m:
             inside = inside + roughness_m * self.noise("mottle", base)
@@ -227,7 +237,7 @@ class Canvas:
             region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
 
     def raise_to(self, patch: Patch, height_m: float | Array) -> None:
-        """Sets the height to `height_m` (above the ground) where that is higher than what stands there."""
+        """Raises the height to `height_m` above the ground, where what stands there is lower."""
         if not patch.empty:
             region = self.height[patch.rows, patch.columns]
             np.maximum(
@@ -241,7 +251,8 @@ class Canvas:
         return float(self.height[int(np.clip(row, 0, limit)), int(np.clip(column, 0, limit))])
 
     def _sunlight(self) -> Array:
-        """Part of the direct sun each pixel gets: its slope, and the shadows found by walking towards the sun."""
+        """Returns the part of the direct sun that each pixel gets."""
+        # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
         tangent = math.tan(self.sun_elevation_rad)
         step_x, step_y = math.cos(self.sun_azimuth_rad), -math.sin(self.sun_azimuth_rad)
         height, n = self.height, self.pixels
@@ -258,8 +269,9 @@ class Canvas:
         lit = np.clip(1.0 - (horizon - height) / 0.25, 0, 1)
         lit = ndimage.gaussian_filter(lit.astype(np.float32), 0.7)
 
+        # Slopes: what faces the sun is brighter.
         gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), self.gsd_m)
-        # A wall is not a slope: beyond 60 degrees the roof above and the ground below are both level.
+        # A wall is no slope: beyond 60 degrees the roof above and the ground below are level.
         level = np.hypot(gradient_x, gradient_y) > 1.8
         gradient_x[level], gradient_y[level] = 0, 0
         towards_sun = gradient_x * step_x + gradient_y * step_y
@@ -288,7 +300,8 @@ class Canvas:
             + sky * openness[..., None]
         )
         cut = slice(self.margin_px, self.margin_px + self.size_px)
-        # Blur and saturation belong before the cut and the tone curve: optics act on light, and need no padding.
+        # Blur and saturation come before the cut and the tone curve: optics act on light, and
+        # there is no border to pad.
         picture = np.clip(self.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
         for channel in range(3):
             ndimage.gaussian_filter(

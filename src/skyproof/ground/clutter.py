@@ -130,7 +130,7 @@ def add_shed(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
-    """Paint or a plate on the ground with a car's proportions, seldom with two dark cross bands like glass."""
+    """Lays paint or a plate of a car's proportions, seldom with two dark cross bands like glass."""
     rng = canvas.rng
     size = (float(rng.uniform(3.6, 5.2)), float(rng.uniform(1.6, 2.1)))
     patch = canvas.rectangle(place, size, angle_rad, float(rng.uniform(0, 0.5)))

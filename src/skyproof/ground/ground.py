@@ -1,4 +1,4 @@
-"""A procedural aerial picture of ground without vehicles: what detectors train on where no imagery is given."""
+"""Procedural aerial pictures of ground without vehicles, for where no imagery is given."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ __all__ = ["GROUND_KINDS", "KIND_SHARES", "Ground", "draw_ground", "draw_ground_
 
 @dataclass(frozen=True)
 class Ground:
-    """A drawn tile, `[3, H, W]` sRGB bytes, with its kind and the sun its shadows were cast by (as in `Sun`)."""
+    """A drawn tile.
+
+    Attributes:
+        image: `[3, H, W]` sRGB bytes.
+        kind: what it shows.
+        sun_azimuth_rad: the sun that cast its shadows, as in `Sun`.
+        sun_elevation_rad: its height above the horizon.
+    """
 
     image: UInt8[Tensor, "3 H W"]
     kind: str
@@ -36,10 +43,11 @@ def draw_ground(
 
 
 def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Ground:
-    """Draws a tile of a random kind: a car park, a street, a crossroads, fields, a yard, a village or a park.
+    """Draws a tile of a random kind, one of `GROUND_KINDS`.
 
-    Everything is drawn as reflectance and height; one sun lights it, shadows follow from the heights, then a random
-    sensor photographs it (haze, tint, blur, noise). There are no vehicles, but many things of a vehicle's size.
+    Everything is drawn as reflectance and height; one sun lights it, shadows follow from the
+    heights, then a random sensor photographs it (haze, tint, blur, noise). There are no vehicles,
+    but many things of a vehicle's size.
 
     Args:
         size_px: the tile is size_px x size_px.

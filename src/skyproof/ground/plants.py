@@ -19,7 +19,7 @@ CROWN_COLOURS: tuple[Colour, ...] = (
 
 
 def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
-    """A crown of many leaf clumps, high in the middle, ragged at its edge, shading itself and the ground."""
+    """Plants a crown of many leaf clumps, high in the middle and ragged at its edge."""
     rng = canvas.rng
     patch = canvas.disc(place, radius_m, raggedness=0.16, stretch=float(rng.uniform(1.0, 1.25)))
     if patch.empty:
@@ -39,7 +39,7 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
 
 
 def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
-    """A low bush: a crown near the ground."""
+    """Plants a low bush: a crown near the ground."""
     patch = canvas.disc(
         place, radius_m, raggedness=0.25, stretch=float(canvas.rng.uniform(1.0, 1.6))
     )
@@ -59,7 +59,7 @@ def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
 
 
 def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -> None:
-    """A clipped hedge about a metre wide."""
+    """Plants a clipped hedge about a metre wide."""
     patch = canvas.rectangle(place, (length_m, float(canvas.rng.uniform(0.7, 1.3))), angle_rad, 0.3)
     if patch.empty:
         return

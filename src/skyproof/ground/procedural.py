@@ -38,7 +38,8 @@ def write_procedural_backgrounds(
         folder: where to; use `finished_folder` around it where a half-written folder must not stay.
         counts: tiles per split.
         size_px: tiles are size_px x size_px.
-        seed: every tile has its own generator, so that its bytes do not depend on how many others are drawn.
+        seed: decides every tile, each by a generator of its own, so that its bytes do not depend
+            on how many others are drawn.
         gsd_m: metres per pixel.
         sensor: how vehicles are to be drawn on it; the ground itself stays as sharp as it is.
         progress: called with (tiles done, tiles in all).

@@ -1,4 +1,4 @@
-"""Vehicles and shadows laid over the photograph, in linear light, and what the sensor does to them."""
+"""Vehicles and shadows laid over the photograph, in linear light, as the sensor shows them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes drawn to disk: the same scenes with and without camouflage are matched pairs (section S5.1)."""
+"""Scenes drawn to disk; with and without camouflage they are matched pairs (section S5.1)."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
 
 @torch.no_grad()
 def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "N 4 2"]:
-    """Where the rectangle around each vehicle's plan lies in its image, on the ground, whatever the camera's tilt.
+    """Returns where the rectangle around each vehicle's plan lies, on the ground, in its image.
 
     Args:
         scenes: all of one image size and ground sampling distance.
         vehicles: one row per placement, scene by scene.
 
     Returns:
-        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left; not cut at the image border.
+        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left; not cut at
+        the image border.
     """
     placements = [placement for scene in scenes for placement in scene.placements]
     # On the CPU, so that a dataset has the same labels wherever it was drawn.

@@ -23,10 +23,12 @@ class Frames:
         image: `[B, 3, H, W]` sRGB in [0, 1].
         scene_index: `[N]` the image each placement is in.
         boxes: `[N, 4]` pixel xyxy around the vehicle without its shadow, cut at the image border.
-        centres: `[N, 2]` pixel (x, y) of the middle of the vehicle, half its height above the ground.
+        centres: `[N, 2]` pixel (x, y) of the middle of the vehicle, half its height above the
+            ground.
         visible_px: `[N]` pixels' worth of samples that show the vehicle inside the image.
         visible_fraction: `[N]` of its samples, those that show it inside the image.
-        masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; None unless asked for.
+        masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; None unless
+            asked for.
     """
 
     image: Float[Tensor, "B 3 H W"]

@@ -17,8 +17,9 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["Layers", "Windows", "draw_bodies", "draw_shadows", "windows_around"]
 
-# Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on average, but a
-# single hit outweighs the whole body. Below this width the derivative is held at what this width would give.
+# Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
+# average, but a single hit outweighs the whole body. Below this width the derivative is held at
+# what this width would give.
 _THINNEST = 0.1
 
 
@@ -147,7 +148,10 @@ def draw_shadows(
 
 @torch.no_grad()
 def _texture_levels(samples: Float[Tensor, "N V 2"], vehicles: VehicleBatch) -> Int[Tensor, "N F"]:
-    """Per triangle the pyramid level at which a texel is as long as a sample, along its more squeezed direction."""
+    """Returns per triangle the pyramid level at which a texel is as long as a sample.
+
+    The direction in which the texture is more squeezed counts.
+    """
     template = vehicles.template
     corners = samples[:, template.faces]
     across, down = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]

@@ -1,4 +1,4 @@
-"""Vehicles put into their scenes: where every vertex falls in the picture and on the ground, and the labels."""
+"""Vehicles put into their scenes: where they fall in the picture and on the ground, and labels."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     """Puts vehicles where their scenes' placements say.
 
     Args:
-        scenes: all of one image size and ground sampling distance, with at least one placement in all.
+        scenes: all of one image size and ground sampling distance, with at least one placement in
+            all.
         vehicles: one row per placement, scene by scene.
     """
     placements = [placement for scene in scenes for placement in scene.placements]
@@ -87,7 +88,9 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
 def visible_samples(
     placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int
 ) -> tuple[Visibility, Windows]:
-    """What every sample sees of each vehicle by itself, and the windows they lie in; for `label`, without light.
+    """Returns what every sample sees of each vehicle by itself, and the windows they lie in.
+
+    It serves `label` where no light is needed.
 
     Args:
         placed: the vehicles.
@@ -109,7 +112,7 @@ def label(
     *,
     masks: bool,
 ) -> Frames:
-    """The images with boxes, centres, visible parts and masks of their vehicles; the same for every renderer.
+    """Adds boxes, centres, visible parts and masks to images, the same way for every renderer.
 
     Args:
         image: as drawn.

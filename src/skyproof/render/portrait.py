@@ -56,7 +56,7 @@ def portrait(
     *,
     body_types: Sequence[str] | None = None,
 ) -> UInt8[Tensor, "3 H W"]:
-    """A sheet: one column per body type; above as built, below camouflaged, from straight above and from the side.
+    """Draws a sheet of one column per body type, as built and camouflaged, from above and aslant.
 
     Args:
         fleet: the first vehicle of each body type is shown.

@@ -42,16 +42,19 @@ def photographs(
 class TorchRenderer:
     """Draws vehicles onto photographs, differentiably in their texture and their vertices.
 
-    Every vehicle and its shadow are rendered in small windows of their own, at `supersampling` samples a pixel side,
-    shaded by sun and sky, averaged to pixels, blurred, and laid over the photograph in linear light (section S2).
+    Every vehicle and its shadow are rendered in small windows of their own, at `supersampling`
+    samples a pixel side, shaded by sun and sky, averaged to pixels, blurred, and laid over the
+    photograph in linear light (section S2).
 
-    Differences from the paper: the camera is the orthophoto's own parallel projection (see `Camera`), not a
-    perspective one at a distance that the paper does not give; there is a cast shadow; light adds up linearly; the
-    photograph is hidden by blurred coverage (see `composite`); noise is added where something was rendered; a scene's
-    weather changes light, ground and picture (see `skyproof.render.weather`).
+    Differences from the paper: the camera is the orthophoto's own parallel projection (see
+    `Camera`), not a perspective one at a distance that the paper does not give; there is a cast
+    shadow; light adds up linearly; the photograph is hidden by blurred coverage (see `composite`);
+    noise is added where something was rendered; a scene's weather changes light, ground and picture
+    (see `skyproof.render.weather`).
 
-    Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes, of the body and of its shadow.
-    Vehicles cast no shadow on themselves or on each other; masks and visible pixels ignore that one may hide another.
+    Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes, of the body
+    and of its shadow. Vehicles cast no shadow on themselves or on each other; masks and visible
+    pixels ignore that one may hide another.
     """
 
     name = "torch"

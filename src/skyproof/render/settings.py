@@ -15,14 +15,17 @@ class RenderSettings:
     """Light, material and sensor of the differentiable renderer.
 
     Attributes:
-        supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients suffer.
+        supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients
+            suffer.
         shadow_supersampling: the same for the cast shadow.
         blur_sigma_px: the sensor's Gaussian blur (section S2.1), as wide as the paper found best.
-        noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a photograph has its own.
-        sky_share: the sky's part of the light on level ground. 0.25 is a clear day (diffuse fraction of global
-            irradiance, 0.15-0.3 for a clear sky: Iqbal 1983).
-        shadow_light: what is left of red, green and blue light in a vehicle's cast shadow: the share of a clear, blue
-            sky, of which the vehicle itself hides a good third. As path tracing has it on average (docs/cycles.md).
+        noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a
+            photograph has its own.
+        sky_share: the sky's part of the light on level ground. 0.25 is a clear day (diffuse
+            fraction of global irradiance, 0.15-0.3 for a clear sky: Iqbal 1983).
+        shadow_light: what is left of red, green and blue light in a vehicle's cast shadow: the
+            share of a clear, blue sky, of which the vehicle itself hides a good third. As path
+            tracing has it on average (docs/cycles.md).
         ground_reflectance: mean albedo of the ground, which lights surfaces that face down.
         reflectance: of the clear coat at normal incidence; 0.04 is a refractive index of 1.5.
         glint_exponent: sharpness of the sun's glint (normalised Blinn-Phong).

@@ -17,10 +17,10 @@ __all__ = ["LinearTexture", "light"]
 
 
 class LinearTexture:
-    """Textures in linear light as a pyramid of halved sizes, sampled by (u, v) at the level that fits.
+    """Textures in linear light as a pyramid of halved sizes, read at the level that fits.
 
-    A sample that spans several texels must read their mean: that is what keeps a fine pattern, or a side seen at a
-    grazing angle, from turning into sparkle, and its gradient into noise.
+    A sample that spans several texels must read their mean: that is what keeps a fine pattern, or a
+    side seen at a grazing angle, from turning into sparkle, and its gradient into noise.
 
     Args:
         texture: `[T, 3, H, W]` sRGB, as bytes or in [0, 1]; sides are powers of two.
@@ -56,7 +56,10 @@ class LinearTexture:
     def sample(
         self, uv: Float[Tensor, "K 2"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
     ) -> Float[Tensor, "K 3"]:
-        """Bilinear values at (u, v) of the textures `index`; circular in u, held at the edge in v (section S4.3)."""
+        """Returns bilinear values at (u, v) of the textures `index` (section S4.3).
+
+        They are circular in u and held at the edge in v.
+        """
         level = level.clamp(self.finest, self.levels - 1)
         width, height = self.width >> level, self.height >> level
         index = torch.zeros_like(index) if self.count == 1 else index
@@ -111,7 +114,7 @@ def _covered(texture: Tensor, overlay: Overlay, finest: int) -> Float[Tensor, "N
 
 
 class _Covered(torch.autograd.Function):
-    """One vehicle at a time, forward and backward: a whole batch of full maps would fall out of every cache."""
+    """Works on one vehicle at a time, because a batch of full maps falls out of every cache."""
 
     @staticmethod
     def forward(context: Any, cover: Tensor, masks: Tensor, own: Tensor, finest: int) -> Tensor:
@@ -146,7 +149,10 @@ def _halve(level: Tensor) -> Tensor:
 
 
 class _Halve(torch.autograd.Function):
-    """Means of 2 x 2: strided sums beat average pooling on a CPU, but each slice's own gradient would fill a map."""
+    """Takes means of 2 x 2.
+
+    Strided sums beat average pooling on a CPU, but each slice's own gradient would fill a map.
+    """
 
     @staticmethod
     def forward(context: Any, level: Tensor) -> Tensor:
@@ -174,9 +180,10 @@ def light(
 ) -> tuple[Float[Tensor, "K 1"], Float[Tensor, "K 1"]]:
     """How much light falls on a surface and how much is mirrored by its clear coat.
 
-    Units: a white matt surface lying on open ground sends 1, whatever the sun's elevation, because the photograph's
-    exposure was set for its own light. Diffuse radiance is albedo * diffuse; the mirrored part is added to it. What the
-    coat mirrors does not reach the paint (Fresnel towards the viewer, as path tracers layer a coat).
+    Units: a white matt surface lying on open ground sends 1, whatever the sun's elevation, because
+    the photograph's exposure was set for its own light. Diffuse radiance is albedo * diffuse; the
+    mirrored part is added to it. What the coat mirrors does not reach the paint (Fresnel towards
+    the viewer, as path tracers layer a coat).
 
     Args:
         normal: unit normals, world axes.
@@ -190,7 +197,8 @@ def light(
         The diffuse factor and the mirrored radiance.
     """
     sky = settings.sky_share if sky_share is None else sky_share
-    # Not a quotient, whose last bit differs between numbers and tensors: clear scenes look the same in every batch.
+    # Not a quotient, whose last bit differs between numbers and tensors: clear scenes look the same
+    # in every batch.
     sun_strength = (1 - sky) * sun[:, 2:].reciprocal()
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]

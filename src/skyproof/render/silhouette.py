@@ -1,4 +1,4 @@
-"""Gradients at silhouettes: a moving edge covers more or less of a pixel, which sampling alone cannot feel."""
+"""Gradients at silhouettes: a moving edge covers more or less of a pixel, unseen by sampling."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ __all__ = ["SilhouettePoints", "silhouette_points"]
 
 @dataclass(frozen=True)
 class SilhouettePoints:
-    """Points along all visible silhouettes, each standing for a piece of edge at most one sample long.
+    """Points along all visible silhouettes, one for every piece of at most a sample's length.
 
-    The exact derivative of an area-sampled picture is the integral, along its silhouettes, of the colour inside less
-    the colour outside times the edge's outward speed. These points are that integral's midpoint rule.
+    The exact derivative of an area-sampled picture is the integral, along its silhouettes, of the
+    colour inside less the colour outside times the edge's outward speed. These points are that
+    integral's midpoint rule.
 
     Attributes:
         place: `[K, 2]` the point itself, in samples.
         vehicle, face: `[K]` the front-facing triangle that ends at this edge.
         weights: `[K, 3]` barycentric weights of the point in that triangle.
         outside: `[K]` flat index of the sample just outside the edge.
-        coverage: `[K]` zero in value; its derivative is the area, in samples, that the piece sweeps.
+        coverage: `[K]` zero in value; its derivative is the area, in samples, that the piece
+            sweeps.
     """
 
     place: Float[Tensor, "K 2"]
@@ -45,9 +47,9 @@ def silhouette_points(
 ) -> SilhouettePoints:
     """Finds the visible silhouettes of closed meshes; arguments as for `rasterise`.
 
-    A piece is visible where the sample just outside it is farther away than the edge, or empty. The colour inside is
-    to be taken at the edge itself, in its own triangle: such triangles are often thinner than a sample, so that the
-    nearest sample inside may show something else.
+    A piece is visible where the sample just outside it is farther away than the edge, or empty. The
+    colour inside is to be taken at the edge itself, in its own triangle: such triangles are often
+    thinner than a sample, so that the nearest sample inside may show something else.
     """
     edges, edge_faces = mesh_edges(faces)
     size = visibility.keys.shape[-1]

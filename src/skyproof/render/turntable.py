@@ -39,7 +39,7 @@ Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def turntable_row(mesh: SourceMesh, vehicles: VehicleBatch, caption: str) -> UInt8[Tensor, "3 H W"]:
-    """One vehicle: its mesh from above, the side and aslant; itself likewise; rendered; its texture and part map.
+    """Draws one vehicle beside its mesh, each from above, the side and aslant, and its maps.
 
     Args:
         mesh: in the vehicle's axes.

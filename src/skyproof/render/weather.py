@@ -1,4 +1,4 @@
-"""A scene's weather in its picture: wet ground and sky before vehicles are drawn, the rest after (section S7)."""
+"""A scene's weather: wet ground and sky before vehicles are drawn, the rest after (section S7)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ from skyproof.scenes.weather import Weather
 __all__ = ["AIRLIGHT", "finish_images", "jpeg", "shadow_lights", "sky_shares", "wet", "wet_grounds"]
 
 AIRLIGHT = (0.42, 0.47, 0.54)
-"""Linear red, green and blue of haze seen from above, before a ground of reflectance 0: grey with a little blue."""
+"""Linear light of haze seen from above, before black ground: grey with a little blue."""
 
 _WATER_INDEX = 1.33
-# Any odd constant: the picture's noise must not repeat the noise on its vehicles, which has the scene's own seed.
+# Any odd constant: the picture's noise must not repeat the noise on its vehicles, which has the
+# scene's own seed.
 _NOISE_STREAM = 0x5DEECE66D
 
 
 def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Tensor, " B"] | None:
     """The sky's part of the light in every scene; None where all have a clear sky's, `clear`.
 
-    Overcast moves the sun's part to the sky, so that a white matt surface lying on open ground still sends 1.
+    Overcast moves the sun's part to the sky, so that a white matt surface lying on open ground
+    still sends 1.
     """
     if not any(scene.weather.overcast for scene in scenes):
         return None
@@ -39,7 +41,7 @@ def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Ten
 def shadow_lights(
     scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor
 ) -> Float[Tensor, "B 3"]:
-    """What is left of the light in every scene's cast shadows: `clear` under a clear sky, all under clouds."""
+    """Returns what remains of light in shadows: `clear` under a clear sky, all under clouds."""
     left = like.new_tensor(clear).expand(len(scenes), 3)
     overcast = like.new_tensor([scene.weather.overcast for scene in scenes])[:, None]
     return left + (1 - left) * overcast
@@ -56,11 +58,12 @@ def wet_grounds(
 
 
 def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
-    """Reflectance under a film of water, in linear light (Ångström 1925): a / (a + n^2 (1 - a)), n = 1.33.
+    """Returns reflectance under a film of water: a / (a + n^2 (1 - a)), n = 1.33 (Ångström 1925).
 
-    Light that leaves the ground is partly thrown back by the water's surface and meets the ground again. Dark ground
-    keeps 0.56 to 0.7 of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68), white ground all of it; a channel that was
-    darker loses more, so colours deepen. The photograph's value stands for the reflectance: white is 1.
+    Light that leaves the ground is partly thrown back by the water's surface and meets the ground
+    again. Dark ground keeps 0.56 to 0.7 of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68),
+    white ground all of it; a channel that was darker loses more, so colours deepen. The
+    photograph's value stands for the reflectance: white is 1.
     """
     darkened = ground / (ground + _WATER_INDEX**2 * (1 - ground))
     return torch.lerp(ground, darkened, wetness)
@@ -69,9 +72,12 @@ def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
 def finish_images(
     images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
 ) -> Float[Tensor, "B 3 H W"]:
-    """Haze, exposure, noise, JPEG, in this order, over everything in the picture; clear pictures keep their bits.
+    """Lays haze, exposure, noise and JPEG, in this order, over everything in the picture.
 
-    Differentiable; where exposure or noise clips a pixel its gradient is zero, as the picture's own is.
+    Clear pictures keep their bits.
+
+    Differentiable; where exposure or noise clips a pixel its gradient is zero, as the picture's own
+    is.
     """
     if not any(_finishes(scene.weather) for scene in scenes):
         return images
@@ -85,7 +91,8 @@ def finish_images(
 def jpeg(image: Float[Tensor, "3 H W"], quality: int) -> Float[Tensor, "3 H W"]:
     """The picture after a real JPEG of this quality (Pillow, colour at half resolution as usual).
 
-    Its gradient is passed straight through, as if JPEG changed nothing: rounding of coefficients has none of its own.
+    Its gradient is passed straight through, as if JPEG changed nothing: rounding of coefficients
+    has none of its own.
     """
     return _Jpeg.apply(image, quality)
 

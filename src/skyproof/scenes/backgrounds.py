@@ -1,4 +1,4 @@
-"""Background sets: a folder of ground tiles at one resolution, in four splits, read through windows."""
+"""Background sets: folders of ground tiles at one resolution, in splits, read through windows."""
 
 from __future__ import annotations
 
@@ -46,10 +46,12 @@ class BackgroundTile:
         split: one of `SPLITS`.
         width_px, height_px: its size.
         source: the image it was cut from, or "procedural".
-        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's resolution.
+        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's
+            resolution.
         kind: of a procedural tile, what it shows.
         licence: as the source states it, or None.
-        sun_azimuth_rad, sun_elevation_rad: of a procedural tile, the sun that cast its shadows, as in `Sun`.
+        sun_azimuth_rad: the sun that cast the shadows of a procedural tile, as in `Sun`.
+        sun_elevation_rad: its height above the horizon.
     """
 
     id: str
@@ -91,7 +93,7 @@ class BackgroundSet:
 
     @classmethod
     def open(cls, folder: Path) -> BackgroundSet:
-        """Opens a set that `write_procedural_backgrounds` or `skyproof.imagery.tiles.tiling.tile_imagery` wrote.
+        """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote.
 
         Raises:
             StoredFileError: the index is missing, damaged or of another version.
@@ -113,8 +115,10 @@ class BackgroundSet:
             sensor = Sensor(**index.get("sensor", {}))
             return cls(Path(folder), float(index["gsd_m"]), tiles, sensor)
         except (KeyError, TypeError, ValueError, AttributeError, ConfigurationError) as error:
-            message = f"{path} is not a background index of this version ({error}); prepare the backgrounds again."
-            raise StoredFileError(message) from error
+            raise StoredFileError(
+                f"{path} is not a background index of this version ({error}); "
+                "prepare the backgrounds again."
+            ) from error
 
     def tiles(self, split: str) -> list[BackgroundTile]:
         """The tiles of one split, in the order of the index."""
@@ -128,7 +132,8 @@ class BackgroundSet:
         """
         if tile_id not in self._tiles:
             raise StoredFileError(
-                f"{self.folder} has no tile {tile_id!r}; use the background set the scenes were sampled on."
+                f"{self.folder} has no tile {tile_id!r}; "
+                "use the background set the scenes were sampled on."
             )
         return self._tiles[tile_id]
 
@@ -136,7 +141,8 @@ class BackgroundSet:
         """A whole tile, sRGB bytes.
 
         Raises:
-            StoredFileError: the tile's file is missing, damaged or of another size than the index says.
+            StoredFileError: the tile's file is missing, damaged or of another size than the index
+                says.
         """
         with self._decoding:
             if tile_id not in self._decoded:
@@ -167,7 +173,9 @@ class BackgroundSet:
         return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
-        """Cuts a square window, sRGB in [0, 1]; an exact copy on whole pixels and by quarters, else bilinear.
+        """Cuts a square window, sRGB in [0, 1].
+
+        On whole pixels and turned by quarters it is an exact copy, else bilinear.
 
         Raises:
             StoredFileError: the window's tile is not in this set, or the window reaches out of it.
@@ -180,7 +188,8 @@ class BackgroundSet:
         right, bottom = window.centre_x_px + reach, window.centre_y_px + reach
         if min(left, top) < -0.5 or right > pixels.shape[2] + 0.5 or bottom > pixels.shape[1] + 0.5:
             raise StoredFileError(
-                f"A window of {size_px} px reaches out of tile {window.tile} of {tuple(pixels.shape[1:])} px; "
+                f"A window of {size_px} px reaches out of tile {window.tile} of "
+                f"{tuple(pixels.shape[1:])} px; "
                 "use the background set the scenes were sampled on."
             )
         quarters = round(window.rotation_rad / (math.pi / 2))
@@ -200,7 +209,8 @@ class BackgroundSet:
             )
         x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
         crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
-        # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and down to (sin, cos).
+        # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and
+        # down to (sin, cos).
         steps = torch.arange(size_px, dtype=torch.float64) + 0.5 - half
         per_x, per_y = 2 / crop.shape[2], 2 / crop.shape[1]
         across_x, down_x = (
@@ -232,10 +242,11 @@ class BackgroundSet:
     def sample_window(
         self, split: str, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """A uniform tile of the split, a uniform rotation, and a uniform place with the window fully inside.
+        """Draws a uniform tile of the split, rotation, and place with the window fully inside.
 
-        Where no tile has room for a window turned by 45 degrees but the window fits unturned, as where both have the
-        same size, it is turned by quarters only and lies on whole pixels, so that the tile's pixels are copied.
+        Where no tile has room for a window turned by 45 degrees but the window fits unturned, as
+        where both have the same size, it is turned by quarters only and lies on whole pixels, so
+        that the tile's pixels are copied.
 
         Raises:
             ConfigurationError: no tile of the split is as large as the window.
@@ -246,7 +257,8 @@ class BackgroundSet:
         ]
         if not fitting:
             raise ConfigurationError(
-                f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that size needs; "
+                f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that "
+                "size needs; "
                 "choose a smaller image or prepare larger tiles."
             )
         roomy = [tile for tile in fitting if min(tile.width_px, tile.height_px) >= room]

@@ -1,4 +1,4 @@
-"""A scene as plain data: which ground, seen from where, under which sun and weather, with which vehicles where."""
+"""A scene as plain data: its ground, camera, sun and weather, and which vehicles stand where."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ class BackgroundWindow:
 
     Attributes:
         tile: id of the tile in its background set; the cluster of the bootstrap.
-        centre_x_px, centre_y_px: window centre in tile pixels, continuous, origin at the tile's top-left corner.
-        rotation_rad: the window's x axis is the tile's turned by this angle, counter-clockwise on screen.
+        centre_x_px: the window's middle in tile pixels, from the tile's left edge, continuous.
+        centre_y_px: the same from the tile's top edge.
+        rotation_rad: the window's x axis is the tile's turned by this angle, counter-clockwise on
+            screen.
     """
 
     tile: str
@@ -36,14 +38,16 @@ class BackgroundWindow:
 class Camera:
     """An aerial camera whose picture was rectified to the ground plane, as an orthophoto is.
 
-    Ground points land on the pixel grid whatever the tilt; a point at height h leans away from the camera by
-    h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
+    Ground points land on the pixel grid whatever the tilt; a point at height h leans away from the
+    camera by h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
 
     Attributes:
         tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
-        azimuth_rad: direction from the scene to the camera, in the ground plane, from x (east) towards y (north).
+        azimuth_rad: direction from the scene to the camera, in the ground plane, from x (east)
+            towards y (north).
         gsd_m: metres per pixel.
-        size_px: the image is size_px x size_px; world (0, 0) is its centre, east is right, north is up.
+        size_px: the image is size_px x size_px; world (0, 0) is its centre, east is right, north is
+            up.
     """
 
     tilt_rad: float
@@ -77,7 +81,14 @@ class Sun:
 
 @dataclass(frozen=True)
 class Placement:
-    """One vehicle in a scene: its id in the fleet, its place in metres, its heading from x towards y."""
+    """One vehicle in a scene.
+
+    Attributes:
+        vehicle: its id in the fleet.
+        x_m: its place, metres east of the image's middle.
+        y_m: the same northwards.
+        heading_rad: which way it points, from x towards y.
+    """
 
     vehicle: str
     x_m: float
@@ -129,7 +140,7 @@ def read_scenes(path: Path) -> list[Scene]:
 
 def _row(scene: Scene) -> dict[str, Any]:
     row = dataclasses.asdict(scene)
-    # Clear weather is not written, so that scenes of a clear day are the same file in every version.
+    # Clear weather is not written, so that scenes of a clear day are one file in every version.
     if scene.weather == CLEAR:
         del row["weather"]
     return row

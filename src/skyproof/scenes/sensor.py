@@ -1,4 +1,4 @@
-"""The sensor that took a set of photographs: what vehicles drawn into them must look like (section S2.1)."""
+"""The sensor that took a set of photographs (section S2.1)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ __all__ = ["Sensor"]
 
 @dataclass(frozen=True)
 class Sensor:
-    """Blur and noise of imagery at its ground resolution; the defaults are the paper's blur and a quiet sensor.
+    """Blur and noise of imagery at its ground resolution.
+
+    The defaults are the paper's blur and a quiet sensor.
 
     Attributes:
         blur_sigma_px: standard deviation of the Gaussian blur.

@@ -6,4 +6,4 @@ __all__ = ["SPLITS"]
 
 
 SPLITS = ("train", "validation", "attack", "test")
-"""Disjoint in place: detectors train and choose thresholds on two, attacks train and are scored on two."""
+"""Disjoint in place: two are for training detectors and choosing thresholds, two for attacks."""

@@ -1,4 +1,4 @@
-"""Weather, light and sensor of one scene as plain numbers, and the conditions they are drawn from."""
+"""Weather and light of one scene as plain numbers, and the conditions they are drawn from."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Weather:
                 )
         if not self.noise >= 0 or not math.isfinite(self.exposure_stops):
             raise ConfigurationError(
-                f"The weather's noise is {self.noise} and its exposure_stops {self.exposure_stops}; give noise of 0 or "
-                "more and finite stops."
+                f"The weather's noise is {self.noise} and its exposure_stops "
+                f"{self.exposure_stops}; give noise of 0 or more and finite stops."
             )
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 95:
             raise ConfigurationError(
@@ -82,8 +82,8 @@ def draw_weather(condition: str, strength: float) -> Weather:
 
     Args:
         condition: one of `CONDITIONS`.
-        strength: from 0 to 1, uniform where scenes are drawn. Of "low_sun" it is also the place of the sun's
-            elevation within `LOW_SUN_ELEVATION_RAD`.
+        strength: from 0 to 1, uniform where scenes are drawn. Of "low_sun" it is also the place
+            of the sun's elevation within `LOW_SUN_ELEVATION_RAD`.
 
     Raises:
         ConfigurationError: there is no such condition.
