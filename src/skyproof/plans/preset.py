@@ -18,11 +18,11 @@ PRESETS = {name: Path(__file__).with_name(f"{name}.json") for name in ("quick", 
 
 @dataclass(frozen=True)
 class Preset:
-    """All settings of a reproduction, plain JSON values (PAPER 25).
+    """All settings of a reproduction, plain JSON values.
 
     Attributes:
         seed: of everything; repeat k of an attack takes seed + k.
-        detectors: attacked together, judged one by one (PAPER 20).
+        detectors: attacked together, judged one by one (section 3.2).
         size: of the detectors, slim or full.
         world: options of `skyproof world --sizes.*`.
         training: per detector, options of `skyproof train`.
@@ -32,8 +32,8 @@ class Preset:
         textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also make parallel
             combinations.
         repeats: attacks of each kind, from different seeds.
-        draws: of each random control (PAPER 34).
-        magnitudes: PM of shapes alone and of combinations (PAPER 52, 53).
+        draws: of each random control (section 5.4).
+        magnitudes: PM of shapes alone and of combinations (section 5.5).
         combined_magnitudes: by texture, PM of its combinations where they are others.
         transfer: textures that are also attacked on single detectors, and on all but one.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
