@@ -61,7 +61,7 @@ def _edge_through(
     a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
 ) -> Bool[Tensor, " P"]:
     """Says whether an edge of `a` goes through the inside of `b`, by signed volumes."""
-    found = torch.zeros(len(a), dtype=torch.bool, device=a.device)
+    through = torch.zeros(len(a), dtype=torch.bool, device=a.device)
     b0, b1, b2 = b.unbind(1)
     above = torch.stack([_volume(b0, b1, b2, corner) for corner in a.unbind(1)], dim=1)
     for start, end in ((0, 1), (1, 2), (2, 0)):
@@ -73,8 +73,8 @@ def _edge_through(
         around = torch.stack(
             (_volume(p, q, b0, b1), _volume(p, q, b1, b2), _volume(p, q, b2, b0)), dim=1
         )
-        found |= apart & ((around > touching).all(1) | (around < -touching).all(1))
-    return found
+        through |= apart & ((around > touching).all(1) | (around < -touching).all(1))
+    return through
 
 
 def _volume(

@@ -116,8 +116,8 @@ def _quads(grid: Int[Tensor, "31 33"]) -> Int[Tensor, "N 3"]:
     pairs = [
         torch.stack(
             [
-                torch.cat([one[:, :half], other[:, half:]], dim=1)
-                for one, other in zip(a, b, strict=True)
+                torch.cat([left[:, :half], right[:, half:]], dim=1)
+                for left, right in zip(a, b, strict=True)
             ],
             -1,
         )

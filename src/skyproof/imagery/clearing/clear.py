@@ -224,11 +224,11 @@ def _shadows(
 ) -> dict[str, Shadow | None]:
     profiles: dict[str, list[Tensor]] = defaultdict(list)
     for tile in tiles:
-        own = found[tile.id].profiles
-        profiles[_light(tile)] += [own] if len(own) else []
+        profile = found[tile.id].profiles
+        profiles[_light(tile)] += [profile] if len(profile) else []
     return {
-        light: estimate_shadow(own)
-        for light, own in ((_light(t), profiles[_light(t)]) for t in tiles)
+        light: estimate_shadow(profiles_of_light)
+        for light, profiles_of_light in ((_light(t), profiles[_light(t)]) for t in tiles)
     }
 
 
@@ -251,14 +251,16 @@ def _clear_tile(
     boxes = found.boxes
     remaining = torch.zeros(0, 4)
     while True:
-        own = vehicle_mask(size, boxes, shadow, gsd_m=backgrounds.gsd_m, margin_m=settings.margin_m)
-        mask |= own
+        tile_mask = vehicle_mask(
+            size, boxes, shadow, gsd_m=backgrounds.gsd_m, margin_m=settings.margin_m
+        )
+        mask |= tile_mask
         row.masked_share = round(float(mask.float().mean()), 4)
         if row.masked_share > settings.largest_masked_share:
             row.left_out = "too much to remove"
             break
-        if own.any():
-            image = apply_inpainting(inpainting, image, own)
+        if tile_mask.any():
+            image = apply_inpainting(inpainting, image, tile_mask)
         if checker is None:
             break
         remaining = checker.boxes(image, checker.loaded.threshold)

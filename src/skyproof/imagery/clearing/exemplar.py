@@ -182,14 +182,14 @@ def _best_shifts(
     for channel in np.moveaxis(window.values, 2, 0):
         # Around the ring's mean the sums of squares stay small and exact.
         values = np.where(sound | ring, channel - channel[ring].mean(), 0.0)
-        theirs = np.where(sound, values, 0.0)
-        ours = np.where(ring, values, 0.0)
-        field = spectrum(theirs)
-        squares = spectrum(theirs**2)
-        ring_field = spectrum(ours)
+        sound_values = np.where(sound, values, 0.0)
+        ring_values = np.where(ring, values, 0.0)
+        field = spectrum(sound_values)
+        squares = spectrum(sound_values**2)
+        ring_field = spectrum(ring_values)
         # Sums over the part of the shifted ring that lies on sound ground.
         squared = (
-            correlate(spectrum(ours**2), ground)
+            correlate(spectrum(ring_values**2), ground)
             + correlate(ring_spectrum, squares)
             - 2 * correlate(ring_field, field)
         )

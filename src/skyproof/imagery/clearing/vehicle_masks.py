@@ -125,7 +125,10 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
         the one across, as under an overcast sky.
     """
     measured = [
-        one for tensor in profiles for one in tensor.double().numpy() if np.isfinite(one).any()
+        darkness
+        for tensor in profiles
+        for darkness in tensor.double().numpy()
+        if np.isfinite(darkness).any()
     ]
     if len(measured) < FEWEST_VEHICLES:
         return None

@@ -154,7 +154,7 @@ def lay_grids(
     size = size_px
     while True:
         grids = [
-            _frame(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
+            _grid(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
         ]
         if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= len(SPLITS):
             break
@@ -177,7 +177,7 @@ def lay_grids(
     return kept
 
 
-def _frame(
+def _grid(
     name: str,
     crs: CRS | None,
     extents: Mapping[int, Extent],

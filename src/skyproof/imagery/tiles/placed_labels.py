@@ -222,14 +222,14 @@ class PlacedLabels:
         near: dict[int, _Placed] = {}
         for column in range(math.floor(left / BIN_M), math.floor(right / BIN_M) + 1):
             for row in range(math.floor(bottom / BIN_M), math.floor(top / BIN_M) + 1):
-                near |= {id(one): one for one in self._bins.get((plane, column, row), ())}
+                near |= {id(item): item for item in self._bins.get((plane, column, row), ())}
         inverse = ~cell.transform
         annotations = []
-        for one in near.values():
+        for item in near.values():
             label = dataclasses.replace(
-                one.label, corners=tuple(inverse * corner for corner in one.label.corners)
+                item.label, corners=tuple(inverse * corner for corner in item.label.corners)
             )
-            annotations += self._annotate(label, one.source, cell, owner)
+            annotations += self._annotate(label, item.source, cell, owner)
         return annotations
 
     def _annotate(

@@ -41,8 +41,8 @@ def orient(
         forward: one of `AXES`, where the nose points.
 
     Returns:
-        the mesh in the vehicle's axes, and {"scale", "up", "forward", "nose"}: the last says how the
-        nose was found.
+        the mesh in the vehicle's axes, and {"scale", "up", "forward", "nose"}: the last says how
+        the nose was found.
 
     Raises:
         ConfigurationError: the axes do not fit together, or the mesh has not a vehicle's size.

@@ -32,10 +32,10 @@ def outline_iou(
     low = points.min(0) - _PIXEL_M
     high = points.max(0) + _PIXEL_M
     columns, rows = np.ceil((high - low) / _PIXEL_M).astype(int)
-    one, other = (
+    first_outline, second_outline = (
         parallel_view(view, low, _PIXEL_M, (int(rows), int(columns))).face >= 0 for view in views
     )
-    return float((one & other).sum() / (one | other).sum())
+    return float((first_outline & second_outline).sum() / (first_outline | second_outline).sum())
 
 
 def measure_wrapping(
