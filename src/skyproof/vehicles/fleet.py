@@ -76,7 +76,7 @@ class Fleet:
         template: the shared mesh.
         ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the
             last hyphen.
-        vertices: `[N, V, 3]` metres, vehicle frame.
+        vertices: `[N, V, 3]` metres, vehicle axes.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
         sources: for each wrapped vehicle its mesh file and licence; drawn ones have none.

@@ -66,7 +66,7 @@ def wrap_mesh(
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
     """
-    # The mesh in the vehicle frame, and what of it is seen from outside.
+    # The mesh in the vehicle's axes, and what of it is seen from outside.
     mask = None if paintable is None else _read_mask(paintable)
     mesh, facts = orient(read_mesh(path), scale=scale, up=up, forward=forward)
     notes = list(mesh.notes)
