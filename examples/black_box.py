@@ -34,7 +34,20 @@ threshold = sp.validate(BlackBox(), validation)["threshold"]
 judge = sp.LoadedDetector(
     BlackBox(), sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
 )
-clean = [sp.CleanSet("validation", validation, "the images that froze the threshold")]
-worn = {name: f"{data}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")}
-sp.evaluate_pairs([judge], f"{data}/test", worn, "runs/mine/black_box/evaluation", clean=clean)
+note = "the images that froze the threshold"
+clean = [sp.CleanSet("validation", validation, real=False, note=note)]  # they are rendered
+original = sp.Dataset.open(f"{data}/test")
+renderer = sp.TorchRenderer(sp.BackgroundSet.open("runs/demo/backgrounds"))
+fleet = sp.Fleet.load("runs/demo/fleets/test")
+worn = {name: f"runs/mine/black_box/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
+for name, place in worn.items():
+    camouflage = sp.load_camouflage(f"runs/demo/camouflages/{name}")
+    sp.render_dataset(place, original.scenes, fleet, renderer, camouflage=camouflage)
+sp.score_detectors(
+    [judge],
+    "runs/mine/black_box/scores/first",
+    original=f"{data}/test",
+    camouflaged=worn,
+    clean=clean,
+)
 print(sp.write_report("runs/mine/black_box"))

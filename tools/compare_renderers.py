@@ -22,6 +22,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_beside, write_json
 from skyproof.geometry.colour import srgb_to_linear
@@ -75,8 +76,8 @@ class Compare:
             detector = load_detector(folder).detector
             figures["average_precision"][detector.name] = {
                 name: average_precision(
-                    detect_all(detector, images), images, criterion="centre_1m"
-                ).ap
+                    match_images(detect_all(detector, images), images, criterion="centre_1m")
+                )
                 for name, images in (("torch", torch_images), ("cycles", cycles_images))
             }
         rows = [

@@ -11,8 +11,6 @@ attacks.png from the camouflages of a reproduction.
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 import sys
 import tempfile
@@ -23,6 +21,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
+from skyproof.camouflage.name import CamouflageName
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
@@ -30,8 +29,7 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.report.pairs import make_pairs
-from skyproof.report.run import read_run
+from skyproof.results.results import Results
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
@@ -288,15 +286,18 @@ def _caption(scene: Scene) -> str:
     }[weather.condition]
 
 
-def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int = 4) -> Image.Image:
-    """The first matched pairs of a demo's report, side by side: above without, below with the learnt texture."""
-    run = read_run(run_folder)
-    if not run.synthetic_only:
+def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
+    """The first matched pairs of a demo's report: above without, below with the learnt texture."""
+    results = Results.open(run_folder)
+    if results.sources != ["procedural"]:
         raise SystemExit(
             "expected a demo on procedural ground: pictures in the repository show procedural data"
         )
-    pairs = make_pairs(run, "T-U", "torch", detector)[:count]
-    rows = [[pair.original for pair in pairs], [pair.adversarial for pair in pairs]]
+    pairs = results.pairs(CamouflageName.read("T-U"), "torch")[:count]
+    rows = [
+        [folder / pair.original for folder, pair in pairs],
+        [folder / pair.adversarial for folder, pair in pairs],
+    ]
     side, gap, label = 320, 6, 30
     sheet = Image.new("RGB", (count * (side + gap) + gap, 2 * (side + label) + gap), PAPER)
     pen = ImageDraw.Draw(sheet)
@@ -307,8 +308,8 @@ def draw_demo_result(run_folder: Path, detector: str = "retinanet", count: int =
     for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
         top = number * (side + label)
         pen.text((gap, top + 3), text, fill=INK, font=font(20))
-        for column, uri in enumerate(row):
-            picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
+        for column, file in enumerate(row):
+            picture = Image.open(file)
             place = (gap + column * (side + gap), top + label)
             sheet.paste(
                 picture.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), place

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from unittest.mock import patch
 
 import numpy as np
@@ -26,9 +26,10 @@ import tyro
 from skyproof.cli.frames import read_frames
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
-from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import LoadedDetector, load_detector
+from skyproof.detectors.matching import match_images
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
@@ -38,6 +39,7 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.results.clean import CleanSet, check_clean
+from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
@@ -168,7 +170,7 @@ class RealityGap:
                 )
             trained = _train(place, "retinanet", training, validation, TRIALS[name])
             found = detect_all(trained.detector, frames.images)
-            row = check_clean(trained, frames, found, generator=np.random.default_rng(0))
+            row = _check(trained, frames, found)
             row["ap_rendered"] = trained.card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
             print(
@@ -217,13 +219,20 @@ class RealityGap:
             judge = load_detector(folder)
             for each in sets:
                 found = detect_all(judge.detector, each.images)
-                row = check_clean(judge, each, found, generator=np.random.default_rng(0))
+                row = _check(judge, each, found)
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
                     f"{folder.parent.name:<12} {judge.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
                     flush=True,
                 )
         write_json(self.out / "final.json", {"looks": len(past) + 1, "rows": rows})
+
+
+def _check(
+    judge: LoadedDetector[Detector], frames: CleanSet, found: Sequence[Detections]
+) -> dict[str, Any]:
+    centre, overlap = (match_images(found, frames.images, criterion=match) for match in MATCHES)
+    return check_clean(judge, frames, centre, overlap, generator=np.random.default_rng(0)).json()
 
 
 def _frames(data: Path, texts: Sequence[str]) -> list[CleanSet]:

@@ -38,7 +38,8 @@ from .render.dataset import render_dataset as render_dataset
 from .render.renderer import TorchRenderer as TorchRenderer
 from .report.report import write_report as write_report
 from .results.clean import CleanSet as CleanSet
-from .results.evaluation import evaluate_pairs as evaluate_pairs
+from .results.results import Results as Results
+from .results.scoring import score_detectors as score_detectors
 from .scenes.backgrounds import BackgroundSet as BackgroundSet
 from .scenes.sampling import sample_scenes as sample_scenes
 from .scenes.scene import read_scenes as read_scenes

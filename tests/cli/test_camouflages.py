@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from skyproof.results.pairs.outcomes import read_outcomes
+from skyproof.results.results import Results
 from tests.cli.conftest import Skyproof, bytes_of
 
 STEPS = [
@@ -71,7 +72,7 @@ def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproo
     out = tmp_path / "scores" / "first"
     call = [
         *("score", "--detectors", finished / "detectors/retinanet", "--camouflages", *folders),
-        *("--scenes", finished / "scenes/test.jsonl", "--backgrounds", finished / "backgrounds"),
+        *("--backgrounds", finished / "backgrounds"),
         *(
             "--fleet",
             finished / "fleets/test",
@@ -83,7 +84,7 @@ def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproo
     ]
     answer = skyproof(*call, "--device", "cpu")
     assert answer.code == 0, answer.err
-    rows = json.loads((out / "results.json").read_text())["rows"]
+    rows = [row.json() for row in Results.open(out).rows]
     assert {row["camouflage"] for row in rows} == {
         "T-PixFcMa",
         "R-PixFcMa",
@@ -92,24 +93,14 @@ def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproo
     }
     learnt = [row for row in rows if row["camouflage"] == "T-PixFcMa"]
     assert all(row["random_draws"] == 2 for row in learnt)
-    # The images are gone, the evaluation is whole, nothing was changed on the way.
+    # The images are gone, the score folder is whole, nothing was changed on the way.
     assert [path.name for path in out.parent.iterdir()] == ["first"]
     assert bytes_of(made) == before
     skyproof(*call, "--device", "cpu").refused(str(out), "not overwritten")
 
-    answer = skyproof(
-        "measure",
-        "--camouflages",
-        *folders,
-        "--fleet",
-        finished / "fleets/test",
-        "--out",
-        tmp_path / "measures.json",
-    )
-    assert answer.code == 0, answer.err
-    measured = {
-        row["name"]: row for row in json.loads((tmp_path / "measures.json").read_text())["rows"]
-    }
+    content = json.loads((out / "practicality.json").read_text())
+    measured = {row["name"]: row for row in content["rows"]}
+    assert set(measured) == {"T-PixFcMa-0", "C-PixFcMa-seq@0.2-0"}
     assert measured["T-PixFcMa-0"]["score"]["total"] == 3
     assert measured["C-PixFcMa-seq@0.2-0"]["shape"]["largest_displacement_m"] > 0
 
@@ -143,7 +134,7 @@ def test_a_camouflage_is_judged_under_weather(
             "--camouflages",
             finished / "camouflages/T-U",
         ),
-        *("--scenes", scenes, *world, "--original", clear, "--out", out, "--device", "cpu"),
+        *(*world, "--original", clear, "--out", out, "--device", "cpu"),
     )
     assert answer.code == 0, answer.err
     assert {outcome.condition for outcome in read_outcomes(out / "outcomes.parquet")} == {

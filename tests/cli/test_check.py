@@ -1,4 +1,4 @@
-"""`skyproof check` on rendered and on annotated images."""
+"""`skyproof score --frames`: detectors checked on rendered and on annotated images."""
 
 import json
 import shutil
@@ -23,47 +23,56 @@ def frames(tmp_path):
 
 
 def test_writes_a_row_per_detector_and_set(finished, frames, tmp_path, capsys):
-    detector, out = finished / "detectors" / "retinanet", tmp_path / "check.json"
+    detector, out = finished / "detectors" / "retinanet", tmp_path / "scores"
     options = ["--frames", f"Town={frames}/a*@0.125", f"Town={frames}/b*@0.125", f"{frames}@0.125"]
-    assert run(["check", "--detectors", str(detector), *options, "--out", str(out)]) == 0
-    rows = json.loads(out.read_text())["rows"]
+    assert run(["score", "--detectors", str(detector), *options, "--out", str(out)]) == 0
+    rows = json.loads((out / "checks.json").read_text())["rows"]
     assert [
         (row["dataset"], row["vehicles"], row["clustered_by"], row["clusters"]) for row in rows
     ] == [
         ("Town", 2, "places", 2),
         ("frames", 2, "images", 2),
     ]
-    assert all(row["folder"] == "retinanet" and 0 <= row["ap_centre_1m"] <= 1 for row in rows)
+    assert all(row["detector"] == "retinanet" and 0 <= row["ap_centre_1m"] <= 1 for row in rows)
     assert "Town" in capsys.readouterr().out
 
 
 def test_agrees_with_the_training_about_its_validation_images(finished, tmp_path):
-    detector, out = finished / "detectors" / "retinanet", tmp_path / "check.json"
+    detector, out = finished / "detectors" / "retinanet", tmp_path / "scores"
     options = [
         "--frames",
         f"{finished / 'datasets' / 'validation'}@0.125",
         "--frame-classes",
         "vehicle",
     ]
-    assert run(["check", "--detectors", str(detector), *options, "--out", str(out)]) == 0
-    (row,) = json.loads(out.read_text())["rows"]
+    assert run(["score", "--detectors", str(detector), *options, "--out", str(out)]) == 0
+    (row,) = json.loads((out / "checks.json").read_text())["rows"]
     card = json.loads((detector / "detector.json").read_text())
     assert row["ap_centre_1m"] == pytest.approx(card["validation"]["ap_centre_1m"], abs=1e-6)
     assert not row["real"]
 
 
 def test_bad_input(finished, frames, tmp_path, capsys):
-    detector, out = finished / "detectors" / "retinanet", tmp_path / "check.json"
+    detector, out = finished / "detectors" / "retinanet", tmp_path / "scores"
     coarser = tmp_path / "coarser"
     shutil.copytree(detector, coarser)
     card = json.loads((coarser / "detector.json").read_text())
     (coarser / "detector.json").write_text(json.dumps({**card, "gsd_m": 0.25}))
     given = ["--frames", f"{frames}@0.125", "--out", str(out)]
-    assert run(["check", "--detectors", str(detector), str(coarser), *given]) == 2
-    assert "check them separately" in " ".join(capsys.readouterr().err.split())
-    assert run(["check", "--detectors", str(detector), "--frames", "--out", str(out)]) == 2
-    assert "at least one" in " ".join(capsys.readouterr().err.split())
+    assert run(["score", "--detectors", str(detector), str(coarser), *given]) == 2
+    assert "of one resolution" in " ".join(capsys.readouterr().err.split())
+    assert run(["score", "--detectors", str(detector), "--out", str(out)]) == 2
+    assert "--frames" in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
     out.write_text("{}")
-    assert run(["check", "--detectors", str(detector), *given]) == 2
+    assert run(["score", "--detectors", str(detector), *given]) == 2
     assert out.read_text() == "{}"
+
+
+def test_detectors_of_one_kind_go_by_their_folders(finished, frames, tmp_path):
+    detector, out = finished / "detectors" / "retinanet", tmp_path / "scores"
+    other = shutil.copytree(detector, tmp_path / "later")
+    given = ["--frames", f"{frames}@0.125", "--out", str(out)]
+    assert run(["score", "--detectors", str(detector), str(other), *given]) == 0
+    rows = json.loads((out / "checks.json").read_text())["rows"]
+    assert [row["detector"] for row in rows] == ["retinanet", "later"]

@@ -161,22 +161,32 @@ def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     )
 
 
-def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) -> None:
-    folder = copied()
+@pytest.fixture
+def rendered(finished: Path, tmp_path: Path, skyproof: Skyproof) -> Path:
+    """The finished run's test scenes with each of its camouflages."""
+    for name in ("T-U", "R-U-0", "R-U-1"):
+        scenes = ["--scenes", finished / "scenes/test.jsonl", "--fleet", finished / "fleets/test"]
+        world = ["--backgrounds", finished / "backgrounds"]
+        worn = ["--camouflage", finished / "camouflages" / name]
+        out = tmp_path / "datasets" / f"test-{name}"
+        assert skyproof("render", *scenes, *world, *worn, "--out", out, *CPU).code == 0
+    return tmp_path / "datasets"
+
+
+def test_score_of_ready_datasets(
+    finished: Path, rendered: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
     call = [
-        "evaluate",
-        "--detectors",
-        finished / "detectors/retinanet",
-        "--original",
-        finished / "datasets/test",
-        *CPU,
+        *("score", "--detectors", finished / "detectors/retinanet"),
+        *("--original", finished / "datasets/test", *CPU),
     ]
-    pairs = [f"{name}={finished}/datasets/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
-    out = tmp_path / "evaluation"
+    pairs = [f"{name}={rendered}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
+    out = tmp_path / "scores"
     answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
     assert answer.code == 0, answer.err
     assert "EASR" in answer.out
-    assert bytes_of(out) == bytes_of(finished / "evaluation")
+    for name in ("outcomes.parquet", "tiles.parquet", "sets.json"):
+        assert (out / name).read_bytes() == (finished / "scores/test" / name).read_bytes()
     skyproof(*call, "--camouflaged", *pairs, "--out", out).refused(str(out), "not overwritten")
     for bad, words in (
         ([f"T-U={finished}/datasets/validation"], ("does not show the scenes",)),
@@ -188,7 +198,7 @@ def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) ->
         skyproof(*call, "--camouflaged", *bad, "--out", tmp_path / "x").refused(*words)
         assert not (tmp_path / "x").exists()
     # Another run numbers its scenes alike: only their content tells.
-    other = folder / "datasets/test-T-U"
+    other = rendered / "test-T-U"
     rows = [json.loads(line) for line in (other / "scenes.jsonl").read_text().splitlines()]
     rows[0]["sun"]["azimuth_rad"] += 0.5
     (other / "scenes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
@@ -204,14 +214,46 @@ def test_evaluate(finished: Path, copied, tmp_path: Path, skyproof: Skyproof) ->
     assert not (tmp_path / "x").exists()
 
 
-def test_evaluate_at_another_resolution(copied, tmp_path: Path, skyproof: Skyproof) -> None:
+def test_score_expects_both_sides(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+    detectors = ["score", "--detectors", finished / "detectors/retinanet", "--out", tmp_path / "x"]
+    camouflages = ["--camouflages", finished / "camouflages/T-U"]
+    original = ["--original", finished / "datasets/test"]
+    skyproof(*detectors).refused("--original", "--frames")
+    skyproof(*detectors, *camouflages).refused("both sides")
+    skyproof(*detectors, *original).refused("--camouflages")
+    skyproof(*detectors, *original, *camouflages).refused("--backgrounds and --fleet")
+
+
+def test_score_at_another_resolution(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     folder = copied()
     card = folder / "detectors/retinanet/detector.json"
     card.write_text(json.dumps({**json.loads(card.read_text()), "gsd_m": 0.25}))
     skyproof(
-        *("evaluate", "--detectors", card.parent, "--original", folder / "datasets/test", *CPU),
-        *("--camouflaged", f"T-U={folder}/datasets/test-T-U", "--out", tmp_path / "x"),
+        *("score", "--detectors", card.parent, "--original", folder / "datasets/test", *CPU),
+        *("--camouflaged", f"T-U={folder}/datasets/test", "--out", tmp_path / "x"),
     ).refused(str(card.parent), "0.25 m per pixel")
+
+
+def test_what_was_scored_by_hand_is_reported(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    call = [
+        *("score", "--detectors", finished / "detectors/retinanet"),
+        *("--original", finished / "datasets/test", "--fleet", finished / "fleets/test"),
+        *("--camouflages", finished / "camouflages/T-U", finished / "camouflages/R-U-0"),
+        *("--backgrounds", finished / "backgrounds", "--out", tmp_path / "mine/scores/first"),
+        *("--frames", f"valid={finished}/datasets/validation@0.125"),
+    ]
+    answer = skyproof(*call, "--frame-classes", "vehicle", *CPU)
+    assert answer.code == 0, answer.err
+    assert "valid" in answer.out
+    assert skyproof("report", "--run-folder", tmp_path / "mine").code == 0
+    page = (tmp_path / "mine/report.html").read_text()
+    assert page.count('with camouflage"') == page.count('without camouflage"') >= 6
+    assert "procedurally generated ground" in page
+    assert "Texture map of T-U" in page
+    assert "Vehicles as built and with T-U" in page
+    assert "<strong>valid</strong> (computer-generated)" in page
 
 
 def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
@@ -220,23 +262,25 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     assert answer.code == 0, answer.err
     assert (folder / "report.html").exists()
     skyproof("report", "--run-folder", tmp_path / "missing").refused(
-        str(tmp_path / "missing"), "missing"
+        str(tmp_path / "missing"), "holds no scores"
     )
     (folder / "report.html").unlink()
     for file, bad in (
-        ("results.json", "{"),
-        ("results.json", '{"rows": []}'),
         ("config.json", "{"),
-        ("evaluation/outcomes.parquet", "damaged"),
-        ("datasets/test/annotations.json", "{"),
-        ("camouflages/T-U/texture.png", "damaged"),
+        ("scores/test/score.json", "{"),
+        ("scores/test/score.json", '{"rows": []}'),
+        ("scores/test/tiles.parquet", "damaged"),
+        ("scores/test/outcomes.parquet", "damaged"),
+        ("scores/test/checks.json", "{"),
+        ("scores/test/pairs/pairs.json", "{}"),
+        ("scores/test/patterns/T-U/texture.png", "damaged"),
         ("detectors/retinanet/steps.jsonl", "{"),
         ("detectors/retinanet/detector.json", "[]"),
         ("config.json", "[]"),
         ("environment.json", "[]"),
         ("timings.json", "{}"),
-        ("camouflages/T-U/steps.jsonl", "[1]"),
-        ("camouflages/T-U/steps.jsonl", '{"step": 1}'),
+        ("scores/test/patterns/T-U/steps.jsonl", "[1]"),
+        ("scores/test/patterns/T-U/steps.jsonl", '{"step": 1}'),
     ):
         good = (folder / file).read_bytes()
         (folder / file).write_text(bad)

@@ -14,6 +14,7 @@ import pytest
 from skyproof.cycles import blender as blender_module
 from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError
+from skyproof.results.results import Results
 from tests.cli.conftest import Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
@@ -38,11 +39,13 @@ def no_blender(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+def ground_and_fleet(folder: Path) -> list[object]:
+    ground = ["--backgrounds", folder / "backgrounds"]
+    return [*ground, "--fleet", folder / "fleets/test", *CPU]
+
+
 def world(folder: Path) -> list[object]:
-    return [
-        *("--scenes", folder / "scenes/test.jsonl", "--backgrounds", folder / "backgrounds"),
-        *("--fleet", folder / "fleets/test", *CPU),
-    ]
+    return ["--scenes", folder / "scenes/test.jsonl", *ground_and_fleet(folder)]
 
 
 def rewritten(folder: Path, renderer: str) -> None:
@@ -107,7 +110,14 @@ def test_without_blender_nothing_is_written(
     for name in ("annotations.json", "scenes.jsonl"):
         (original / name).write_bytes((finished / "datasets/test" / name).read_bytes())
     rewritten(original, "cycles")
-    scored += [*world(finished), "--original", original, "--out", tmp_path / "scores", *CYCLES]
+    scored += [
+        *ground_and_fleet(finished),
+        "--original",
+        original,
+        "--out",
+        tmp_path / "scores",
+        *CYCLES,
+    ]
     skyproof(*scored).refused("need Blender 4.5 LTS")
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "original"}
 
@@ -189,7 +199,7 @@ def test_score_refuses_an_original_of_the_other_renderer(
     def render(*arguments: object, **options: object) -> None:
         raise AssertionError("rendered before it was refused")
 
-    monkeypatch.setattr("skyproof.cli.stages.render_dataset", render)
+    monkeypatch.setattr("skyproof.render.dataset.render_dataset", render)
     original = finished / "datasets/test"
     answer = skyproof(
         *(
@@ -199,7 +209,14 @@ def test_score_refuses_an_original_of_the_other_renderer(
             "--camouflages",
             finished / "camouflages/T-U",
         ),
-        *(*world(finished), "--original", original, "--out", tmp_path / "scores/all", *CYCLES),
+        *(
+            *ground_and_fleet(finished),
+            "--original",
+            original,
+            "--out",
+            tmp_path / "scores/all",
+            *CYCLES,
+        ),
     )
     answer.refused(str(original), "torch", "cycles", "--renderer")
     assert not list(tmp_path.iterdir())
@@ -211,7 +228,7 @@ def test_score_refuses_before_it_renders(
     def render(*arguments: object, **options: object) -> None:
         raise AssertionError("rendered before it was refused")
 
-    monkeypatch.setattr("skyproof.cli.stages.render_dataset", render)
+    monkeypatch.setattr("skyproof.render.dataset.render_dataset", render)
     folder = copied()
     original, there = folder / "datasets/test", tmp_path / "scores"
     call = [
@@ -221,7 +238,7 @@ def test_score_refuses_before_it_renders(
         "--camouflages",
         folder / "camouflages/T-U",
     ]
-    call += [*world(folder), "--original", original, *CPU, "--out"]
+    call += [*ground_and_fleet(folder), "--original", original, *CPU, "--out"]
     there.mkdir()
     skyproof(*call, there).refused(str(there), "exists")
     path = original / "annotations.json"
@@ -232,27 +249,24 @@ def test_score_refuses_before_it_renders(
     assert sorted(path.name for path in tmp_path.iterdir() if path != folder) == ["scores"]
 
 
-def test_evaluation_takes_the_renderer_from_the_datasets(
+def test_a_score_takes_the_renderer_from_the_datasets(
     copied: Callable[..., Path], tmp_path: Path, skyproof: Skyproof
 ) -> None:
     folder = copied()
+    datasets = folder / "datasets"
+    for name in ("T-U", "R-U-0"):
+        worn = ["--camouflage", folder / "camouflages" / name, "--out", datasets / f"test-{name}"]
+        assert skyproof("render", *world(folder), *worn).code == 0
     for name in ("test", "test-T-U"):
-        rewritten(folder / "datasets" / name, "cycles")
-    call = [
-        "evaluate",
-        "--detectors",
-        folder / "detectors/retinanet",
-        "--original",
-        folder / "datasets/test",
-        *CPU,
-    ]
+        rewritten(datasets / name, "cycles")
+    call = ["score", "--detectors", folder / "detectors/retinanet"]
+    call += ["--original", datasets / "test", *CPU]
     answer = skyproof(
-        *call, "--camouflaged", f"T-U={folder}/datasets/test-T-U", "--out", tmp_path / "cycles"
+        *call, "--camouflaged", f"T-U={datasets}/test-T-U", "--out", tmp_path / "cycles"
     )
     assert answer.code == 0, answer.err
     rows, before = (
-        json.loads((place / "results.json").read_text())["rows"]
-        for place in (tmp_path / "cycles", folder)
+        [row.json() for row in Results.open(place).rows] for place in (tmp_path / "cycles", folder)
     )
     assert {row["renderer"] for row in rows} == {"cycles"}
     assert {row["renderer"] for row in before} == {"torch"}
@@ -263,14 +277,14 @@ def test_evaluation_takes_the_renderer_from_the_datasets(
         [row[key] for key in figures] for row in known
     ]
     skyproof(
-        *call, "--camouflaged", f"R-U-0={folder}/datasets/test-R-U-0", "--out", tmp_path / "x"
-    ).refused(str(folder / "datasets/test-R-U-0"), "torch", "cycles", "same --renderer")
+        *call, "--camouflaged", f"R-U-0={datasets}/test-R-U-0", "--out", tmp_path / "x"
+    ).refused(str(datasets / "test-R-U-0"), "torch", "cycles", "same --renderer")
     assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.blender
 @pytest.mark.usefixtures("blender")
-def test_score_stopped_in_its_evaluation_draws_nothing_again(
+def test_a_score_stopped_while_judging_draws_nothing_again(
     finished: Path, tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original, out = tmp_path / "original", tmp_path / "scores"
@@ -282,13 +296,22 @@ def test_score_stopped_in_its_evaluation_draws_nothing_again(
         "--camouflages",
         finished / "camouflages/T-U",
     ]
-    call += [*world(finished), "--original", original, "--out", out, *CYCLES, "--workers", 1]
+    call += [
+        *ground_and_fleet(finished),
+        "--original",
+        original,
+        "--out",
+        out,
+        *CYCLES,
+        "--workers",
+        1,
+    ]
 
     def stop(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyproof.cli.stages.evaluate_folders", stop)
+        patch.setattr("skyproof.results.scoring.score_detectors", stop)
         assert skyproof(*call).code == 130
 
     def render(*arguments: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,8 +11,10 @@ from skyproof.detectors.average_precision import (
     PrecisionRecall,
     average_precision,
     best_f1_threshold,
+    precision_recall,
 )
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
 
 
@@ -78,40 +81,40 @@ def test_equals_coco_at_iou_one_half(seed: int) -> None:
     coco = coco_eval.COCO(dataset)
     evaluation = coco_eval.COCOeval_faster(coco, coco.loadRes(results), "bbox")
     evaluation.run()
-    curve = average_precision(found, truth, criterion="iou_50")
-    assert 0.1 < curve.ap < 0.95
-    assert curve.ap == pytest.approx(float(evaluation.stats[1]), abs=1e-3)
+    ap = average_precision(match_images(found, truth, criterion="iou_50"))
+    assert 0.1 < ap < 0.95
+    assert ap == pytest.approx(float(evaluation.stats[1]), abs=1e-3)
+
+
+def ap_of(found: list[Detections], truth: Dataset) -> float:
+    return average_precision(match_images(found, truth, criterion="centre_1m"))
 
 
 def test_perfect_and_empty_detections() -> None:
     boxes = torch.tensor([[10.0, 10, 46, 25]])
     truth = labelled([boxes, torch.zeros(0, 4)])
     nothing = Detections(torch.zeros(0, 4), torch.zeros(0))
-    perfect = average_precision(
-        [Detections(boxes, torch.ones(1)), nothing], truth, criterion="centre_1m"
-    )
-    assert perfect.ap == 1.0
-    assert average_precision([nothing, nothing], truth, criterion="centre_1m").ap == 0.0
-    no_vehicle = average_precision([nothing], labelled([torch.zeros(0, 4)]), criterion="centre_1m")
-    assert no_vehicle.ap != no_vehicle.ap
+    assert ap_of([Detections(boxes, torch.ones(1)), nothing], truth) == 1.0
+    assert ap_of([nothing, nothing], truth) == 0.0
+    no_vehicle = ap_of([nothing], labelled([torch.zeros(0, 4)]))
+    assert no_vehicle != no_vehicle
     with pytest.raises(ConfigurationError, match="2"):
-        average_precision([nothing], truth, criterion="centre_1m")
+        match_images([nothing], truth, criterion="centre_1m")
 
 
 def test_detections_in_ignore_regions_do_not_count() -> None:
     boxes = torch.tensor([[10.0, 10, 46, 25], [60.0, 60, 90, 80]])
     ignore = [torch.tensor([[50.0, 50, 96, 96]])]
     found = [Detections(boxes, torch.tensor([0.5, 0.4]))]
-    curve = average_precision(found, labelled([boxes[:1]], ignore), criterion="centre_1m")
-    assert curve.precision.tolist() == [1.0]
+    matches = match_images(found, labelled([boxes[:1]], ignore), criterion="centre_1m")
+    assert precision_recall(matches).precision.tolist() == [1.0]
 
 
 def curve(scores: list[float], hits: list[int], vehicles: int) -> PrecisionRecall:
-    positives = torch.tensor(hits, dtype=torch.float64).cumsum(0)
-    precision = positives / torch.arange(1, len(hits) + 1, dtype=torch.float64)
-    return PrecisionRecall(
-        torch.tensor(scores, dtype=torch.float64), precision, positives / vehicles, 0.0, vehicles
-    )
+    positives = np.cumsum(np.array(hits, dtype=np.float64))
+    precision = positives / np.arange(1, len(hits) + 1)
+    values = np.array(scores, dtype=np.float64)
+    return PrecisionRecall(values, precision, positives / vehicles, vehicles)
 
 
 def test_f1_threshold_lies_midway_below_the_best_detection() -> None:

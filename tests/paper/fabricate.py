@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
+from skyproof.results.checks import write_checks
 from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
+from skyproof.results.score_folder import ScoreRecord, write_record
 
 DETECTORS = ("retinanet", "yolov5")
 TILES = tuple(f"tile-{index:02d}" for index in range(20))
@@ -15,7 +17,7 @@ PER_TILE = 10
 
 
 def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
-    """Writes one evaluation folder.
+    """Writes one score folder.
 
     Args:
         folder: gets tiles.parquet and sets.json.
@@ -48,9 +50,12 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(TILES, series))
     write_sets(folder / "sets.json", sets)
+    write_checks(folder / "checks.json", [])
+    thresholds = dict.fromkeys(DETECTORS, 0.5)
+    write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 
 
-def write_record(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
+def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
     """Writes a camouflage.json with what an attack records."""
     signs = {
         d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors
@@ -110,7 +115,7 @@ def fabricate(folder):
         write_scores(folder / "scores" / f"{batch:03d}", part, spread=rng)
         seen = {name: 0.1 + 0.7 * rate for name, rate in part.items() if "_" not in name}
         write_scores(
-            folder / "scores-cycles" / f"{batch:03d}",
+            folder / "scores" / f"{batch:03d}-cycles",
             seen,
             spread=rng,
             renderer="cycles",
@@ -119,7 +124,7 @@ def fabricate(folder):
     for name in names:
         if not name.startswith("R-") and "_step" not in name and "_relaxed" not in name:
             alone = name.partition("_on_")[2].rpartition("-")[0]
-            write_record(folder, name, detectors=(alone,) if alone else DETECTORS)
+            write_attack(folder, name, detectors=(alone,) if alone else DETECTORS)
     return folder
 
 

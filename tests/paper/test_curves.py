@@ -62,7 +62,7 @@ def test_a_combined_family_starts_at_its_texture(rng):
 
 def test_shape_alone_starts_at_nothing(rng):
     tiles = made(
-        {("S-O@0.4", "a"): 0.9, ("S-O@1.0", "a"): 0.9, ("S-O@0.4", "b"): 0.7, ("S-O@1.0", "b"): 0.9}
+        {("S-O@0.4", "a"): 0.9, ("S-O@1", "a"): 0.9, ("S-O@0.4", "b"): 0.7, ("S-O@1", "b"): 0.9}
     )
     curve = practicality_curve(tiles, "S-O", generator=rng)
     assert [(point.perturbation_magnitude, point.p1) for point in curve.points] == [

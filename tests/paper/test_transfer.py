@@ -1,24 +1,22 @@
 """The matrix of attacked-on by evaluated-on."""
 
+import math
+
 import pytest
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.paper.transfer import transfer_matrix
+from skyproof.paper import transfer
+from skyproof.results.statistics.intervals import Interval
+from tests.results.rows import made_row
+
+read = CamouflageName.read
 
 
-def row(camouflage, detector, easr, **changes):
-    values = {f"{key}{end}": None for key in ("easr", "net_easr") for end in ("", "_low", "_high")}
-    values |= {
-        "camouflage": camouflage,
-        "detector": detector,
-        "renderer": "torch",
-        "match": "centre_1m",
-    }
-    return (
-        values
-        | {"easr": easr, "easr_low": easr - 0.1, "easr_high": easr + 0.1, "net_easr": easr - 0.2}
-        | changes
-    )
+def row(camouflage, detector, easr, match="centre_1m"):
+    net = Interval(easr - 0.2, math.nan, math.nan)
+    rate = Interval(easr, easr - 0.1, easr + 0.1)
+    return made_row(camouflage, detector, easr=rate, net_easr=net, match=match)
 
 
 ROWS = [
@@ -42,23 +40,30 @@ ATTACKED = {
 }
 
 
+def transfer_matrix(rows, attacked, *, base):
+    named = {read(name): detectors for name, detectors in attacked.items()}
+    return transfer.transfer_matrix(rows, named, base=read(base))
+
+
 def test_matrix_by_hand():
     matrix = transfer_matrix(ROWS, ATTACKED, base="T-U")
     assert [[cell.detector for cell in line] for line in matrix] == [["a", "b"]] * 3
-    assert [line[0].camouflage for line in matrix] == ["T-U_on_a", "T-U_without_a", "T-U"]
+    assert [str(line[0].camouflage) for line in matrix] == ["T-U_on_a", "T-U_without_a", "T-U"]
     assert [line[0].attacked for line in matrix] == [("a",), ("b",), ("a", "b")]
     assert [[cell.white_box for cell in line] for line in matrix] == [
         [True, False],
         [False, True],
         [True, True],
     ]
-    assert [[cell.easr[0] for cell in line] for line in matrix] == [
+    assert [[cell.easr.estimate for cell in line] for line in matrix] == [
         [0.95, 0.3],
         [0.4, 0.9],
         [0.9, 0.8],
     ]
-    assert matrix[0][1].easr == pytest.approx((0.3, 0.2, 0.4))
-    assert matrix[0][1].net_easr == (pytest.approx(0.1), None, None)
+    easr = matrix[0][1].easr
+    assert (easr.estimate, easr.low, easr.high) == pytest.approx((0.3, 0.2, 0.4))
+    assert matrix[0][1].net_easr.estimate == pytest.approx(0.1)
+    assert math.isnan(matrix[0][1].net_easr.low)
 
 
 def test_gaps_are_refused():
@@ -68,7 +73,7 @@ def test_gaps_are_refused():
         transfer_matrix(ROWS, {"T-U": ["a", "b"]}, base="T-U")
     with pytest.raises(ConfigurationError, match="b has not judged T-U_on_a"):
         transfer_matrix(
-            [r for r in ROWS if r["camouflage"] != "T-U_on_a" or r["detector"] == "a"],
+            [r for r in ROWS if str(r.camouflage) != "T-U_on_a" or r.detector == "a"],
             ATTACKED,
             base="T-U",
         )

@@ -11,9 +11,10 @@ from PIL import Image, ImageDraw
 
 from skyproof.files import read_json, write_json, write_jsonl
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcomes
-from skyproof.results.pairs.sets import SetScore
-from skyproof.results.pairs.tiles import count_tiles
-from skyproof.results.summary import summarise
+from skyproof.results.pairs.sets import SetScore, write_sets
+from skyproof.results.pairs.tiles import count_tiles, write_tiles
+from skyproof.results.pictures import choose_scenes
+from skyproof.results.score_folder import Pair, ScoreRecord, write_pairs, write_record
 
 DETECTORS = ("retinanet", "faster_rcnn")
 HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}
@@ -24,27 +25,21 @@ def fabricate(folder, scenes=40):
     """Writes the folder; everything follows from one seed."""
     rng = np.random.default_rng(1)
     names = ["test", *(f"test-{camouflage}" for camouflage in HIDES)]
-    coco = {name: {"images": [], "annotations": []} for name in names}
-    detections = {(name, detector): [] for name in names for detector in DETECTORS}
+    pictures = {}
     outcomes = []
     for index in range(scenes):
         scene, ground = f"scene-{index:04d}", rng.normal(110, 14, (192, 192, 3))
         count, sun, tilt = int(rng.integers(1, 5)), rng.uniform(15, 65), rng.uniform(0, 20)
         corners = [(x, y) for x in (20, 110) for y in (20, 110)][:count]
         boxes = [(x, y, x + 36, y + 16) for x, y in corners]
-        found = {(name, d): [] for name in names for d in DETECTORS}
-        for place, box in enumerate(boxes):
+        for place in range(len(boxes)):
             body, heading = str(rng.choice(BODIES)), rng.uniform(0, 360)
             for d in DETECTORS:
                 before = rng.random() < 0.95
-                if before:
-                    found["test", d].append((box, 0.9))
                 for camouflage, rate in HIDES.items():
                     after = (
                         rng.random() > rate * (0.6 + 0.01 * sun) if before else rng.random() < 0.05
                     )
-                    if after:
-                        found[f"test-{camouflage}", d].append((box, 0.8))
                     for match in ("centre_1m", "iou_50"):
                         outcomes.append(
                             Outcome(
@@ -61,46 +56,19 @@ def fabricate(folder, scenes=40):
                             )
                         )  # fmt: skip
         for name in names:
-            if rng.random() < 0.3:
-                found[name, DETECTORS[0]].append(((150, 70, 176, 86), 0.7))
-            coco[name]["images"].append(
-                {"id": index, "file_name": f"images/{scene}.png", "width": 192, "height": 192}
-            )
             picture = Image.fromarray(ground.clip(0, 255).astype(np.uint8))
-            for place, box in enumerate(boxes):
+            for box in boxes:
                 fill = (
                     (200, 40, 40)
                     if name == "test"
                     else tuple(int(v) for v in rng.integers(60, 180, 3))
                 )
                 ImageDraw.Draw(picture).rectangle(box, fill=fill)
-                annotation = {
-                    "id": len(coco[name]["annotations"]),
-                    "image_id": index,
-                    "category_id": 1,
-                }
-                annotation |= {
-                    "bbox": [box[0], box[1], 36, 16],
-                    "vehicle": "saloon-0001",
-                    "placement_index": place,
-                }
-                coco[name]["annotations"].append(annotation)
-            path = folder / "datasets" / name / "images" / f"{scene}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            picture.save(path)
-            for d in DETECTORS:
-                rows = found[name, d]
-                row = {
-                    "image": scene,
-                    "boxes": [list(b) for b, _ in rows],
-                    "scores": [s for _, s in rows],
-                }
-                detections[name, d].append(row)
-    for name in names:
-        write_json(folder / "datasets" / name / "annotations.json", coco[name])
-    for (name, d), rows in detections.items():
-        write_jsonl(folder / "evaluation" / "detections" / name / f"{d}.jsonl", rows)
-    write_outcomes(folder / "evaluation" / "outcomes.parquet", outcomes)
+            pictures[name, scene] = picture
+    score = folder / "scores" / "main"
+    write_outcomes(score / "outcomes.parquet", outcomes)
+    write_tiles(score / "tiles.parquet", count_tiles(outcomes))
+    _write_pairs(score, outcomes, pictures)
     sets = [
         SetScore(
             camouflage,
@@ -114,11 +82,31 @@ def fabricate(folder, scenes=40):
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
     ]
-    write_json(
-        folder / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)}
-    )
+    write_sets(score / "sets.json", sets)
+    write_record(score, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="torch"))
     _write_rest(folder, rng)
     return folder
+
+
+def _write_pairs(score, outcomes, pictures):
+    """Pictures of T-U's scenes, as a score folder keeps them."""
+    scenes = {}
+    for o in outcomes:
+        if (o.camouflage, o.detector, o.match) == ("T-U", DETECTORS[0], "centre_1m"):
+            scenes.setdefault(o.scene, []).append(o)
+    pairs = []
+    for scene, why in choose_scenes(scenes).items():
+        files = (f"original/{scene}.jpg", f"T-U/{scene}.jpg")
+        for name, file in zip(("test", "test-T-U"), files, strict=True):
+            path = score / "pairs" / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pictures[name, scene].save(path, quality=85)
+        before = sum(o.detected_original for o in scenes[scene])
+        after = sum(o.detected_adversarial for o in scenes[scene])
+        pairs.append(
+            Pair("T-U", DETECTORS[0], scene, why, len(scenes[scene]), before, after, *files)
+        )
+    write_pairs(score, pairs)
 
 
 def _write_rest(folder, rng):
@@ -155,7 +143,7 @@ def _write_rest(folder, rng):
             ("KIT AIS Munich", True, 0.21, "images", 60, "real frames, resampled to 0.125 m"),
         )
     ]  # fmt: skip
-    write_json(folder / "evaluation" / "clean.json", clean)
+    write_json(folder / "scores" / "main" / "checks.json", {"rows": clean})
     for d in DETECTORS:
         validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
         about = {
@@ -170,8 +158,9 @@ def _write_rest(folder, rng):
         losses = 2 * np.exp(-np.arange(400) / 80) + 0.1 + 0.05 * rng.random(400)
         rows = [{"step": i, "loss": float(loss)} for i, loss in enumerate(losses)]
         write_jsonl(folder / "detectors" / d / "steps.jsonl", rows)
-    attack = folder / "camouflages" / "T-U"
-    write_json(attack / "camouflage.json", {"name": "T-U"})
+    attacked = {"attack": {"detectors": dict.fromkeys(DETECTORS, "digest")}}
+    write_json(folder / "camouflages" / "T-U" / "camouflage.json", {"record": attacked})
+    attack = folder / "scores" / "main" / "patterns" / "T-U"
     fading = np.exp(-np.arange(300) / 100)
     rows = [
         {
@@ -188,21 +177,19 @@ def _write_rest(folder, rng):
 
 
 def fabricate_cycles(folder):
-    """Adds what `demo --cycles` adds: there T-U hides less, random patterns hide more, and all pictures are blue."""
+    """Adds what `demo --cycles` adds: there T-U hides less, random patterns more, all is blue."""
     rng = np.random.default_rng(2)
-    evaluation, cycles = folder / "evaluation", folder / "evaluation-cycles"
-    for place in sorted((folder / "datasets").iterdir()):
-        name = place.name.replace("test", "test-cycles", 1)
-        shutil.copytree(place, folder / "datasets" / name)
-        shutil.copytree(evaluation / "detections" / place.name, cycles / "detections" / name)
-        for picture in (folder / "datasets" / name / "images").iterdir():
-            Image.new("RGB", (192, 192), (30, 60, 200)).save(picture)
+    first, cycles = folder / "scores" / "main", folder / "scores" / "main-cycles"
+    shutil.copytree(first / "pairs", cycles / "pairs")
+    for picture in (cycles / "pairs").rglob("*.jpg"):
+        Image.new("RGB", (384, 384), (30, 60, 200)).save(picture)
     outcomes = []
-    for outcome in read_outcomes(evaluation / "outcomes.parquet"):
+    for outcome in read_outcomes(first / "outcomes.parquet"):
         hidden = rng.random() < (0.3 if outcome.camouflage == "T-U" else 0.15)
         found = outcome.detected_original and not hidden
         outcomes.append(dataclasses.replace(outcome, renderer="cycles", detected_adversarial=found))
     write_outcomes(cycles / "outcomes.parquet", outcomes)
+    write_tiles(cycles / "tiles.parquet", count_tiles(outcomes))
     sets = [
         SetScore(
             camouflage,
@@ -216,14 +203,13 @@ def fabricate_cycles(folder):
         for d in DETECTORS
         for match in ("centre_1m", "iou_50")
     ]
-    write_json(
-        cycles / "results.json", {"rows": summarise(count_tiles(outcomes), sets, generator=rng)}
-    )
+    write_sets(cycles / "sets.json", sets)
+    write_record(cycles, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="cycles"))
     seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
-    clean = [
-        row for row in read_json(evaluation / "clean.json") if row["dataset"] == "rendered test"
-    ]
-    write_json(cycles / "clean.json", [{**row, **seen} for row in clean])
+    rows = read_json(first / "checks.json")["rows"]
+    clean = [row | seen for row in rows if row["dataset"] == "rendered test"]
+    named = [row | {"dataset": "Blender Cycles test"} for row in clean]
+    write_json(cycles / "checks.json", {"rows": named})
     return folder
 
 

@@ -4,24 +4,22 @@ import base64
 import io
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fabricate import fabricate, fabricate_cycles
-
-from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
-from skyproof.report.renderers import compare_renderers, survival
+from skyproof.paper.cycles import cycles_columns
+from skyproof.paper.reproduction import Reproduction
+from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
-from skyproof.report.run import Headline
+from skyproof.results.results import Change, Headline, Results
+from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, percent, points
-
-RATES = ("easr", "net_easr")
+from tests.report.fabricate import fabricate, fabricate_cycles
+from tests.results.rows import made_row
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +60,12 @@ def table_of(page, caption):
     ]
 
 
-def rows_of(path, camouflage, match="centre_1m"):
-    rows = read_json(path)["rows"]
+def rows_of(folder, camouflage, renderer, match="centre_1m"):
+    rows = read_json(folder / "results.json")["rows"]
     return {
         row["detector"]: row
         for row in rows
-        if (row["camouflage"], row["match"]) == (camouflage, match)
+        if (row["camouflage"], row["renderer"], row["match"]) == (camouflage, renderer, match)
     }
 
 
@@ -77,8 +75,10 @@ def shown(row, key):
 
 def test_every_number_stands_in_the_cell_of_its_renderer(both, page):
     cells = {row[0]: row[1:] for row in table_of(page, "T-U on both renderers")}
-    files = (both / "results.json", both / "evaluation-cycles" / "results.json")
-    attack, control = ([rows_of(path, name) for path in files] for name in ("T-U", "R-U"))
+    attack, control = (
+        [rows_of(both, name, renderer) for renderer in ("torch", "cycles")]
+        for name in ("T-U", "R-U")
+    )
     assert list(cells) == ["RetinaNet", "Faster R-CNN", "mean"]
     for label, name in (
         ("RetinaNet", "retinanet"),
@@ -89,9 +89,10 @@ def test_every_number_stands_in_the_cell_of_its_renderer(both, page):
         expected += [shown(rows[name], "easr") for rows in control]
         expected += [shown(rows[name], "net_easr") for rows in attack]
         assert cells[label][:6] == expected
-        change = attack[1][name]["net_easr"] - attack[0][name]["net_easr"]
-        assert cells[label][6].split()[0] == points(change)
-        assert cells[label][7:] == [words_of(percent(ap, 1)) for ap in (0.97, 0.88)]
+        for place, key in ((6, "easr"), (7, "net_easr")):
+            change = attack[1][name][key] - attack[0][name][key]
+            assert cells[label][place].split()[0] == points(change)
+        assert cells[label][8:] == [words_of(percent(ap, 1)) for ap in (0.97, 0.88)]
     assert cells["mean"][0] != cells["mean"][1]
 
 
@@ -119,8 +120,9 @@ def test_detectors_are_checked_on_the_images_of_both(run_folder, page):
         if detector == "RetinaNet" and "test" in name
     }
     # Images by Blender are not real ones.
-    clean = run_folder / "evaluation" / "clean.json"
-    write_json(clean, [row for row in read_json(clean) if row["dataset"] == "rendered test"])
+    clean = run_folder / "scores" / "main" / "checks.json"
+    rows = [row for row in read_json(clean)["rows"] if row["dataset"] == "rendered test"]
+    write_json(clean, {"rows": rows})
     assert "No real annotated images were tested" not in page
     assert "No real annotated images were tested" in write_report(run_folder).read_text()
 
@@ -143,85 +145,60 @@ def test_pairs_come_from_the_images_of_their_renderer(page):
 
 
 def test_without_cycles_the_page_is_as_before(both, run_folder):
-    shutil.rmtree(run_folder / "evaluation-cycles")
+    shutil.rmtree(run_folder / "scores" / "main-cycles")
     page = write_report(run_folder).read_text()
     assert page == (both / "without.html").read_text()
     assert "Cycles" not in page
     assert "Renderer torch, found = centre within 1.0 m" in page
 
 
-@pytest.mark.parametrize("missing", ["outcomes.parquet", "clean.json", "detections"])
+@pytest.mark.parametrize("missing", ["outcomes.parquet", "pairs"])
 def test_missing_parts_of_cycles_are_left_out(run_folder, missing):
-    path = run_folder / "evaluation-cycles" / missing
+    path = run_folder / "scores" / "main-cycles" / missing
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     page = write_report(run_folder).read_text()
-    assert ("No matched pairs are shown" in page) == (missing != "clean.json")
+    assert ("No matched pairs are shown" in page) == (missing == "pairs")
     assert len(table_of(page, "T-U on both renderers")) == 3
 
 
-def test_an_evaluation_of_another_renderer_is_refused(run_folder):
-    shutil.copy(run_folder / "results.json", run_folder / "evaluation-cycles" / "results.json")
-    with pytest.raises(StoredFileError, match="evaluation-cycles should hold"):
-        write_report(run_folder)
-    (run_folder / "evaluation-cycles" / "results.json").unlink()
-    with pytest.raises(StoredFileError, match=r"evaluation-cycles/results\.json"):
-        write_report(run_folder)
+def test_the_page_and_the_tables_say_the_same_difference(both, page):
+    """The page once had limits of its own, from the printed intervals."""
+    cells = {row[0]: row[1:] for row in table_of(page, "T-U on both renderers")}
+    change = cycles_columns(Reproduction(Results.open(both)), "T-U")
+    low, high = (points(change[f"cycles_change_{end}"] / 100) for end in ("low", "high"))
+    told = points(change["cycles_change"] / 100)
+    assert cells["mean"][6] == f"{told} ({low} to {high})"
 
 
-def headline(renderer, easr, net=None, interval_m=0.05):
-    """One detector's rates with intervals of this half-width, None for none."""
-    row = {"detector": "retinanet", "easr": easr, "net_easr": net}
-    for key in RATES:
-        known = row[key] is not None and interval_m is not None
-        row |= (
-            {f"{key}_low": row[key] - interval_m, f"{key}_high": row[key] + interval_m}
-            if known
-            else {}
-        )
-        row |= {} if known else {f"{key}_low": None, f"{key}_high": None}
-    return Headline("T-U", renderer, row, [row], {})
+def headline(renderer):
+    row = made_row("T-U", "retinanet")
+    return Headline(row.camouflage, renderer, row, [row], {})
+
+
+def change(first, second, half_width=0.07):
+    difference = second - first
+    return Change(
+        first, second, Interval(difference, difference - half_width, difference + half_width)
+    )
+
+
+NAN = float("nan")
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "said"),
+    ("gross", "net", "said"),
     [
-        (
-            headline("torch", 0.9, 0.85),
-            headline("cycles", 0.6, 0.5),
-            "The missing part leant on how the differentiable",
-        ),
-        (
-            headline("torch", 0.9, 0.85),
-            headline("cycles", 0.88, 0.6),
-            "Random patterns hide more here",
-        ),
-        (headline("torch", 0.6, 0.5), headline("cycles", 0.9, 0.85), "Net success is higher"),
-        (headline("torch", 0.9, 0.85), headline("cycles", 0.86, 0.79), "cannot be told apart"),
-        (headline("torch", 0.9), headline("cycles", 0.6, 0.5), "The share hidden is lower"),
-        (
-            headline("torch", 0.9, 0.85, None),
-            headline("cycles", 0.6, 0.5),
-            "The difference has no interval",
-        ),
-        (headline("torch", 0.9, 0.85), headline("cycles", None), "cannot be compared"),
+        (change(0.9, 0.6), change(0.85, 0.5), "The missing part leant on how the differentiable"),
+        (change(0.9, 0.88), change(0.85, 0.6), "Random patterns hide more here"),
+        (change(0.6, 0.9), change(0.5, 0.85), "Net success is higher"),
+        (change(0.9, 0.86), change(0.85, 0.79), "cannot be told apart"),
+        (change(0.9, 0.6), None, "The share hidden is lower"),
+        (change(0.9, 0.6, NAN), change(0.85, 0.5, NAN), "The difference has no interval"),
+        (None, None, "cannot be compared"),
     ],
 )
-def test_survival_in_words(first, second, said):
-    assert said in survival(first, second)
-
-
-def test_limits_of_the_change_by_hand():
-    """0.4 − 0.9: 0.03 and 0.04 below, a triangle of 3, 4, 5; 0.12 and 0.05 above, one of 5, 12, 13."""
-    first = {"detector": "mean", "net_easr": 0.9, "net_easr_low": 0.85, "net_easr_high": 0.94}
-    second = {"detector": "mean", "net_easr": 0.4, "net_easr_low": 0.37, "net_easr_high": 0.52}
-    only_first = {**first, "detector": "yolov5"}
-    rows = compare_renderers(
-        Headline("T-U", "torch", {}, [only_first, first], {}),
-        Headline("T-U", "cycles", {}, [second], {}),
-    )
-    assert [row.detector for row in rows] == ["mean"]
-    change = rows[0].change
-    assert (change.estimate, change.low, change.high) == pytest.approx((-0.5, -0.55, -0.37))
+def test_survival_in_words(gross, net, said):
+    assert said in survival(headline("torch"), headline("cycles"), gross, net)
 
 
 def test_points():

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fabricate import fabricate
-
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
+from skyproof.report.answer import answer
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
+from skyproof.results.results import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, number, percent, probability
+from tests.report.fabricate import fabricate
+from tests.results.rows import made_row
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +69,9 @@ def first_lines(page):
 
 
 def change_checks(folder, change):
-    path = folder / "evaluation" / "clean.json"
-    write_json(path, [changed for row in read_json(path) if (changed := change(row))])
+    path = folder / "scores" / "main" / "checks.json"
+    rows = [changed for row in read_json(path)["rows"] if (changed := change(row))]
+    write_json(path, {"rows": rows})
 
 
 def test_synthetic_data_alone_is_said_in_the_first_lines(run_folder):
@@ -81,20 +83,15 @@ def test_synthetic_data_alone_is_said_in_the_first_lines(run_folder):
         in told
     )
     assert "They are not evidence about real imagery" in told
-    (run_folder / "evaluation" / "clean.json").unlink()
+    change_checks(run_folder, lambda row: None)
     page = rebuilt(run_folder)
     assert "Synthetic data only." in first_lines(page)
-    assert "no test of them on clean images" in page[: page.index("The answer")]
+    assert "nothing here says how they do on clean images" in page[: page.index("The answer")]
 
 
 def test_rendered_frames_do_not_count_as_real(run_folder):
     change_checks(run_folder, lambda row: row | {"real": False})
     assert "Synthetic data only." in first_lines(rebuilt(run_folder))
-    # Runs of before it was said go by the name.
-    change_checks(
-        run_folder, lambda row: {key: value for key, value in row.items() if key != "real"}
-    )
-    assert "Synthetic data only." not in first_lines(rebuilt(run_folder))
 
 
 def test_synthetic_ground_with_a_check_on_real_images(page, run_folder):
@@ -196,13 +193,12 @@ def test_the_same_folder_gives_the_same_page(run_folder, page):
     ("missing", "said"),
     [
         ("environment.json", "does not say which versions"),
-        ("evaluation/clean.json", "No real annotated images were tested"),
-        ("evaluation/outcomes.parquet", "no table of single outcomes"),
-        ("evaluation/detections", "No matched pairs are shown"),
-        ("datasets", "No matched pairs are shown"),
-        ("detectors", "No matched pairs are shown"),
-        ("camouflages", "no picture of the texture map"),
-        ("camouflages/T-U/on_vehicle.png", "no picture of the pattern on a vehicle"),
+        ("scores/main/outcomes.parquet", "no score folder holds a table of single outcomes"),
+        ("scores/main/pairs", "no score folder holds pictures of T-U"),
+        ("scores/main/patterns", "There is no picture of the texture map"),
+        ("scores/main/patterns/T-U/on_vehicle.png", "no picture of the pattern on a vehicle"),
+        ("detectors", "The answer"),
+        ("camouflages", "The answer"),
         ("timings.json", "The answer"),
     ],
 )
@@ -212,40 +208,38 @@ def test_missing_optional_parts_are_said(run_folder, missing, said):
     assert said in rebuilt(run_folder)
 
 
-def test_rows_with_only_the_required_keys_and_nulls(run_folder):
-    required = read_json(run_folder / "results.json")["rows"][0]
-    row = dict(list(required.items())[:16]) | {
-        "net_easr": None,
-        "net_easr_low": None,
-        "net_easr_high": None,
-    }
-    write_json(run_folder / "results.json", {"rows": [row]})
-    assert "No random control was run" in rebuilt(run_folder)
-    undefined = row | dict.fromkeys(("easr", "easr_low", "easr_high", "asr", "er", "apd"))
-    write_json(run_folder / "results.json", {"rows": [undefined]})
-    assert "The success rate is undefined" in rebuilt(run_folder)
+def test_missing_checks_are_said(run_folder):
+    change_checks(run_folder, lambda row: None)
+    page = rebuilt(run_folder)
+    assert "No real annotated images were tested" in page
+    assert "The detectors were not checked on clean images." in page
 
 
-def test_a_net_rate_that_could_be_zero_is_not_called_success(run_folder):
-    results = read_json(run_folder / "results.json")
-    for row in results["rows"]:
-        if row["net_easr"] is not None:
-            row["net_easr_low"] = -0.02
-    write_json(run_folder / "results.json", results)
-    text = words_of(rebuilt(run_folder))
+def headline(easr, net=None, random=None):
+    row = made_row("T-U", "retinanet", easr=easr, net_easr=net, random_easr=random)
+    return Headline(row.camouflage, "torch", row, [row], {})
+
+
+def test_an_answer_without_control_or_without_a_rate():
+    nan = float("nan")
+    (*_, last) = answer(headline(Interval(0.5, 0.4, 0.6)))
+    assert "No random control was run" in last
+    (only,) = answer(headline(Interval(nan, nan, nan)))
+    assert "The success rate is undefined" in only
+
+
+def test_a_net_rate_that_could_be_zero_is_not_called_success():
+    text = " ".join(answer(headline(Interval(0.5, 0.4, 0.6), Interval(0.3, -0.02, 0.5), 0.2)))
     assert "cannot be told from zero" in text
     assert "is due to optimisation" not in text
 
 
-@pytest.mark.parametrize("name", ["results.json", "config.json"])
-def test_missing_results_name_the_file(run_folder, name):
-    (run_folder / name).unlink()
-    with pytest.raises(StoredFileError, match=name):
-        write_report(run_folder)
+def test_nothing_scored_is_said(tmp_path):
+    with pytest.raises(StoredFileError, match="holds no scores; run skyproof score"):
+        write_report(tmp_path)
 
 
-def test_an_evaluation_by_itself_does_not_claim_to_know_the_ground(run_folder):
-    (run_folder / "results.json").rename(run_folder / "evaluation" / "results.json")
+def test_scores_alone_do_not_claim_to_know_the_ground(run_folder):
     (run_folder / "config.json").unlink()
     text = words_of(rebuilt(run_folder))
     assert "It is not recorded what the ground is." in text
@@ -254,14 +248,47 @@ def test_an_evaluation_by_itself_does_not_claim_to_know_the_ground(run_folder):
     assert "The ground is real" not in text
 
 
+def test_the_ground_is_read_where_it_is_recorded(run_folder):
+    """A page once said that nothing was recorded beside an index.json that said it."""
+    (run_folder / "config.json").unlink()
+    write_json(
+        run_folder / "backgrounds" / "index.json", {"tiles": [{"source": "Selwyn 2012.tif"}]}
+    )
+    text = words_of(rebuilt(run_folder))
+    assert "It is not recorded what the ground is." not in text
+    assert "over real imagery (Selwyn 2012.tif)" in text
+    shutil.rmtree(run_folder / "backgrounds")
+    record = read_json(run_folder / "scores" / "main" / "score.json")
+    write_json(run_folder / "scores" / "main" / "score.json", record | {"sources": ["procedural"]})
+    assert "over procedurally generated ground" in words_of(rebuilt(run_folder))
+
+
+def test_a_single_score_folder_is_reported_too(run_folder):
+    page = rebuilt(run_folder / "scores" / "main")
+    assert page.count("Chosen by hash") == 6
+    assert read_json(run_folder / "scores" / "main" / "results.json")["rows"]
+
+
+def test_checks_alone_are_reported(run_folder):
+    score = run_folder / "scores" / "main"
+    for name in ("tiles.parquet", "sets.json", "outcomes.parquet"):
+        (score / name).unlink()
+    record = read_json(score / "score.json")
+    write_json(score / "score.json", record | {"renderer": None})
+    text = words_of(rebuilt(run_folder)).replace("\u202f", " ")
+    assert "No camouflage was compared here." in text
+    assert "21.0 % (19 to 23 %) recall 21 %, precision 90 %" in text
+    assert "The answer" not in text
+
+
 def test_damaged_files_name_the_file(run_folder):
-    (run_folder / "datasets" / "test" / "images" / "scene-0001.png").write_bytes(b"no")
-    for picture in (run_folder / "datasets" / "test" / "images").iterdir():
+    pairs = run_folder / "scores" / "main" / "pairs" / "original"
+    for picture in pairs.iterdir():
         picture.write_bytes(b"no image")
-    with pytest.raises(StoredFileError, match=r"scene-\d+\.png is not a readable image"):
+    with pytest.raises(StoredFileError, match=r"scene-\d+\.jpg is not a readable image"):
         write_report(run_folder)
-    write_json(run_folder / "results.json", {"rows": [{"camouflage": "T-U"}]})
-    with pytest.raises(StoredFileError, match=r"results\.json holds no rows"):
+    write_json(run_folder / "scores" / "main" / "checks.json", {"rows": [{"detector": "x"}]})
+    with pytest.raises(StoredFileError, match=r"checks\.json is not of the form"):
         write_report(run_folder)
 
 

@@ -3,13 +3,34 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 import torch
 
-from skyproof.results.pairs.compare import Comparison, compare, count_false_alarms
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.matching import match_images
+from skyproof.results.pairs import compare as room
+from skyproof.results.pairs.compare import Comparison
 from skyproof.scenes.weather import draw_weather
 
-COMPARISON = Comparison("T-U", "torch", "retinanet", "centre_1m", 0.5, 0.125)
+COMPARISON = Comparison("T-U", "torch", "retinanet", 0.5)
+
+
+def matched(found, truth, ignore=None):
+    """Detections and boxes per image, matched by centre distance."""
+    blank = [torch.zeros(3, 1, 1, dtype=torch.uint8)] * len(truth)
+    images = Dataset.of_images(blank, truth, ignore=ignore, gsd_m=0.125)
+    return match_images(found, images, criterion="centre_1m")
+
+
+def compare(scenes, truth, original, adversarial, comparison, **more):
+    return room.compare(
+        scenes, matched(original, truth), matched(adversarial, truth), comparison, **more
+    )
+
+
+def count_false_alarms(truth, found, comparison, *, ignore=None):
+    return matched(found, truth, ignore).counts_at(comparison.threshold)[1]
 
 
 def boxes(*centres):
@@ -51,7 +72,7 @@ def test_the_limit_of_one_metre(make_scene, make_detections):
 
 def test_a_score_on_the_threshold_counts(make_scene, make_detections):
     found = make_detections((50, 50, 0.1))
-    comparison = Comparison("T-U", "torch", "retinanet", "centre_1m", float(found.scores[0]), 0.125)
+    comparison = Comparison("T-U", "torch", "retinanet", float(found.scores[0]))
     assert compare([make_scene("a", "t")], [boxes((50, 50))], [found], [found], comparison)[
         0
     ].detected_original
@@ -97,7 +118,7 @@ def test_vehicles_out_of_sight_give_no_outcome(make_scene, make_detections):
         near_the_corner,
         near_the_corner,
         COMPARISON,
-        visible_fractions=[torch.tensor([0.0, 0.5])],
+        visible_fractions=[np.array([0.0, 0.5])],
     )
     assert [(o.placement, o.visible_fraction, o.detected_original) for o in outcomes] == [
         (1, 0.5, False)
@@ -115,17 +136,19 @@ def test_false_alarms_are_unmatched_above_the_threshold_and_outside_ignore_regio
     assert count_false_alarms(truth, [found], COMPARISON, ignore=ignore) == 2
 
 
-def test_sequences_that_do_not_belong_together_raise(make_scene, make_detections):
-    with pytest.raises(ValueError, match="one entry per scene"):
-        compare([make_scene("a", "t")], [], [make_detections()], [make_detections()], COMPARISON)
-    with pytest.raises(ValueError, match="another number of boxes"):
+def test_tables_that_do_not_belong_together_raise(make_scene, make_detections):
+    nothing = make_detections()
+    one = matched([nothing], [boxes((5, 5))])
+    two = matched([nothing, nothing], [boxes((5, 5)), boxes((5, 5))])
+    with pytest.raises(ValueError, match="one image per scene"):
+        room.compare([make_scene("a", "t")], one, two, COMPARISON)
+    with pytest.raises(ValueError, match="more vehicles"):
         compare(
-            [make_scene("a", "t", 2)],
-            [boxes((5, 5))],
-            [make_detections()],
-            [make_detections()],
-            COMPARISON,
+            [make_scene("a", "t", 1)], [boxes((5, 5), (9, 9))], [nothing], [nothing], COMPARISON
         )
+    other = dataclasses.replace(one, criterion="iou_50")
+    with pytest.raises(ValueError, match="matched by"):
+        room.compare([make_scene("a", "t")], one, other, COMPARISON)
 
 
 def test_the_weather_of_the_scene_is_recorded(make_scene, make_detections):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skyproof.results.statistics.differences import difference_interval
-from skyproof.results.statistics.intervals import cluster_interval, resample
-from skyproof.results.statistics.rates import success_difference
+from skyproof.results.statistics.intervals import cluster_interval, mean_interval, resample
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 TILES, VEHICLES = 40, 6
 MARGIN = 1 - 0.025 ** (1 / TILES)
@@ -24,44 +24,62 @@ def weights(rng):
     return resample(TILES, generator=rng, replicates=1000)
 
 
-def test_tiles_that_all_agree_leave_the_exact_margin(weights):
-    found = difference_interval(stack(6, 3), stack(3), weights)
+def test_tiles_that_all_agree_leave_the_exact_margins(weights):
+    found = difference_interval([stack(6, 3)], [stack(3)], weights)
     assert found.estimate == pytest.approx(0.25)
-    assert (found.low, found.high) == (pytest.approx(0.25 - MARGIN), pytest.approx(0.25 + MARGIN))
+    # 0.75 and 0.5, each give or take the margin, by the square-and-add rule.
+    margin = math.hypot(MARGIN, MARGIN)
+    assert (found.low, found.high) == (pytest.approx(0.25 - margin), pytest.approx(0.25 + margin))
 
 
 def test_paired_by_tile(weights, rng):
     lost = rng.integers(0, 5, TILES)
     # One more on every tile: a sixth, for certain as far as resampling sees.
-    found = difference_interval(stack(lost + 1), stack(lost), weights)
+    found = difference_interval([stack(lost + 1)], [stack(lost)], weights)
     assert found.estimate == pytest.approx(1 / 6)
     assert found.high - found.low == pytest.approx(2 * MARGIN)
 
 
 def test_without_unanimous_series_it_is_the_plain_interval(weights, rng):
-    own, other = stack(rng.integers(2, 6, TILES)), stack(rng.integers(0, 4, TILES))
-    plain = cluster_interval(np.concatenate([own, other]), success_difference(1), weights)
-    found = difference_interval(own, other, weights)
+    own = stack(rng.integers(2, 6, TILES))
+    other = stack(rng.integers(0, 4, TILES))
+
+    def minus(counts):
+        easr = overall_attack_success_rate(counts)
+        return easr[..., 0] - easr[..., 1]
+
+    plain = cluster_interval(np.concatenate([own, other]), minus, weights)
+    found = difference_interval([own], [other], weights)
     assert (found.low, found.high) == (pytest.approx(plain.low), pytest.approx(plain.high))
     assert not found.unanimous
 
 
-def test_a_unanimous_series_adds_its_share(weights, rng):
+def test_a_unanimous_group_enters_with_its_exact_limits(weights, rng):
     own = stack(rng.integers(0, 4, TILES))
-    other = stack(6, 6, 6, rng.integers(2, 6, TILES))  # three of four hide every vehicle
-    plain = cluster_interval(np.concatenate([own, other]), success_difference(1), weights)
-    found = difference_interval(own, other, weights)
-    # Their true rate can only be lower, so the difference only higher.
-    assert found.low == pytest.approx(plain.low)
-    assert found.high - found.estimate == pytest.approx(
-        math.hypot(plain.high - plain.estimate, 0.75 * MARGIN)
-    )
+    hidden = stack(6)  # every vehicle, so its true rate can only be lower
+    part = mean_interval(own, overall_attack_success_rate, weights, (-math.inf, 1.0))
+    found = difference_interval([own], [hidden], weights)
     assert found.unanimous
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(part.high - part.estimate, MARGIN)
+    )
+    assert found.low == pytest.approx(found.estimate - (part.estimate - part.low), abs=0.01)
+
+
+def test_a_difference_of_differences(weights, rng):
+    """What is 0.5 above its control here and 0.2 above it there lost 0.3, of whatever is shared."""
+    lost = rng.integers(0, 3, TILES)
+    found = difference_interval(
+        [stack(lost + 1), stack(lost)], [stack(lost + 3), stack(lost)], weights
+    )
+    assert found.estimate == pytest.approx(-2 / 6)
+    # The tiles' differences are the same everywhere, as far as resampling sees.
+    assert found.high - found.low == pytest.approx(2 * MARGIN)
 
 
 def test_undefined_without_vehicles(weights):
     nothing = np.zeros((1, TILES, 3), dtype=np.int64)
-    found = difference_interval(nothing, stack(3), weights)
+    found = difference_interval([nothing], [stack(3)], weights)
     assert math.isnan(found.estimate)
     assert math.isnan(found.low)
 
@@ -88,6 +106,6 @@ def test_holds_the_truth(own, other, weights, rng):
             stack(*(rng.binomial(VEHICLES, chance(rate, difficulty)) for rate in rates))
             for rates in (own, other)
         )
-        found = difference_interval(one, two, resample(TILES, generator=rng, replicates=500))
+        found = difference_interval([one], [two], resample(TILES, generator=rng, replicates=500))
         held += found.low <= truth <= found.high
     assert held / runs >= 0.92

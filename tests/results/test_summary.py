@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from skyproof.results import summary
 from skyproof.results.pairs.outcomes import Outcome
 from skyproof.results.pairs.sets import SetScore
 from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.statistics.intervals import mcnemar_p
-from skyproof.results.summary import summarise
 
 REQUIRED = [
     "camouflage",
@@ -30,6 +30,11 @@ REQUIRED = [
     "apd",
     "match",
 ]
+
+
+def summarise(tiles, sets, *, generator):
+    """The rows as `results.json` has them."""
+    return [row.json() for row in summary.summarise(tiles, sets, generator=generator)]
 
 
 def outcomes(camouflage, detector, detected, match="centre_1m"):

@@ -8,10 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.results.merge import merge_evaluations
+from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome
 from skyproof.results.pairs.sets import SetScore, read_sets, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
+from skyproof.results.score_folder import ScoreRecord, write_record
 
 
 def outcome(tile, camouflage, before, after, detector="yolov5"):
@@ -106,7 +107,7 @@ def test_set_scores_round_trip(tmp_path):
 @pytest.fixture
 def make_folder(tmp_path):
     def make(name, counts, precision=0.9, renderer="torch"):
-        """An evaluation folder with tiles "a" and "b" of two vehicles each: (both, lost, gained) by camouflage."""
+        """A score folder with tiles "a" and "b" of two vehicles: (both, lost, gained)."""
         folder = tmp_path / name
         folder.mkdir()
         series = {
@@ -119,6 +120,7 @@ def make_folder(tmp_path):
             SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts
         ]
         write_sets(folder / "sets.json", scores)
+        write_record(folder, ScoreRecord({"yolov5": 0.5}, renderer=renderer))
         return folder
 
     return make
@@ -127,7 +129,7 @@ def make_folder(tmp_path):
 def test_folders_are_merged(make_folder):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
     two = make_folder("two", {"T-U-1": [[0, 2, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
-    tiles, sets = merge_evaluations([one, two])
+    tiles, sets = merge_counts([one, two])
     assert [key.camouflage for key in tiles.series] == ["T-U-0", "R-U-0", "T-U-1"]
     assert tiles.series[Series("T-U-1", "torch", "yolov5", "iou_50")].tolist() == [
         [2, 0, 2, 0],
@@ -142,7 +144,7 @@ def test_two_renderers_are_merged(make_folder):
     other = make_folder(
         "cycles", {"T-U-0": [[2, 0, 0], [0, 1, 0]]}, precision=0.7, renderer="cycles"
     )
-    tiles, sets = merge_evaluations([one, other])
+    tiles, sets = merge_counts([one, other])
     assert tiles.tiles == ("a", "b")
     assert tiles.series[Series("T-U-0", "torch", "yolov5", "iou_50")].tolist() == [
         [2, 1, 1, 0],
@@ -161,17 +163,23 @@ def test_two_renderers_are_merged(make_folder):
 def test_contradictions_are_refused(make_folder, tmp_path):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
     with pytest.raises(ConfigurationError, match="different results for T-U-0 as seen by yolov5"):
-        merge_evaluations([one, make_folder("two", {"T-U-0": [[2, 0, 0], [0, 2, 0]]})])
+        merge_counts([one, make_folder("two", {"T-U-0": [[2, 0, 0], [0, 2, 0]]})])
     with pytest.raises(
         ConfigurationError, match="different results for the images without camouflage as seen by"
     ):
-        merge_evaluations(
-            [one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)]
-        )
+        merge_counts([one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)])
     other = make_folder("four", {"T-U-2": [[1, 1, 0], [0, 2, 0]]})
     fewer = {Series("T-U-2", "torch", "yolov5", "iou_50"): np.array([[1, 0, 1, 0], [2, 0, 2, 0]])}
     write_tiles(other / "tiles.parquet", TileCounts(("a", "b"), fewer))
     with pytest.raises(ConfigurationError, match="same vehicles on the same tiles"):
-        merge_evaluations([one, other])
-    with pytest.raises(ConfigurationError, match="at least one evaluation folder"):
-        merge_evaluations([])
+        merge_counts([one, other])
+
+
+def test_a_score_without_counts_is_passed_over(make_folder, tmp_path):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
+    checked = tmp_path / "checked"
+    checked.mkdir()
+    write_record(checked, ScoreRecord({"yolov5": 0.5}))
+    tiles, sets = merge_counts([checked, one])
+    assert list(tiles.series) == [Series("T-U-0", "torch", "yolov5", "iou_50")]
+    assert len(sets) == 2

@@ -66,7 +66,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
         f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to {gsd_m * 100:.1f} cm/px; vehicles: "
         f"{', '.join(classes)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
     )
-    return CleanSet(name, images, note, places=tuple(places), real=not rendered)
+    return CleanSet(name, images, real=not rendered, note=note, places=tuple(places))
 
 
 def _border_px(given: _Given) -> float:

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import torch
+
+    from skyproof.detectors.detector import TrainableDetector
+    from skyproof.detectors.loaded import LoadedDetector
 
 __all__ = ["Score"]
 
@@ -53,36 +63,40 @@ class Score(Rendering):
     device: str = "auto"
 
     def run(self) -> None:
-        """Judges, and prints the rates of the mean and the checks."""
+        """Judges, and prints success rates and checks."""
+        from skyproof.cli.console import progress_bar
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
-        from skyproof.cli.stages import evaluate_folders, score_camouflages
+        from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
+        from skyproof.files import refuse_existing
+        from skyproof.results.scoring import score_detectors
 
         self._refuse_what_cannot_work()
+        given = self._given()
+        # The scoring refuses what exists, too, but only once everything is rendered.
+        refuse_existing(self.out)
         device = choose_device(self.device)
-        clean = read_frames(self.frames, self.frame_classes, read_card(self.detectors[0]).gsd_m)
-        if self.original and self.camouflages and self.backgrounds and self.fleet:
-            score_camouflages(
-                self.detectors,
-                self.camouflages,
-                self.original / "scenes.jsonl",
-                self.backgrounds,
-                self.fleet,
-                self.original,
+        gsd_m = (
+            read_card(self.detectors[0]).gsd_m
+            if self.original is None
+            else Dataset.open(self.original).gsd_m
+        )
+        judges = self._judges(device, gsd_m)
+        clean = read_frames(self.frames, self.frame_classes, gsd_m)
+        with self._rendered(device) as rendered, progress_bar("score") as update:
+            score_detectors(
+                judges,
                 self.out,
+                original=self.original,
+                camouflaged={**rendered, **given},
                 clean=clean,
-                rendering=self,
                 seed=self.seed,
-                device=device,
+                sources=self._sources(),
+                add=self._add_patterns,
+                progress=update,
             )
-        elif self.original:
-            pairs = {name: Path(place) for name, place in map(_named, self.camouflaged)}
-            evaluate_folders(
-                self.detectors, self.original, pairs, self.out,
-                clean=clean, seed=self.seed, device=device,
-            )  # fmt: skip
-        say(f"Scores: {self.out.resolve()}")
+        self._say_results()
 
     def _refuse_what_cannot_work(self) -> None:
         """Shows a mistake in the options before anything is rendered.
@@ -107,9 +121,159 @@ class Score(Rendering):
                 "--original; give both."
             )
 
+    def _given(self) -> dict[str, Path]:
+        """The datasets with camouflage by name.
 
-def _named(text: str) -> tuple[str, str]:
-    name, _, place = text.partition("=")
-    if not name or not place:
-        raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
-    return name, place
+        Raises:
+            ConfigurationError: a text of another form, or one name twice.
+        """
+        given: dict[str, Path] = {}
+        for text in self.camouflaged:
+            name, _, place = text.partition("=")
+            if not name or not place:
+                raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
+            if name in given:
+                raise ConfigurationError(
+                    f"--camouflaged names {name} twice; give each camouflage once."
+                )
+            given[name] = Path(place)
+        names = [*(folder.name for folder in self.camouflages), *given]
+        if len(set(names)) != len(names):
+            raise ConfigurationError(
+                "--camouflages expects folders of different names; score the others separately."
+            )
+        return given
+
+    def _judges(
+        self, device: torch.device, gsd_m: float
+    ) -> list[LoadedDetector[TrainableDetector]]:
+        """Loads the detectors; if they are only checked, folders tell those of one kind apart."""
+        from dataclasses import replace
+
+        from skyproof.detectors.loaded import LoadedDetector, load_ensemble
+
+        if self.original is not None:
+            return load_ensemble(self.detectors, device, gsd_m)
+        judges = [load_ensemble([folder], device, gsd_m)[0] for folder in self.detectors]
+        names = [judge.name for judge in judges]
+        return [
+            judge
+            if names.count(judge.name) == 1
+            else LoadedDetector(judge.detector, replace(judge.card, name=folder.name))
+            for folder, judge in zip(self.detectors, judges, strict=True)
+        ]
+
+    @contextmanager
+    def _rendered(self, device: torch.device) -> Iterator[dict[str, Path]]:
+        """Yields datasets of the original's scenes with each camouflage folder; keeps no images."""
+        if self.original is None or self.backgrounds is None or self.fleet is None:
+            yield {}
+            return
+        from skyproof.camouflage.folder import load_camouflage
+        from skyproof.cli.console import progress_bar
+        from skyproof.cli.renderers import open_renderer
+        from skyproof.datasets.dataset import Dataset
+        from skyproof.render.dataset import render_dataset
+        from skyproof.scenes.backgrounds import BackgroundSet
+        from skyproof.vehicles.fleet import Fleet
+
+        original = Dataset.open(self.original)
+        if self.camouflages and original.renderer != self.renderer:
+            raise ConfigurationError(
+                f"{self.original} was rendered by {original.renderer}, not by {self.renderer}; "
+                f"give --renderer {original.renderer}, or the same scenes rendered by "
+                f"{self.renderer}."
+            )
+        # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering.
+        backgrounds = BackgroundSet.open(self.backgrounds)
+        fleet = Fleet.load(self.fleet)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        temporary = TemporaryDirectory(dir=self.out.parent, prefix=f".{self.out.name}.images.")
+        with temporary as images, open_renderer(self, backgrounds, self.out) as renderer:
+            if self.camouflages and renderer.record() != original.rendering:
+                raise ConfigurationError(
+                    f"{self.original} was rendered with other settings than are asked for here, "
+                    "or by another version of skyproof or Blender; give the same "
+                    "--cycles.samples and --cycles.finish, or render it anew."
+                )
+            rendered = {}
+            for folder in self.camouflages:
+                place = Path(images) / folder.name
+                camouflage = load_camouflage(folder).to(device)
+                with progress_bar(f"render {folder.name}") as update:
+                    render_dataset(
+                        place,
+                        original.scenes,
+                        fleet,
+                        renderer,
+                        camouflage=camouflage,
+                        device=device,
+                        progress=update,
+                    )
+                rendered[folder.name] = place
+            # Within, so that path-traced crops are kept until their images have been judged.
+            yield rendered
+
+    def _sources(self) -> list[str]:
+        """What the ground of the scenes was cut from, or ["procedural"]; empty if not known."""
+        from skyproof.datasets.dataset import Dataset
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        if self.original is None or self.backgrounds is None:
+            return []
+        backgrounds = BackgroundSet.open(self.backgrounds)
+        tiles = dict.fromkeys(scene.background.tile for scene in Dataset.open(self.original).scenes)
+        return list(dict.fromkeys(backgrounds.tile(name).source for name in tiles))
+
+    def _add_patterns(self, folder: Path) -> None:
+        """Adds what the pictured camouflages look like, and what they ask of their makers."""
+        from skyproof.camouflage.account import practicality_account
+        from skyproof.camouflage.folder import load_camouflage
+        from skyproof.camouflage.name import CamouflageName
+        from skyproof.files import write_beside, write_bytes, write_json
+        from skyproof.render.portrait import portrait
+        from skyproof.results.score_folder import is_pictured
+        from skyproof.vehicles.fleet import Fleet
+
+        pictured = [
+            folder for folder in self.camouflages if is_pictured(CamouflageName.read(folder.name))
+        ]
+        if not pictured or self.fleet is None:
+            return
+        from PIL import Image
+
+        fleet = Fleet.load(self.fleet)
+        vehicles = fleet.batch(fleet.ids)
+        rows = []
+        for place in pictured:
+            camouflage = load_camouflage(place)
+            picture = portrait(fleet, camouflage)
+            with write_beside(folder / "patterns" / place.name / "on_vehicle.png") as temporary:
+                Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
+            for file in ("texture.png", "steps.jsonl"):
+                if (place / file).exists():
+                    path = folder / "patterns" / place.name / file
+                    write_bytes(path, (place / file).read_bytes())
+            rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
+        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
+
+    def _say_results(self) -> None:
+        from skyproof.results.results import Results
+        from skyproof.words import interval, percent
+
+        results = Results.open(self.out)
+        for headline in results.headlines():
+            for row in headline.by_detector:
+                limits = interval(row.easr.low, row.easr.high)
+                say(
+                    f"  {row.camouflage!s:<24} {row.detector:<14} EASR "
+                    f"{percent(row.easr.estimate)} ({limits})"
+                )
+        for check in results.checks:
+            ap = check.ap_centre_1m
+            say(
+                f"  {check.dataset:<24} {check.detector:<14} AP {percent(ap.estimate)} "
+                f"({interval(ap.low, ap.high)}, over {check.clusters} {check.clustered_by}), "
+                f"{check.vehicles} vehicles"
+            )
+        say(f"Scores: {self.out.resolve()}")

@@ -1,24 +1,38 @@
-"""Which detection found which vehicle: one matcher for average precision and for success rates (PAPER 19)."""
+"""Which detection found which vehicle: one matcher for average precision and for success rates.
+
+A set of images is matched once for each rule; average precision, recall, false alarms and outcomes
+are all read from that one table.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int, Int64
 from torch import Tensor
 from torchvision import ops
 
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
-__all__ = ["CENTRE_DISTANCE_M", "MATCH_IOU", "Criterion", "Matches", "match_detections"]
+__all__ = [
+    "CENTRE_DISTANCE_M",
+    "MATCH_IOU",
+    "Criterion",
+    "MatchTable",
+    "Matches",
+    "match_detections",
+    "match_images",
+]
 
 Criterion = Literal["centre_1m", "iou_50"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5
-# Detections at a time: more than a detector returns of an image that it sees whole.
-_PART = 512
 
 
 @dataclass(frozen=True)
@@ -27,7 +41,8 @@ class Matches:
 
     Attributes:
         truth_of_detection: `[K]` index of the matched vehicle, or -1.
-        ignored: `[K]` True where an unmatched detection lies in an ignore region: neither hit nor false alarm.
+        ignored: `[K]` True where an unmatched detection lies in an ignore region: it is neither
+            a hit nor a false alarm.
         detection_of_truth: `[T]` index of the matched detection, or -1 for a missed vehicle.
         score_of_truth: `[T]` score of that detection, 0 for a missed vehicle.
     """
@@ -36,6 +51,115 @@ class Matches:
     ignored: Bool[Tensor, " K"]
     detection_of_truth: Int64[Tensor, " T"]
     score_of_truth: Float[Tensor, " T"]
+
+
+@dataclass(frozen=True)
+class MatchTable:
+    """A set of images with its detections and vehicles, matched by one rule.
+
+    Detections in ignore regions are left out, and so are vehicles out of sight, whose box has no
+    area.
+
+    Attributes:
+        criterion: the rule, "centre_1m" or "iou_50".
+        images: how many images there are.
+        scores: `[K]` of the detections that count, best first; equal ones keep their order.
+        hits: `[K]` whether each of them found a vehicle.
+        image_of_detection: `[K]` the image each of them lies in.
+        image_of_vehicle: `[T]` the image each vehicle lies in, rising.
+        index_of_vehicle: `[T]` its place among the boxes of its image.
+        score_of_vehicle: `[T]` score of the detection that found it, whatever the threshold;
+            0 where none did.
+        distance_of_vehicle_m: `[T]` from that detection's centre to its own, in metres; nan where
+            there is none.
+    """
+
+    criterion: Criterion
+    images: int
+    scores: Float[np.ndarray, " K"]
+    hits: Bool[np.ndarray, " K"]
+    image_of_detection: Int[np.ndarray, " K"]
+    image_of_vehicle: Int[np.ndarray, " T"]
+    index_of_vehicle: Int[np.ndarray, " T"]
+    score_of_vehicle: Float[np.ndarray, " T"]
+    distance_of_vehicle_m: Float[np.ndarray, " T"]
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles are in sight."""
+        return len(self.image_of_vehicle)
+
+    def counts_at(self, threshold: float) -> tuple[int, int]:
+        """Detections at or above a threshold that found a vehicle, and those that found none."""
+        kept = self.hits[_reaches(self.scores, threshold)]
+        hits = int(kept.sum())
+        return hits, len(kept) - hits
+
+    def found_at(self, threshold: float) -> Bool[np.ndarray, " T"]:
+        """Whether each vehicle was found by a detection at or above a threshold.
+
+        Because matching is greedy by score, a vehicle's match among the detections above a
+        threshold is its match among all of them wherever that one's score reaches the threshold.
+        """
+        matched = ~np.isnan(self.distance_of_vehicle_m)
+        return matched & _reaches(self.score_of_vehicle, threshold)
+
+
+def match_images(
+    detections: Sequence[Detections], labelled: Dataset, *, criterion: Criterion
+) -> MatchTable:
+    """Matches the detections in every image of a set with its vehicles.
+
+    Args:
+        detections: per image, as `Detector.detect` returns them.
+        labelled: the same images with their vehicles; only boxes, ignore regions and `gsd_m` are
+            read.
+        criterion: "centre_1m" or "iou_50".
+
+    Raises:
+        ConfigurationError: there are not as many detections as images.
+    """
+    if len(detections) != len(labelled):
+        raise ConfigurationError(
+            f"Got detections for {len(detections)} images but labels for {len(labelled)}."
+        )
+    # Empty parts in front, so that a set without images has arrays of the right kind, too.
+    scores: list[np.ndarray] = [np.zeros(0, dtype=np.float32)]
+    hits = [np.zeros(0, dtype=bool)]
+    images = [np.zeros(0, dtype=np.int64)]
+    vehicles: list[np.ndarray] = [np.zeros((0, 4))]
+    per_image = zip(detections, labelled.boxes, labelled.ignore, strict=True)
+    for image, (found, truth, ignore) in enumerate(per_image):
+        boxes = found.boxes.cpu()
+        image_scores = found.scores.cpu()
+        in_sight = (truth[:, 2:] > truth[:, :2]).all(dim=1).nonzero()[:, 0].cpu()
+        shown = truth.cpu()[in_sight]
+        matches = match_detections(
+            boxes,
+            image_scores,
+            shown,
+            criterion=criterion,
+            gsd_m=labelled.gsd_m,
+            ignore=ignore.cpu(),
+        )
+        counted = ~matches.ignored
+        scores.append(image_scores[counted].numpy())
+        hits.append((matches.truth_of_detection[counted] >= 0).numpy())
+        images.append(np.full(int(counted.sum()), image))
+        vehicles.append(_vehicles(image, in_sight, shown, boxes, matches, labelled.gsd_m))
+    order = np.argsort(-np.concatenate(scores).astype(np.float64), kind="stable")
+    table = np.concatenate(vehicles)
+    return MatchTable(
+        criterion=criterion,
+        images=len(labelled),
+        scores=np.concatenate(scores)[order],
+        hits=np.concatenate(hits)[order],
+        image_of_detection=np.concatenate(images)[order],
+        image_of_vehicle=table[:, 0].astype(np.int64),
+        index_of_vehicle=table[:, 1].astype(np.int64),
+        score_of_vehicle=table[:, 2].astype(np.concatenate(scores).dtype),
+        distance_of_vehicle_m=table[:, 3],
+    )
 
 
 @torch.no_grad()
@@ -48,10 +172,10 @@ def match_detections(
     gsd_m: float,
     ignore: Float[Tensor, "m 4"] | None = None,
 ) -> Matches:
-    """Pairs detections with vehicles one-to-one, greedily by falling score (PAPER 19).
+    """Pairs detections with vehicles one-to-one, greedily by falling score.
 
-    Each detection in turn takes the best vehicle still free: the nearest centre within 1.0 m, or the largest IoU of at
-    least 0.5. Equal scores keep their order.
+    Each detection in turn takes the best vehicle still free: the nearest centre within 1.0 m, or
+    the largest IoU of at least 0.5. Equal scores keep their order.
 
     Args:
         boxes: detections, pixel xyxy.
@@ -59,42 +183,35 @@ def match_detections(
         truth: vehicles, pixel xyxy.
         criterion: "centre_1m" or "iou_50".
         gsd_m: metres per pixel.
-        ignore: regions, pixel xyxy, in which an unmatched detection's centre counts for nothing (PAPER 1).
+        ignore: regions, pixel xyxy, in which an unmatched detection's centre counts for nothing.
 
     Raises:
         ConfigurationError: another criterion, or a resolution that is not positive.
     """
     if criterion not in get_args(Criterion) or not gsd_m > 0:
         raise ConfigurationError(
-            f'Matching expects "centre_1m" or "iou_50" and gsd_m above 0, but got "{criterion}" and {gsd_m}.'
+            'Matching expects "centre_1m" or "iou_50" and gsd_m above 0, but got '
+            f'"{criterion}" and {gsd_m}.'
         )
     centres = _centres(boxes)
-    # Which pairs are near enough. Large images have thousands of detections and vehicles, so the
-    # table of all pairs is made in parts.
-    pairs: dict[int, list[tuple[float, int]]] = {}
-    for start in range(0, len(boxes) if len(truth) else 0, _PART):
-        part = slice(start, start + _PART)
-        if criterion == "centre_1m":
-            cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
-            limit = CENTRE_DISTANCE_M
-        else:
-            cost = -ops.box_iou(boxes[part].double(), truth.double())
-            limit = -MATCH_IOU
-        # A difference of rounding must not decide at the limit.
-        near = torch.nonzero(cost <= limit + 1e-9)
-        costs = cost[near[:, 0], near[:, 1]].tolist()
-        for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
-            pairs.setdefault(start + detection, []).append((value, vehicle))
-    # Detections choose in turn, on the CPU.
+    if criterion == "centre_1m":
+        cost = torch.cdist(centres.double(), _centres(truth).double()) * gsd_m
+        limit = CENTRE_DISTANCE_M
+    else:
+        cost = -ops.box_iou(boxes.double(), truth.double())
+        limit = -MATCH_IOU
+    # The loop runs on the CPU over at most 100 detections; a difference of rounding must not
+    # decide at the limit.
+    cost = cost.cpu().clone()
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
-    for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
-        free = [pair for pair in pairs.get(detection, ()) if detection_of_truth[pair[1]] < 0]
-        if free:
-            best = min(free)[1]
-            truth_of_detection[detection] = best
-            detection_of_truth[best] = detection
-    # Which of the others lie where nothing is scored.
+    if len(truth):
+        for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
+            best_cost, best = cost[detection].min(dim=0)
+            if float(best_cost) <= limit + 1e-9:
+                truth_of_detection[detection] = best
+                detection_of_truth[best] = detection
+                cost[:, best] = torch.inf
     ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     if ignore is not None and len(ignore):
         inside = (centres[:, None] >= ignore[None, :, :2]) & (
@@ -107,6 +224,32 @@ def match_detections(
     score_of_truth = scores.new_zeros(len(truth))
     score_of_truth[found] = scores[detection_of_truth[found]]
     return Matches(truth_of_detection, ignored, detection_of_truth, score_of_truth)
+
+
+def _vehicles(
+    image: int,
+    in_sight: Int64[Tensor, " T"],
+    truth: Float[Tensor, "T 4"],
+    boxes: Float[Tensor, "K 4"],
+    matches: Matches,
+    gsd_m: float,
+) -> Float[np.ndarray, "T 4"]:
+    """One image's vehicles in sight as rows: image, place among its boxes, score, distance."""
+    matched = matches.detection_of_truth >= 0
+    offset_px = boxes[matches.detection_of_truth[matched]] - truth[matched]
+    distance_px = torch.linalg.vector_norm(offset_px.view(-1, 2, 2).mean(dim=1), dim=1)
+    rows = np.full((len(truth), 4), np.nan)
+    rows[:, 0] = image
+    rows[:, 1] = in_sight.numpy()
+    rows[:, 2] = matches.score_of_truth.double().numpy()
+    rows[matched.numpy(), 3] = distance_px.double().numpy() * gsd_m
+    return rows
+
+
+def _reaches(scores: Float[np.ndarray, " n"], threshold: float) -> Bool[np.ndarray, " n"]:
+    # In the scores' own precision: turned into a Python float, a score can fall on the other
+    # side of its own value.
+    return np.asarray(scores >= scores.dtype.type(threshold))
 
 
 def _centres(boxes: Tensor) -> Tensor:

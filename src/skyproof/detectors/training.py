@@ -15,12 +15,17 @@ from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import average_precision, best_f1_threshold
+from skyproof.detectors.average_precision import (
+    average_precision,
+    best_f1_threshold,
+    precision_recall,
+)
 from skyproof.detectors.batches import WINDOW_PX, training_batches
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector, save_detector
+from skyproof.detectors.matching import match_images
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError
@@ -152,10 +157,15 @@ def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
         "ap_centre_1m" and "ap_iou_50"; the best "f1" by centres, and the "threshold" it has.
     """
     detections = detect_all(detector, validation)
-    centre = average_precision(detections, validation, criterion="centre_1m")
-    overlap = average_precision(detections, validation, criterion="iou_50")
-    threshold, f1 = best_f1_threshold(centre)
-    return {"ap_centre_1m": centre.ap, "ap_iou_50": overlap.ap, "f1": f1, "threshold": threshold}
+    centre = match_images(detections, validation, criterion="centre_1m")
+    overlap = match_images(detections, validation, criterion="iou_50")
+    threshold, f1 = best_f1_threshold(precision_recall(centre))
+    return {
+        "ap_centre_1m": average_precision(centre),
+        "ap_iou_50": average_precision(overlap),
+        "f1": f1,
+        "threshold": threshold,
+    }
 
 
 class _Best:

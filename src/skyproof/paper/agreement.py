@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from skyproof.camouflage.names import pooled_name
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.statistics.intervals import Interval, resample, resampled
@@ -136,7 +136,9 @@ def _pooled(
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
         if (key.renderer, key.match) == (renderer, match):
-            series.setdefault(pooled_name(key.camouflage), []).append(counts[:, 1:])
+            series.setdefault(str(CamouflageName.read(key.camouflage).pooled), []).append(
+                counts[:, 1:]
+            )
     return series
 
 

@@ -1,27 +1,34 @@
-"""A table of a reproduction, as CSV and as Markdown."""
+"""Tables of numbers as CSV, and a page of headings, paragraphs and tables as Markdown."""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skyproof.results.rows import Row
 from skyproof.results.statistics.intervals import Interval
 
 __all__ = [
+    "Block",
+    "Figure",
+    "Grid",
+    "Heading",
     "Table",
+    "as_markdown",
     "bracket",
     "in_percent",
     "interval_cells",
-    "markdown",
     "number",
     "sign",
     "span",
     "word",
 ]
 
+_STAR = re.compile(r"(?<!\*)\*(?!\*)")
 _RATES = (
     "easr",
     "easr_low",
@@ -72,20 +79,63 @@ def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[st
     }
 
 
-def in_percent(row: Mapping[str, Any] | None) -> dict[str, Any]:
+def in_percent(row: Row | None) -> dict[str, Any]:
     """The numbers of one row of results, in percent and points; None where there is no row."""
-    values = {name: (row or {}).get(name) for name in _RATES}
-    return {"repeats": (row or {}).get("repeats")} | {
-        name: None if value is None else 100 * value for name, value in values.items()
+    values = {} if row is None else row.json()
+    rates = {name: values.get(name) for name in _RATES}
+    return {"repeats": values.get("repeats")} | {
+        name: None if value is None else 100 * value for name, value in rates.items()
     }
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells under a header."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(
-        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
-    )
+@dataclass(frozen=True)
+class Heading:
+    """A heading of a page of tables; level 2 or 3."""
+
+    text: str
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table of a page, as words."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The grid in Markdown."""
+        lines = [self.header, ["---"] * len(self.header), *self.rows]
+        cells = [[cell.replace("|", "\\|") for cell in line] for line in lines]
+        return "\n".join("| " + " | ".join(line) + " |" for line in cells)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture of a page, by the name of its file without ending."""
+
+    name: str
+    caption: str
+
+
+Block = Heading | Grid | Figure | str
+"""A part of a page; a string is a paragraph."""
+
+
+def as_markdown(blocks: Sequence[Block]) -> str:
+    """A page of blocks in Markdown."""
+    parts = []
+    for block in blocks:
+        if isinstance(block, Heading):
+            parts.append("#" * block.level + " " + block.text)
+        elif isinstance(block, Grid):
+            parts.append(block.markdown())
+        elif isinstance(block, Figure):
+            parts.append(f"![{block.caption}]({block.name}.png)")
+        else:
+            # A star by itself is meant; two make bold.
+            parts.append(_STAR.sub(r"\\*", block))
+    return "\n\n".join(parts) + "\n"
 
 
 def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:

@@ -1,25 +1,21 @@
-"""Success against practicality: how much shape an attack needs, and where the two balance best (section 5.5)."""
+"""Success against practicality: how much shape an attack needs, and where the two balance."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from skyproof.camouflage.names import is_control, pooled_name
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.statistics.intervals import Interval, mean_interval, resample, resampled
 from skyproof.results.statistics.rates import overall_attack_success_rate
 
 __all__ = ["Curve", "Point", "curve_families", "p1_score", "practicality_curve"]
-
-_AT = re.compile(r"([^_]+)@(\d+(?:\.\d+)?)")
-_COMBINED = re.compile(r"C-(.+)-(?:seq|par)")
 
 
 @dataclass(frozen=True)
@@ -40,7 +36,7 @@ class Point:
 
     @property
     def practicality(self) -> float:
-        """Pr = 1 − PM (section 5.5)."""
+        """Pr = 1 − PM (section 3.5)."""
         return 1 - self.perturbation_magnitude
 
 
@@ -62,11 +58,12 @@ class Curve:
 def p1_score(
     easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
-    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0 (section 5.5). nan stays nan."""
-    easr, practicality = (
-        np.asarray(easr, dtype=np.float64),
-        np.asarray(practicality, dtype=np.float64),
-    )
+    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0.
+
+    nan stays nan.
+    """
+    easr = np.asarray(easr, dtype=np.float64)
+    practicality = np.asarray(practicality, dtype=np.float64)
     positive = np.where(easr > 0, easr, 0.0)
     total = positive + practicality
     score = np.divide(2 * positive * practicality, total, out=np.zeros_like(total), where=total > 0)
@@ -74,10 +71,14 @@ def p1_score(
 
 
 def curve_families(tiles: TileCounts) -> list[str]:
-    """The families that have a curve: names with a magnitude ("S-O@0.4"), controls and variants ("_") left out."""
-    names = [_AT.fullmatch(pooled_name(key.camouflage)) for key in tiles.series]
+    """The families that have a curve: names with a magnitude ("S-O@0.4"), no control or variant."""
+    names = [CamouflageName.read(key.camouflage) for key in tiles.series]
     return list(
-        dict.fromkeys(found.group(1) for found in names if found and not is_control(found.group(1)))
+        dict.fromkeys(
+            name.family
+            for name in names
+            if name.magnitude is not None and not name.random and not name.variant
+        )
     )
 
 
@@ -90,7 +91,7 @@ def practicality_curve(
     match: str = "centre_1m",
     detector: str | None = None,
 ) -> Curve:
-    """The curve of one family over the magnitudes that were scored (section 5.5).
+    """The curve of one family over the magnitudes that were scored.
 
     Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is the texture by
     itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR is 0 by definition.
@@ -152,19 +153,24 @@ def _magnitudes(
     tiles: TileCounts, family: str, renderer: str, match: str, detector: str | None
 ) -> Mapping[float, list[tuple[str, Int[np.ndarray, "C 4"]]]]:
     """By magnitude: detector and counts of every repeat."""
-    combined = _COMBINED.fullmatch(family)
-    texture = f"T-{combined.group(1)}" if combined else None
     groups: dict[float, list[tuple[str, Int[np.ndarray, "C 4"]]]] = {}
     for key, counts in tiles.series.items():
         if (key.renderer, key.match) != (renderer, match) or detector not in (None, key.detector):
             continue
-        name = pooled_name(key.camouflage)
-        found = _AT.fullmatch(name)
-        if name == texture:
+        name = CamouflageName.read(key.camouflage)
+        if name.variant:
+            continue
+        if name.magnitude is not None and name.family == family:
+            groups.setdefault(name.magnitude, []).append((key.detector, counts))
+        elif name.family == _texture_of(family):
             groups.setdefault(0.0, []).append((key.detector, counts))
-        elif found and found.group(1) == family:
-            groups.setdefault(float(found.group(2)), []).append((key.detector, counts))
     return groups
+
+
+def _texture_of(family: str) -> str | None:
+    """The texture at which the curve of a combination starts: "T-Fc" of "C-Fc-seq"."""
+    kind, _, rest = family.partition("-")
+    return f"T-{rest.rpartition('-')[0]}" if kind == "C" else None
 
 
 def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:

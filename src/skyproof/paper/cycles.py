@@ -1,4 +1,4 @@
-"""The Cycles column of a reproduction: what becomes of attacks and random controls under Blender's path tracer."""
+"""Attacks under Blender's path tracer: what becomes of their success and of random controls'."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from skyproof.camouflage.names import is_control, pooled_name
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import Agreement, rank_agreement, renderer_agreement
 from skyproof.paper.cells import (
+    Block,
+    Grid,
+    Heading,
     Table,
     bracket,
     in_percent,
     interval_cells,
-    markdown,
     number,
 )
 from skyproof.paper.paper_results import PAPER_RESULTS
-from skyproof.paper.run import CYCLES, MATCH, RENDERER, Reproduction
-from skyproof.results.statistics.differences import difference_interval
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.paper.reproduction import Reproduction
+from skyproof.results.results import CYCLES, RENDERER
+from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name
 
 __all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
@@ -32,14 +34,17 @@ _KINDS: Mapping[str, Callable[[str], bool]] = {
     "textures": lambda name: name.startswith("T-"),
     "shapes": lambda name: name.startswith("S-"),
     "combinations": lambda name: name.startswith("C-"),
-    "all attacks": lambda name: not is_control(name),
-    "random textures": lambda name: is_control(name) and "-" not in name[2:],
-    "random shapes and combinations": lambda name: is_control(name) and "-" in name[2:],
+    "all attacks": lambda name: not name.startswith("R-"),
+    "random textures": lambda name: name.startswith("R-") and "-" not in name[2:],
+    "random shapes and combinations": lambda name: name.startswith("R-") and "-" in name[2:],
 }
 
 
 def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
-    """One camouflage's numbers on Cycles and how far its EASR moved, in percent; empty where nothing is on Cycles."""
+    """One camouflage's numbers on Cycles and how far its EASR moved, in percent.
+
+    Empty where nothing is on Cycles.
+    """
     if not run.cycles:
         return {}
     found = in_percent(run.row(name, renderer=CYCLES))
@@ -57,24 +62,25 @@ def cycles_tables(run: Reproduction) -> list[Table]:
     return [Table("cycles", _changes(run)), Table("cycles_agreement", _agreements(run))]
 
 
-def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> str:
-    """What the column is and what it shows, in Markdown; empty without Cycles."""
+def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """What the column is and what it shows; empty without Cycles."""
     if not run.cycles:
-        return ""
-    parts = [
-        "## On Cycles",
-        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the images are drawn by "
-        "Blender’s path tracer Cycles instead of the differentiable renderer: light that no attack saw while it was "
-        "learnt. It is the counterpart of the paper’s “Blender” column. A vehicle counts where the detector found it "
-        "on Cycles’ own image without camouflage; net is minus the random control on Cycles. Shapes and combinations "
-        "keep the PM\\* that they have on the renderer.",
+        return []
+    parts: list[Block] = [
+        Heading("On Cycles"),
+        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the images "
+        "are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: light "
+        "that no attack saw while it was learnt. It is the counterpart of the paper’s “Blender” "
+        "column. A vehicle counts where the detector found it on Cycles’ own image without "
+        "camouflage; net is minus the random control on Cycles. Shapes and combinations keep the "
+        "PM* that they have on the renderer.",
         _missing(run),
-        _moves(tables["cycles"]),
+        *_moves(tables["cycles"]),
         _placebo(tables),
-        _correlations(tables["cycles_agreement"]),
-        _originals(run),
+        *_correlations(tables["cycles_agreement"]),
+        *_originals(run),
     ]
-    return "\n\n".join(part for part in parts if part)
+    return [part for part in parts if part]
 
 
 def _names(run: Reproduction) -> list[str]:
@@ -83,27 +89,12 @@ def _names(run: Reproduction) -> list[str]:
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
-    """Mean EASR under either renderer and their difference, in percent, over what both have; empty for nothing.
-
-    Over repeats and detectors alike.
-    """
-    shared = [
-        (key, key._replace(renderer=CYCLES))
-        for key in run.tiles.series
-        if (key.renderer, key.match) == (RENDERER, MATCH) and pooled_name(key.camouflage) in names
-    ]
-    shared = [(one, other) for one, other in shared if other in run.tiles.series]
-    if not shared:
+    """Mean EASR under either renderer and their difference, in percent; empty for nothing shared."""
+    change = run.results.change([CamouflageName.read(name) for name in names])
+    if change is None:
         return {}
-    before, after = (
-        np.stack([run.tiles.series[pair[which]][:, 1:] for pair in shared]) for which in (0, 1)
-    )
-    easr, on_cycles = (
-        100 * float(overall_attack_success_rate(counts.sum(axis=1)).mean())
-        for counts in (before, after)
-    )
-    difference = difference_interval(after, before, run.weights)
-    return {"easr": easr, "cycles_easr": on_cycles, **interval_cells("change", difference, 100.0)}
+    rates = {"easr": 100 * change.first, "cycles_easr": 100 * change.second}
+    return {**rates, **interval_cells("change", change.difference, 100.0)}
 
 
 def _changes(run: Reproduction) -> list[dict[str, Any]]:
@@ -137,19 +128,24 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
         for name, result in PAPER_RESULTS.items()
         if result.easr_blender is not None
     }
-    attacks = [name for name in _names(run) if not is_control(name)]
+    attacks = [name for name in _names(run) if not name.startswith("R-")]
 
     def with_paper(names: Collection[str]) -> Agreement:
         paper = {name: blender[name] for name in names}
         rng = np.random.default_rng(0)
         return rank_agreement(
-            run.tiles, paper, rows=run.best, generator=rng, renderer=CYCLES, match=MATCH
+            run.results.tiles,
+            paper,
+            rows=run.best,
+            generator=rng,
+            renderer=CYCLES,
+            match=MAIN_MATCH,
         )
 
     def with_renderer(names: Collection[str]) -> Agreement:
         rng = np.random.default_rng(0)
         return renderer_agreement(
-            run.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MATCH
+            run.results.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MAIN_MATCH
         )
 
     paper, renderer = "Cycles and the paper’s Blender", "Cycles and our renderer"
@@ -159,7 +155,7 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
             paper,
             with_paper,
             "textures, shape and combinations",
-            [name for name in blender if not is_control(name)],
+            [name for name in blender if not name.startswith("R-")],
         ),
         (paper, with_paper, "all, with random controls", list(blender)),
         (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
@@ -191,7 +187,7 @@ def _missing(run: Reproduction) -> str:
     )
     repeats, on_cycles = (
         max(
-            (row["repeats"] for name in _names(run) if (row := run.row(name, renderer=renderer))),
+            (row.repeats for name in _names(run) if (row := run.row(name, renderer=renderer))),
             default=0,
         )
         for renderer in (RENDERER, CYCLES)
@@ -204,7 +200,7 @@ def _missing(run: Reproduction) -> str:
     return " ".join(parts)
 
 
-def _moves(table: Table) -> str:
+def _moves(table: Table) -> list[Block]:
     rows = [
         [
             row["kind"],
@@ -219,14 +215,14 @@ def _moves(table: Table) -> str:
         for row in table.rows
     ]
     if not rows:
-        return ""
+        return []
     text = (
-        "How far EASR moves from the renderer to Cycles: means over camouflages, their repeats and the detectors, in "
-        "percent and points, paired by camouflage and tile. Beside them the paper’s means, over the attacks for which "
-        "it has both."
+        "How far EASR moves from the renderer to Cycles: means over camouflages, their repeats and "
+        "the detectors, in percent and points, paired by camouflage and tile. Beside them the "
+        "paper’s means, over the attacks for which it has both."
     )
     header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
-    return f"{text}\n\n" + markdown([*header, "in the paper", "paper EASR", "paper Blender"], rows)
+    return [text, Grid([*header, "in the paper", "paper EASR", "paper Blender"], rows)]
 
 
 def _placebo(tables: Mapping[str, Table]) -> str:
@@ -240,41 +236,48 @@ def _placebo(tables: Mapping[str, Table]) -> str:
     return text + (f" Not surely better than chance there: {', '.join(below)}." if below else "")
 
 
-def _correlations(table: Table) -> str:
+def _correlations(table: Table) -> list[Block]:
     rows = [
-        [row["compared"], row["set"], str(row["attacks"]), bracket(row, "spearman", digits=2),
-         bracket(row, "kendall", digits=2)]
+        [
+            row["compared"],
+            row["set"],
+            str(row["attacks"]),
+            bracket(row, "spearman", digits=2),
+            bracket(row, "kendall", digits=2),
+        ]
         for row in table.rows
-    ]  # fmt: skip
+    ]
     if not rows:
-        return ""
-    text = "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers are held fixed."
-    return f"{text}\n\n" + markdown(
-        ["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows
+        return []
+    text = (
+        "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers "
+        "are held fixed."
     )
+    return [text, Grid(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)]
 
 
-def _originals(run: Reproduction) -> str:
+def _originals(run: Reproduction) -> list[Block]:
     """What the detectors make of the images without camouflage."""
     rows = []
     for detector in run.detectors:
-        precision, found = [], []
+        precision: list[str] = []
+        found: list[str] = []
         for renderer in (RENDERER, CYCLES):
             # Any camouflage will do: all are compared with the same original images.
-            key = next(
-                (key for key in run.tiles.series if key[1:] == (renderer, detector, MATCH)), None
-            )
+            wanted = (renderer, detector, MAIN_MATCH)
+            key = next((key for key in run.results.tiles.series if key[1:] == wanted), None)
             if key is not None:
-                row = run.row(pooled_name(key.camouflage), detector, renderer=renderer) or {}
-                precision.append(_percent(row.get("ap_original")))
-                vehicles, both, lost, _ = run.tiles.series[key].sum(axis=0).tolist()
+                name = str(CamouflageName.read(key.camouflage).pooled)
+                row = run.row(name, detector, renderer=renderer)
+                precision.append(_percent(None if row is None else row.ap_original))
+                vehicles, both, lost, _ = run.results.tiles.series[key].sum(axis=0).tolist()
                 found.append(_percent((both + lost) / vehicles if vehicles else None))
         if len(found) == 2:
             rows.append([detector_name(detector), *precision, *found])
     if not rows:
-        return ""
+        return []
     header = ["detector", "AP", "AP on Cycles", "vehicles found", "vehicles found on Cycles"]
-    return "On the images without camouflage, in percent:\n\n" + markdown(header, rows)
+    return ["On the images without camouflage, in percent:", Grid(header, rows)]
 
 
 def _percent(value: float | None) -> str:

@@ -1,99 +1,98 @@
-"""The page of a reproduction, in Markdown: both tables, the figure, and what backs them."""
+"""The page of the paper's tables: both tables, the figure, and what backs them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.paper.cells import Table, bracket, markdown, number, sign, span, word
+from skyproof.paper.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Table,
+    bracket,
+    number,
+    sign,
+    span,
+    word,
+)
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
-from skyproof.paper.run import MATCH, Reproduction
+from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.results.results import RENDERER
+from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
 
-__all__ = ["reproduction_page", "shape_table", "texture_table"]
+__all__ = ["paper_sections", "shape_table", "standing", "texture_table"]
 
 _SURE = 0.05
 
 
-def reproduction_page(run: Reproduction, tables: Mapping[str, Table]) -> str:
-    """The whole page, from a reproduction and its tables by name."""
+def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """What is to be said of a reproduction beside the paper, from its tables by name."""
     detectors = ", ".join(map(detector_name, run.detectors))
-    parts = [
-        f"# {run.config.get('title', 'The paper’s tables')}",
-        _standing(run),
-        f"All rates in percent, of the test vehicles that a detector found before; mean over {detectors}. Brackets "
-        "hold 95 % bootstrap intervals over background tiles, “repeats” the range over attacks from different seeds. "
-        "“random” is the EASR of random draws under the same constraints, “net” the EASR minus that. “paper” is what "
-        "the paper reports for its own renderer († only in its source’s comments)."
-        + (
-            " What stands “on Cycles”, and the paper’s for Blender, is [explained below](#on-cycles)."
-            if run.cycles
-            else ""
-        ),
-        _about(run),
-        "## Textures",
+    explained = " What stands “on Cycles”, and the paper’s for Blender, is explained below."
+    parts: list[Block] = [
+        "All rates in percent, of the test vehicles that a detector found before; mean over "
+        f"{detectors}. Brackets hold 95 % bootstrap intervals over background tiles, “repeats” the "
+        "range over attacks from different seeds. “random” is the EASR of random draws under the "
+        "same constraints, “net” the EASR minus that. “paper” is what the paper reports for its own "
+        "renderer († only in its source’s comments)." + (explained if run.cycles else ""),
+        Heading("Textures"),
         texture_table(tables["textures"]),
-        "## Shape and combinations",
-        "At PM\\*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is chosen on the same "
-        "vehicles, so P1 is a little too high; “chosen” says in how many percent of bootstrap replicates it would be. "
-        "PM 0 is the texture alone.",
+        Heading("Shape and combinations"),
+        "At PM*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is "
+        "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many percent "
+        "of bootstrap replicates it would be. PM 0 is the texture alone.",
         shape_table(tables["shape_combined"]),
-        "![EASR against practicality](easr_vs_pr.png)",
-        "## Does our order agree with the paper’s?",
-        _agreement(tables["agreement"]),
-        _order(run),
-        cycles_section(run, tables),
-        "## Can the attacks be trusted?",
+        Figure("easr_vs_pr", "EASR against practicality"),
+        Heading("Does our order agree with the paper’s?"),
+        *_agreement(tables["agreement"]),
+        *_order(run),
+        *cycles_section(run, tables),
+        Heading("Can the attacks be trusted?"),
         _tests([*tables["textures"].rows, *tables["shape_combined"].rows]),
-        _signs(tables["signs"]),
-        "### Strength ladder",
-        _ladder(tables["ladder"]),
-        "### Rounding to few colours",
+        *_signs(tables["signs"]),
+        Heading("Strength ladder", 3),
+        *_ladder(tables["ladder"]),
+        Heading("Rounding to few colours", 3),
         _gap(tables["gap"]),
-        "## Transfer",
+        Heading("Transfer"),
         _transfer(tables["transfer"], run),
-        "## Practicality",
-        _practicality(tables["practicality"]),
-        "## Files",
-        "\n".join(f"- [{name}.csv]({name}.csv)" for name in tables),
+        Heading("Practicality"),
+        *_practicality(tables["practicality"]),
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return [part for part in parts if part]
 
 
-def texture_table(table: Table) -> str:
-    """The paper's first table as Markdown."""
+def texture_table(table: Table) -> Grid:
+    """The paper's first table."""
     header = ["attack", "practicality", *_header(table)]
-    return markdown(
-        header, [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows]
-    )
+    rows = [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows]
+    return Grid(header, rows)
 
 
-def shape_table(table: Table) -> str:
-    """The paper's second table as Markdown."""
-    header = [
-        "attack",
-        "PM*",
-        "chosen",
-        "Pr*",
-        "P1",
-        *_header(table),
-        "paper PM*",
-        "our EASR there",
-    ]
+def shape_table(table: Table) -> Grid:
+    """The paper's second table."""
+    first = ["attack", "PM*", "chosen", "Pr*", "P1"]
     rows = []
     for row in table.rows:
-        first = [
-            row["attack"],
-            f"{row['pm_star']:g}",
-            number(row["pm_star_share"], 0),
-            f"{row['pr_star']:.1f}",
-        ]
         there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
-        last = [there, number(row["easr_at_paper_pm_star"])]
-        rows.append([*first, number(row["p1_star"], 2), *_cells(row), *last])
-    return markdown(header, rows)
+        rows.append(
+            [
+                row["attack"],
+                f"{row['pm_star']:g}",
+                number(row["pm_star_share"], 0),
+                f"{row['pr_star']:.1f}",
+                number(row["p1_star"], 2),
+                *_cells(row),
+                there,
+                number(row["easr_at_paper_pm_star"]),
+            ]
+        )
+    return Grid([*first, *_header(table), "paper PM*", "our EASR there"], rows)
 
 
 def _header(table: Table) -> list[str]:
@@ -131,47 +130,26 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     return [*cells, *papers, number(row["paper_apd"], 2)]
 
 
-def _standing(run: Reproduction) -> str:
-    """What the numbers rest on, before any of them: a reproduction has procedural ground and vehicles alone."""
+def standing(run: Reproduction) -> str:
+    """What the detectors score on the images without camouflage, by centres within 1 m."""
     scores = []
     for detector in run.detectors:
         row = next(
-            (row for row in run.rows if row["detector"] == detector and row["match"] == MATCH), None
+            (
+                row
+                for row in run.results.rows
+                if (row.detector, row.renderer, row.match) == (detector, RENDERER, MAIN_MATCH)
+            ),
+            None,
         )
-        if row is not None and row.get("ap_original") is not None:
-            scores.append(f"{detector_name(detector)} {number(100 * row['ap_original'])} %")
-    checked = f" (AP with centres within 1 m: {', '.join(scores)})" if scores else ""
-    return (
-        "**Synthetic data only.** Ground and vehicles are computer-generated, and the detectors were trained and "
-        f"checked on such images alone{checked}, not on real ones. The numbers say how attacks compare in that world; "
-        "they are not evidence about real imagery."
-    )
+        if row is not None and row.ap_original == row.ap_original:
+            scores.append(f"{detector_name(detector)} {number(100 * row.ap_original)} %")
+    return ", ".join(scores)
 
 
-def _about(run: Reproduction) -> str:
-    about = run.environment
-    if not about:
-        return ""
-
-    def said(key: str) -> Any:
-        return about.get(key) or "–"
-
-    commands = "; ".join(f"`{command}`" for command in about.get("commands", []))
-    lines = [
-        f"- {commands}",
-        f"- skyproof {said('skyproof')}, commit {said('commit')}, torch {said('torch')}",
-    ]
-    lines.append(
-        f"- {said('cores')} cores of {said('cpu')}, device {said('device')}; started {said('started')}"
-    )
-    if run.hours:
-        lines.append(f"- all jobs together {run.hours:.1f} h")
-    return "\n".join(lines)
-
-
-def _agreement(table: Table) -> str:
+def _agreement(table: Table) -> list[Block]:
     if not table.rows:
-        return "Fewer than three attacks can be compared."
+        return ["Fewer than three attacks can be compared."]
     rows = [
         [
             row["set"],
@@ -181,13 +159,13 @@ def _agreement(table: Table) -> str:
         for row in table.rows
     ]
     text = (
-        "Rank correlation of our EASR with the paper’s, shapes and combinations each at their own PM\\*. The intervals "
-        "say how far the test scenes alone could move it."
+        "Rank correlation of our EASR with the paper’s, shapes and combinations each at their own "
+        "PM*. The intervals say how far the test scenes alone could move it."
     )
-    return f"{text}\n\n" + markdown(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)
+    return [text, Grid(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)]
 
 
-def _order(run: Reproduction) -> str:
+def _order(run: Reproduction) -> list[Block]:
     """Ranks of ours and the paper's, where they differ most on top."""
     ours = comparison(run)
     names = [name for name in ours if not name.startswith("R-")]
@@ -203,17 +181,16 @@ def _order(run: Reproduction) -> str:
         )
         if abs(own - theirs) > 1
     ]
+    if not rows and ranks:
+        return [f"None of {len(ranks)} attacks is more than one rank from its place in the paper."]
     if not rows:
-        return (
-            f"None of {len(ranks)} attacks is more than one rank from its place in the paper."
-            if ranks
-            else ""
-        )
+        return []
     header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
-    return (
-        f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is the strongest):\n\n"
-        + markdown(header, rows)
+    text = (
+        f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is "
+        "the strongest):"
     )
+    return [text, Grid(header, rows)]
 
 
 def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -236,9 +213,9 @@ def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
     return text
 
 
-def _signs(table: Table) -> str:
+def _signs(table: Table) -> list[Block]:
     if not table.rows:
-        return ""
+        return []
     lower = [row for row in table.rows if row["mean_change"] < 0]
     sure = [row for row in table.rows if row["p"] < _SURE]
     others = [row for row in table.rows if row["mean_change"] >= 0]
@@ -254,13 +231,13 @@ def _signs(table: Table) -> str:
              f"{row['mean_change']:+.4f}".replace("-", "−")]
             for row in others
         ]  # fmt: skip
-        text += "\n\n" + markdown(header, cells)
-    return text
+        return [text, Grid(header, cells)]
+    return [text]
 
 
-def _ladder(table: Table) -> str:
+def _ladder(table: Table) -> list[Block]:
     if not table.rows:
-        return ""
+        return []
     columns = sorted(
         (c for c in table.columns if c.startswith("after_") and c != "after_all"),
         key=lambda c: int(c[6:]),
@@ -277,29 +254,20 @@ def _ladder(table: Table) -> str:
          word(row["never_surely_falls"])]
         for row in table.rows
     ]  # fmt: skip
-    return f"{text}\n\n" + markdown(
-        [
-            "attack",
-            *(column[6:].replace("all", "all steps") for column in columns),
-            "never falls",
-            "no certain fall",
-        ],
-        rows,
-    )
+    steps = [column[6:].replace("all", "all steps") for column in columns]
+    return [text, Grid(["attack", *steps, "never falls", "no certain fall"], rows)]
 
 
-def _gap(table: Table) -> str:
+def _gap(table: Table) -> Block:
     rows = [
         [row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in table.rows
     ]
-    return (
-        markdown(["attack", "EASR before", "EASR after"], rows)
-        if rows
-        else "No attack on few colours was kept."
-    )
+    if not rows:
+        return "No attack on few colours was kept."
+    return Grid(["attack", "EASR before", "EASR after"], rows)
 
 
-def _transfer(table: Table, run: Reproduction) -> str:
+def _transfer(table: Table, run: Reproduction) -> Block:
     rows = [
         [
             row["attack"],
@@ -313,10 +281,10 @@ def _transfer(table: Table, run: Reproduction) -> str:
         "learnt on",
         *(f"EASR on {detector_name(detector)}" for detector in run.detectors),
     ]
-    return markdown(header, rows) if rows else "Not part of this preset."
+    return Grid(header, rows) if rows else "Not part of this preset."
 
 
-def _practicality(table: Table) -> str:
+def _practicality(table: Table) -> list[Block]:
     chosen = {
         "texture_painted_area_m2": ("painted, m²", 1),
         "texture_colours": ("colours", 0),
@@ -335,8 +303,7 @@ def _practicality(table: Table) -> str:
         for row in table.rows
     ]
     if not rows:
-        return ""
+        return []
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
-    return f"{text}\n\n" + markdown(
-        ["attack", "practicality", *(label for label, _ in chosen.values())], rows
-    )
+    labels = [label for label, _ in chosen.values()]
+    return [text, Grid(["attack", "practicality", *labels], rows)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -10,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from skyproof.camouflage.names import base_name
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
 from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
-from skyproof.paper.run import MATCH, Reproduction, point_name
+from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
 
 __all__ = ["comparison", "reproduction_tables"]
@@ -43,13 +44,16 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
 
 
 def comparison(run: Reproduction) -> dict[str, float]:
-    """Our EASR of everything the paper has too, in percent: textures and controls by name, shapes at their PM*."""
+    """Our EASR of everything that the paper has too, in percent.
+
+    Textures and controls stand by their names, shapes at their PM*.
+    """
     found = {name: run.row(name) for name in run.names if _TEXTURE.fullmatch(name)}
     found |= {family: run.row(name) for family, name in run.best.items()}
     return {
-        name: 100 * row["easr"]
+        name: 100 * row.easr.estimate
         for name, row in found.items()
-        if name in PAPER_RESULTS and row is not None and row["easr"] is not None
+        if name in PAPER_RESULTS and row is not None and not math.isnan(row.easr.estimate)
     }
 
 
@@ -60,7 +64,7 @@ def _textures(run: Reproduction) -> list[dict[str, Any]]:
         filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
     ):
         paper = PAPER_RESULTS.get(name)
-        measured = run.measures.get(name, {}).get("score", {})
+        measured = (run.practicality(name) or {}).get("score", {})
         rows.append(
             {
                 "attack": name,
@@ -137,7 +141,7 @@ def _curves(run: Reproduction) -> list[dict[str, Any]]:
 
 def _practicality(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
-    for name, measured in run.measures.items():
+    for name, measured in run.results.practicality.items():
         score = measured["score"]
         flat = {
             f"{side}_{sign}": value
@@ -149,32 +153,31 @@ def _practicality(run: Reproduction) -> list[dict[str, Any]]:
             quantities |= {
                 f"{side}_{what}": value for what, value in (measured[side] or {}).items()
             }
-        rows.append({"attack": name, "practicality": score["total"], **flat, **quantities})
+        rows.append({"attack": str(name), "practicality": score["total"], **flat, **quantities})
     return rows
 
 
 def _transfer(run: Reproduction) -> list[dict[str, Any]]:
     """Attacked on (rows) against judged by (columns)."""
-    variants = [name for name in run.names if "_on_" in name or "_without_" in name]
+    names = run.results.names
+    variants = [name for name in names if name.variant.startswith(("on_", "without_"))]
     attacked = {
-        name: tuple(record["attack"]["detectors"])
+        CamouflageName.read(name): tuple(record["attack"]["detectors"])
         for name, record in run.records.items()
         if "attack" in record
     }
     rows = []
-    for base in dict.fromkeys(base_name(name) for name in variants):
+    for base in dict.fromkeys(name.base for name in variants):
         # Copies kept on the way are variants too, but not of what was attacked.
         matrix = transfer_matrix(
-            [row for row in run.rows if row["camouflage"] in (base, *variants)],
+            [row for row in run.results.rows if row.camouflage in (base, *variants)],
             attacked,
             base=base,
-            match=MATCH,
         )
         for cells in matrix:
-            row: dict[str, Any] = {"attack": base, "attacked_on": " ".join(cells[0].attacked)}
+            row: dict[str, Any] = {"attack": str(base), "attacked_on": " ".join(cells[0].attacked)}
             for cell in cells:
-                for ending, value in zip(("", "_low", "_high"), cell.easr, strict=True):
-                    row[cell.detector + ending] = None if value is None else 100 * value
+                row |= interval_cells(cell.detector, cell.easr, 100.0)
             rows.append(row)
     return rows
 
@@ -193,11 +196,10 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
         # Fewer than three attacks, or an undefined one, have no correlation.
         with suppress(ConfigurationError):
             found = rank_agreement(
-                run.tiles,
+                run.results.tiles,
                 {name: PAPER_RESULTS[name].easr for name in names},
                 rows=run.best,
                 generator=np.random.default_rng(0),
-                match=MATCH,
             )
             row = {"set": label, "attacks": len(found.attacks)}
             made.append(
@@ -211,7 +213,7 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
 def _ladder(run: Reproduction) -> list[dict[str, Any]]:
     """EASR of one repeat after some of its steps, and after all; does it get weaker anywhere?"""
     rungs: dict[str, dict[int, str]] = {}
-    for key in run.tiles.series:
+    for key in run.results.tiles.series:
         if found := _RUNG.fullmatch(key.camouflage):
             rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
                 key.camouflage
@@ -219,9 +221,11 @@ def _ladder(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for name, steps in rungs.items():
         ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
-        easr = {f"after_{label}": run.one(camouflage) for label, camouflage in ladder}
+        easr = {
+            f"after_{label}": run.results.single_easr(camouflage) for label, camouflage in ladder
+        }
         changes = [
-            run.difference(later, earlier)
+            run.results.difference(later, earlier)
             for (_, earlier), (_, later) in itertools.pairwise(ladder)
         ]
         known = [value for value in easr.values() if value is not None]
@@ -254,11 +258,12 @@ def _signs(run: Reproduction) -> list[dict[str, Any]]:
 def _gap(run: Reproduction) -> list[dict[str, Any]]:
     """Of attacks on few colours: EASR and losses before the last rounding and after it."""
     rows = []
-    for key in dict.fromkeys(key.camouflage for key in run.tiles.series):
+    for key in dict.fromkeys(key.camouflage for key in run.results.tiles.series):
         if "_relaxed-" not in key:
             continue
         name = key.replace("_relaxed-", "-")
-        before, after = run.one(key), run.one(name)
+        before = run.results.single_easr(key)
+        after = run.results.single_easr(name)
         row: dict[str, Any] = {
             "attack": name,
             "easr_before": None if before is None else 100 * before,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from skyproof.camouflage.names import base_name, is_control, pooled_name
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.results.summary import MEAN
+from skyproof.results.rows import MAIN_MATCH, MEAN, Row
+from skyproof.results.statistics.intervals import Interval
 
 __all__ = ["Cell", "transfer_matrix"]
 
@@ -22,63 +22,62 @@ class Cell:
         attacked: the detectors it was optimised against, sorted.
         detector: the one that judges.
         white_box: whether the judge was among the attacked; if not, the attack had to transfer.
-        easr, net_easr: (estimate, low, high), fractions; None where undefined.
+        easr, net_easr: fractions; the second is None without a control.
     """
 
-    camouflage: str
+    camouflage: CamouflageName
     attacked: tuple[str, ...]
     detector: str
     white_box: bool
-    easr: tuple[float | None, float | None, float | None]
-    net_easr: tuple[float | None, float | None, float | None]
+    easr: Interval
+    net_easr: Interval | None
 
 
 def transfer_matrix(
-    rows: Sequence[Mapping[str, Any]],
-    attacked: Mapping[str, Sequence[str]],
+    rows: Sequence[Row],
+    attacked: Mapping[CamouflageName, Sequence[str]],
     *,
-    base: str,
+    base: CamouflageName,
     renderer: str = "torch",
-    match: str = "centre_1m",
+    match: str = MAIN_MATCH,
 ) -> list[list[Cell]]:
     """The matrix of attacked-on by evaluated-on for one kind of camouflage and its variants.
 
     Args:
         rows: of `summarise`.
-        attacked: by camouflage name (with or without repeat), the detectors it was optimised against.
+        attacked: by camouflage (with or without repeat), the detectors it was optimised against.
         base: the kind: "T-U" takes "T-U" and its variants "T-U_on_...", "T-U_without_...".
         renderer, match: which of the rows.
 
     Returns:
-        One list per camouflage, single detectors first, then larger sets; in each one cell per judging detector, in the
-        order of `rows`.
+        One list per camouflage, single detectors first, then larger sets; in each one cell per
+        judging detector, in the order of `rows`.
 
     Raises:
-        ConfigurationError: no row of that kind, unknown attacked detectors, repeats that attacked different ones, or a
-            judge that has not judged all.
+        ConfigurationError: no row of that kind, unknown attacked detectors, repeats that attacked
+            different ones, or a judge that has not judged all.
     """
-    of_row: dict[str, tuple[str, ...]] = {}
+    of_row: dict[CamouflageName, tuple[str, ...]] = {}
     for name, detectors in attacked.items():
-        known = of_row.setdefault(pooled_name(name), tuple(sorted(detectors)))
+        known = of_row.setdefault(name.pooled, tuple(sorted(detectors)))
         if known != tuple(sorted(detectors)):
             raise ConfigurationError(
-                f"Repeats of {pooled_name(name)} attacked different detectors; give them different names."
+                f"Repeats of {name.pooled} attacked different detectors; give them different names."
             )
     chosen = [
         row
         for row in rows
-        if (row["renderer"], row["match"]) == (renderer, match)
-        and base_name(row["camouflage"]) == base
-        and not is_control(row["camouflage"])
-        and row["detector"] != MEAN
+        if (row.renderer, row.match) == (renderer, match)
+        and row.camouflage.base == base
+        and row.detector != MEAN
     ]
     if not chosen:
         raise ConfigurationError(
             f"The table of results has no row of {base} by {match} under {renderer}; score it."
         )
-    judges = list(dict.fromkeys(row["detector"] for row in chosen))
-    by_place = {(row["camouflage"], row["detector"]): row for row in chosen}
-    names = list(dict.fromkeys(row["camouflage"] for row in chosen))
+    judges = list(dict.fromkeys(row.detector for row in chosen))
+    by_place = {(row.camouflage, row.detector): row for row in chosen}
+    names = list(dict.fromkeys(row.camouflage for row in chosen))
     for name in names:
         if not of_row.get(name):
             raise ConfigurationError(
@@ -93,12 +92,12 @@ def transfer_matrix(
     return [[_cell(by_place[name, judge], of_row[name]) for judge in judges] for name in names]
 
 
-def _cell(row: Mapping[str, Any], attacked: tuple[str, ...]) -> Cell:
+def _cell(row: Row, attacked: tuple[str, ...]) -> Cell:
     return Cell(
-        camouflage=row["camouflage"],
+        camouflage=row.camouflage,
         attacked=attacked,
-        detector=row["detector"],
-        white_box=row["detector"] in attacked,
-        easr=(row["easr"], row["easr_low"], row["easr_high"]),
-        net_easr=(row["net_easr"], row["net_easr_low"], row["net_easr_high"]),
+        detector=row.detector,
+        white_box=row.detector in attacked,
+        easr=row.easr,
+        net_easr=row.net_easr,
     )

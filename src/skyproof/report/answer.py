@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import math
 
-from skyproof.report.run import Headline
+from skyproof.results.results import Headline
+from skyproof.results.rows import MEAN, Row
+from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
 __all__ = ["answer"]
@@ -15,34 +16,37 @@ _THIN = "\u202f"
 
 def answer(headline: Headline) -> list[str]:
     """The result in plain sentences, with its uncertainty."""
-    row, several = headline.row, headline.row["detector"] == "mean"
-    whose = "these detectors" if several else detector_name(row["detector"])
-    if row["easr"] is None:
+    row = headline.row
+    several = row.detector == MEAN
+    whose = "these detectors" if several else detector_name(row.detector)
+    easr = row.easr.estimate
+    if math.isnan(easr):
         silent = [
-            detector_name(r["detector"])
-            for r in headline.by_detector
-            if r["easr"] is None and r is not row
+            detector_name(other.detector)
+            for other in headline.by_detector
+            if math.isnan(other.easr.estimate) and other is not row
         ]
-        who = ", ".join(silent) or whose
         return [
-            f"The success rate is undefined, because {who} found none of the vehicles even without camouflage."
+            f"The success rate is undefined, because {', '.join(silent) or whose} found none of "
+            "the vehicles even without camouflage."
         ]
     sentences = [
         f"Of the vehicles that {whose} found before, the camouflage {headline.camouflage} hides "
-        f"{percent(row['easr'])} ({_sure(row, 'easr')})."
+        f"{percent(easr)} ({_sure(row.easr)})."
     ]
-    if row["easr"] < 0:
+    if easr < 0:
         sentences = [
-            f"With the camouflage {headline.camouflage}, {whose} found {percent(-row['easr'])} more vehicles than "
-            f"before, not fewer ({_sure(row, 'easr')} for the share hidden)."
+            f"With the camouflage {headline.camouflage}, {whose} found {percent(-easr)} more "
+            f"vehicles than before, not fewer ({_sure(row.easr)} for the share hidden)."
         ]
     if several:
         rates = [
-            r["easr"]
-            for r in headline.by_detector
-            if r["detector"] != "mean" and r["easr"] is not None
+            other.easr.estimate
+            for other in headline.by_detector
+            if other.detector != MEAN and not math.isnan(other.easr.estimate)
         ]
-        least, most = percent(min(rates)), percent(max(rates))
+        least = percent(min(rates))
+        most = percent(max(rates))
         alike = f"For every detector it is {most}."
         sentences.append(
             alike if least == most else f"Detector by detector it is {least} to {most}."
@@ -50,17 +54,16 @@ def answer(headline: Headline) -> list[str]:
     return sentences + _net_sentences(row)
 
 
-def _net_sentences(row: Mapping[str, Any]) -> list[str]:
-    if row["net_easr"] is None:
+def _net_sentences(row: Row) -> list[str]:
+    if row.net_easr is None or row.random_easr is None:
         return [
-            "No random control was run beside it, so it is not known how much of this is due to optimisation."
+            "No random control was run beside it, so it is not known how much of this is due to "
+            "optimisation."
         ]
-    random = row.get("random_easr")
-    random = row["easr"] - row["net_easr"] if random is None else random
-    net = f"{percent(row['net_easr'])} net ({_sure(row, 'net_easr')})"
-    control = f"A random pattern of the same kind hides {percent(random)}."
-    low, high = row["net_easr_low"], row["net_easr_high"]
-    if low is None or high is None:
+    net = f"{percent(row.net_easr.estimate)} net ({_sure(row.net_easr)})"
+    control = f"A random pattern of the same kind hides {percent(row.random_easr)}."
+    low, high = row.net_easr.low, row.net_easr.high
+    if math.isnan(low):
         return [control, f"The difference, {net}, has no interval: too few background tiles."]
     if low > 0:
         return [control, f"So {net} is due to optimisation."]
@@ -69,10 +72,7 @@ def _net_sentences(row: Mapping[str, Any]) -> list[str]:
     return [control, f"The difference, {net}, cannot be told from zero."]
 
 
-def _sure(row: Mapping[str, Any], key: str) -> str:
-    low, high = row[f"{key}_low"], row[f"{key}_high"]
-    return (
-        "no interval: too few background tiles"
-        if low is None
-        else f"95{_THIN}% interval {interval(low, high)}"
-    )
+def _sure(rate: Interval) -> str:
+    if math.isnan(rate.low):
+        return "no interval: too few background tiles"
+    return f"95{_THIN}% interval {interval(rate.low, rate.high)}"

@@ -14,11 +14,13 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from skyproof.report.run import Headline
 from skyproof.results.conditions import Panel
+from skyproof.results.results import Headline
+from skyproof.results.rows import Row
+from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
-__all__ = ["condition_figure", "forest_figure", "loss_figure"]
+__all__ = ["condition_figure", "forest_figure", "loss_figure", "many_figure"]
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
@@ -46,45 +48,46 @@ STYLE: Any = {
 
 
 def forest_figure(headline: Headline) -> str:
-    """Per detector: share hidden (EASR), net of the random control, and the control itself, with 95 % intervals."""
-    rows = headline.by_detector
-    with plt.rc_context(
-        STYLE | {"svg.hashsalt": f"forest-{headline.camouflage}-{headline.renderer}"}
-    ):
-        figure, axes = plt.subplots(figsize=(8.5, 1.3 + 0.72 * len(rows)), layout="constrained")
-        series = [
-            ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [(row, "easr") for row in rows]),
-            ("net of the random pattern", "D", GREEN, 0.0, [(row, "net_easr") for row in rows]),
-            (
-                "random pattern",
-                "s",
-                GREY,
-                0.22,
-                [(headline.control.get(row["detector"], {}), "easr") for row in rows],
-            ),
-        ]
-        for label, marker, colour, shift, points in series:
+    """Per detector: share hidden (EASR), net of the random control, and the control itself.
+
+    Bars are 95 % intervals.
+    """
+    rows = [(detector_name(row.detector), row) for row in headline.by_detector]
+    controls = [headline.control.get(row.detector) for row in headline.by_detector]
+    return _forest(f"forest-{headline.camouflage}-{headline.renderer}", rows, controls)
+
+
+def many_figure(headlines: Sequence[Headline]) -> str:
+    """Per camouflage the mean over detectors, as `forest_figure` shows it per detector."""
+    rows = [(str(headline.camouflage), headline.row) for headline in headlines]
+    controls = [headline.control.get(headline.row.detector) for headline in headlines]
+    return _forest(f"many-{headlines[0].renderer}", rows, controls)
+
+
+def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row | None]) -> str:
+    randoms = [None if row is None else row.easr for row in controls]
+    series: list[tuple[str, str, str, float, list[Interval | None]]] = [
+        ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [row.easr for _, row in rows]),
+        ("net of the random pattern", "D", GREEN, 0.0, [row.net_easr for _, row in rows]),
+        ("random pattern", "s", GREY, 0.22, randoms),
+    ]
+    with plt.rc_context(STYLE | {"svg.hashsalt": salt}):
+        figure, axes = plt.subplots(
+            figsize=(8.5, 1.3 + (0.72 if len(rows) < 9 else 0.5) * len(rows)), layout="constrained"
+        )
+        lows = [0.0]
+        for label, marker, colour, shift, rates in series:
             drawn = False
-            for place, (row, key) in enumerate(points):
-                if row.get(key) is None:
+            for place, rate in enumerate(rates):
+                if rate is None or math.isnan(rate.estimate):
                     continue
-                _point(axes, row, key, place + shift, marker, colour, None if drawn else label)
+                _point(axes, rate, place + shift, marker, colour, None if drawn else label)
+                lows.append(rate.estimate if math.isnan(rate.low) else rate.low)
                 drawn = True
-        axes.set_yticks(range(len(rows)), [detector_name(row["detector"]) for row in rows])
+        axes.set_yticks(range(len(rows)), [name for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
-        left = min(
-            [
-                0.0,
-                *(
-                    v
-                    for row in rows
-                    for k in ("easr_low", "net_easr_low")
-                    if (v := row[k]) is not None
-                ),
-            ]
-        )
-        axes.set_xlim(100 * left - 4, 104)
+        axes.set_xlim(100 * min(lows) - 4, 104)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
         axes.grid(axis="x", color="#e3e7eb")
         axes.set_axisbelow(True)
@@ -94,21 +97,13 @@ def forest_figure(headline: Headline) -> str:
 
 
 def _point(
-    axes: Any,
-    row: Mapping[str, Any],
-    key: str,
-    y: float,
-    marker: str,
-    colour: str,
-    label: str | None,
+    axes: Any, rate: Interval, y: float, marker: str, colour: str, label: str | None
 ) -> None:
-    low, high = row[f"{key}_low"], row[f"{key}_high"]
-    if low is not None and high is not None:
-        axes.plot(
-            [100 * low, 100 * high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt"
-        )
+    if not math.isnan(rate.low):
+        ends = [100 * rate.low, 100 * rate.high]
+        axes.plot(ends, [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
     axes.plot(
-        [100 * row[key]],
+        [100 * rate.estimate],
         [y],
         marker,
         color=colour,
@@ -119,7 +114,10 @@ def _point(
 
 
 def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]]) -> str:
-    """Loss against step; each curve is (step, loss) pairs, smoothed over a fiftieth of its length on top of raw."""
+    """Loss against step.
+
+    Each curve is (step, loss) pairs, smoothed over a fiftieth of its length on top of the raw one.
+    """
     with plt.rc_context(STYLE | {"svg.hashsalt": title}):
         figure, axes = plt.subplots(figsize=(5.6, 3.2), layout="constrained")
         positive = True
@@ -151,7 +149,7 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
 
 
 def condition_figure(panels: Sequence[Panel]) -> str:
-    """Small multiples: share hidden by condition, with intervals and the number of vehicles under each bar."""
+    """Small multiples: share hidden by condition, with intervals, and how many vehicles that is."""
     columns = 2
     lines = math.ceil(len(panels) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):

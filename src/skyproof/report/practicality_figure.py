@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from skyproof.paper.curves import Curve
 from skyproof.paper.paper_results import PAPER_RESULTS
-from skyproof.paper.run import Reproduction
+from skyproof.paper.reproduction import Reproduction
 from skyproof.report.figures import GREY, INK, STYLE
 
 __all__ = ["easr_against_practicality"]
@@ -32,7 +32,7 @@ _TEXTURES = {
 
 
 def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
-    """SVG and PNG, by file ending: S-O and combinations with the six textures that are not masked (figure 4)."""
+    """SVG and PNG, by file ending: S-O and combinations with the six textures without mask."""
     with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
         figure, (left, right) = plt.subplots(
             1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained"
@@ -79,9 +79,14 @@ def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:
     points = [point for point in curve.points if not math.isnan(point.easr.estimate)]
     places = [point.practicality for point in points]
     axes.plot(
-        places, [100 * point.easr.estimate for point in points], line + marker, color=colour, linewidth=1.8,
-        markersize=4.5, zorder=3,
-    )  # fmt: skip
+        places,
+        [100 * point.easr.estimate for point in points],
+        line + marker,
+        color=colour,
+        linewidth=1.8,
+        markersize=4.5,
+        zorder=3,
+    )
     if line == "-":
         band = [
             [100 * point.easr.low for point in points],
@@ -90,9 +95,14 @@ def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:
         axes.fill_between(places, *band, color=colour, alpha=0.1, linewidth=0, zorder=1)
     best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
     axes.plot(
-        best.practicality, 100 * best.easr.estimate, marker, color=colour, markersize=11, zorder=5,
+        best.practicality,
+        100 * best.easr.estimate,
+        marker,
+        color=colour,
+        markersize=11,
+        zorder=5,
         markeredgecolor="white",
-    )  # fmt: skip
+    )
 
 
 def _paper(axes: Any, family: str, texture: str) -> None:
@@ -103,9 +113,15 @@ def _paper(axes: Any, family: str, texture: str) -> None:
     # Fc and PixFc have nearly the same numbers.
     aside = {"Fc": -0.012, "PixFc": 0.012}.get(texture, 0.0)
     axes.plot(
-        1 - paper.perturbation_magnitude + aside, paper.easr, marker, markerfacecolor="white", markeredgecolor=colour,
-        markeredgewidth=1.6, markersize=10, zorder=6,
-    )  # fmt: skip
+        1 - paper.perturbation_magnitude + aside,
+        paper.easr,
+        marker,
+        markerfacecolor="white",
+        markeredgecolor=colour,
+        markeredgewidth=1.6,
+        markersize=10,
+        zorder=6,
+    )
 
 
 def _legend(run: Reproduction) -> list[Line2D]:

@@ -1,7 +1,10 @@
-"""Writes a run folder's `report.html`: one self-contained page, made from the folder's files alone."""
+"""Writes a run's `report.html`: one self-contained page, and the paper's tables where they apply."""
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +17,33 @@ from PIL import Image
 
 from skyproof import words
 from skyproof.errors import StoredFileError
-from skyproof.files import write_bytes
+from skyproof.files import read_jsonl, write_bytes
+from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
-from skyproof.report.figures import condition_figure, forest_figure, loss_figure
-from skyproof.report.pairs import Pair, image_uri, make_pairs
+from skyproof.report.figures import condition_figure, forest_figure, loss_figure, many_figure
+from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
-from skyproof.report.run import MAIN_MATCH, Headline, Run, read_run
 from skyproof.results.conditions import Panel, condition_panels
+from skyproof.results.results import Headline, Results
+from skyproof.results.rows import MAIN_MATCH, Row
 
 __all__ = ["write_report"]
 
 _SEED = 20240
-_FEW_TILES = 20
 _PAIRS_OF_SECOND = 3
+_FEW = 4
+"""Up to so many camouflages have a section of their own; beyond it they share one."""
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """A pair of pictures as data URIs, with its caption."""
+
+    scene: str
+    original: str
+    adversarial: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -37,7 +53,7 @@ class _Second:
     headline: Headline
     answer: Sequence[str]
     rows: Sequence[Compared]
-    pairs: Sequence[Pair]
+    pairs: Sequence[_Picture]
     conditions: Markup | None
 
 
@@ -48,7 +64,7 @@ class _Section:
     headline: Headline
     answer: Sequence[str]
     forest: Markup
-    pairs: Sequence[Pair]
+    pairs: Sequence[_Picture]
     pairs_detector: str
     texture: str | None
     on_vehicle: str | None
@@ -58,16 +74,67 @@ class _Section:
     second: _Second | None
 
 
-def write_report(run_folder: Path) -> Path:
-    """Writes `report.html` into a run folder and returns its path.
+@dataclass(frozen=True)
+class _Exhibit:
+    """What the page shows of one of many camouflages: a pair and how it looks."""
 
-    Parts whose files are missing are left out, and the page says so.
+    headline: Headline
+    pair: _Picture | None
+    on_vehicle: str | None
+
+
+def write_report(run_folder: str | Path) -> Path:
+    """Writes `results.json` and `report.html` into a run folder and returns the page's path.
+
+    Where the run has attacks of the paper, `tables/` is written as well. Parts of the page whose
+    files are missing are left out, and the page says so.
 
     Raises:
-        StoredFileError: results.json or config.json is missing or damaged; names the file.
+        StoredFileError: nothing was scored yet, or a file is damaged; names the file.
+        ConfigurationError: the scores do not belong together.
         RunFolderError: the page cannot be written.
     """
-    run = read_run(run_folder)
+    results = Results.open(run_folder)
+    results.write()
+    paper = paper_part(results)
+    by_camouflage: dict[str, list[Headline]] = {}
+    for headline in results.headlines():
+        if not headline.camouflage.variant:
+            by_camouflage.setdefault(str(headline.camouflage), []).append(headline)
+    every = list(by_camouflage.values())
+    few = len(every) <= _FEW
+    sections = [_section(results, *headlines[:2]) for headlines in every] if few else []
+    page = (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            results=results,
+            title=results.config.get(
+                "title", "Camouflage robustness of overhead vehicle detectors"
+            ),
+            sections=sections,
+            exhibits=[] if few else _exhibits(results, every),
+            overviews=[] if few else _overviews(results),
+            first=every[0][0] if every else None,
+            tested=_tested(results, every),
+            standing=standing(results),
+            checked=checked_sets(results),
+            tables=_tables(results),
+            paper=paper,
+            training=_training(results),
+            advice=advice(every[0][0]) if every else [],
+            limits=limits(results, every),
+            settings=list(_flat(results.config)),
+        )
+    )
+    path = results.folder / "report.html"
+    write_bytes(path, page.encode())
+    if paper is not None:
+        _write_tables(results.folder / "tables", paper)
+    return path
+
+
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("skyproof.report", "."),
         autoescape=True,
@@ -85,136 +152,205 @@ def write_report(run_folder: Path) -> Path:
         words.renderer_name,
     )
     environment.filters |= {function.__name__: function for function in filters}
-    by_camouflage: dict[str, list[Headline]] = {}
-    for headline in run.headlines():
-        by_camouflage.setdefault(headline.camouflage, []).append(headline)
-    sections = [_section(run, *headlines) for headlines in by_camouflage.values()]
-    if not sections:
-        raise StoredFileError(
-            f"{run.folder / 'results.json'} has no camouflage at {MAIN_MATCH}; run the attack first."
-        )
-    detectors = [
-        row["detector"] for row in sections[0].headline.by_detector if row["detector"] != "mean"
-    ]
-    page = environment.get_template("report.html.j2").render(
-        run=run,
-        title=run.config.get("title", "Camouflage robustness of overhead vehicle detectors"),
-        sections=sections,
-        imagery=_imagery(run),
-        standing=standing(run, detectors),
-        checked=checked_sets(run, detectors),
-        tables=_tables(run),
-        training=_training(run),
-        clean=run.clean,
-        advice=_advice(sections, run),
-        limits=_limits(sections, run),
-        settings=list(_flat(run.config)),
-    )
-    path = run.folder / "report.html"
-    write_bytes(path, page.encode())
-    return path
+    return environment
 
 
-def _section(run: Run, headline: Headline, second: Headline | None = None) -> _Section:
-    name, detector = headline.camouflage, _first_detector(headline)
-    panels = _panels(run, headline)
+def _write_tables(folder: Path, paper: PaperPart) -> None:
+    """The paper's tables as files; the page of them comes last."""
+    for name, content in paper.files.items():
+        write_bytes(folder / name, content)
+
+
+def _section(results: Results, headline: Headline, second: Headline | None = None) -> _Section:
+    name = headline.camouflage
+    panels = _panels(results, headline)
     return _Section(
         headline=headline,
         answer=answer(headline),
         forest=Markup(forest_figure(headline)),
-        pairs=make_pairs(run, name, headline.renderer, detector),
-        pairs_detector=detector,
-        texture=_picture(run.folder / "camouflages" / name / "texture.png"),
-        on_vehicle=_picture(run.folder / "camouflages" / name / "on_vehicle.png"),
-        loss=_attack_loss(run, name),
+        pairs=_pairs(results, headline),
+        pairs_detector=headline.detectors[0],
+        texture=_picture(results.pattern(name, "texture.png")),
+        on_vehicle=_picture(results.pattern(name, "on_vehicle.png")),
+        loss=_attack_loss(results, headline),
         conditions=Markup(condition_figure(panels)) if panels else None,
         readings=_readings(panels),
-        second=_second(run, headline, second) if second else None,
+        second=_second(results, headline, second) if second else None,
     )
 
 
-def _second(run: Run, first: Headline, headline: Headline) -> _Second:
-    panels = _panels(run, headline)
+def _second(results: Results, first: Headline, headline: Headline) -> _Second:
+    panels = _panels(results, headline)
+    before = first.renderer
+    after = headline.renderer
+    gross = results.change([first.camouflage], first=before, second=after)
+    net = results.change([first.camouflage], net=True, first=before, second=after)
+    pairs = _pairs(results, headline)
+    chosen = [pair for pair in pairs if pair.caption.startswith("Chosen by hash")]
+    extremes = [pair for pair in pairs if pair not in chosen]
     return _Second(
         headline=headline,
-        answer=[*answer(headline), survival(first, headline)],
-        rows=compare_renderers(first, headline),
-        pairs=make_pairs(
-            run, headline.camouflage, headline.renderer, _first_detector(first), _PAIRS_OF_SECOND
-        ),
+        answer=[*answer(headline), survival(first, headline, gross, net)],
+        rows=compare_renderers(results, first, headline),
+        pairs=[*chosen[:_PAIRS_OF_SECOND], *extremes],
         conditions=Markup(condition_figure(panels)) if panels else None,
     )
 
 
-def _first_detector(headline: Headline) -> str:
-    return str(next(row["detector"] for row in headline.by_detector if row["detector"] != "mean"))
+def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Exhibit]:
+    """One entry per family: of shapes in several magnitudes the one that hides most."""
+    strongest: dict[str, Headline] = {}
+    for headlines in every:
+        headline = headlines[0]
+        family = headline.camouflage.family
+        known = strongest.setdefault(family, headline)
+        if headline.row.easr.estimate > known.row.easr.estimate:
+            strongest[family] = headline
+    exhibits = []
+    for headline in strongest.values():
+        pairs = _pairs(results, headline, count=1)
+        path = results.pattern(headline.camouflage, "on_vehicle.png")
+        sheet = _picture(path, lossless=False)
+        exhibits.append(_Exhibit(headline, pairs[0] if pairs else None, sheet))
+    return exhibits
 
 
-def _panels(run: Run, headline: Headline) -> list[Panel]:
-    which = (headline.camouflage, headline.renderer, MAIN_MATCH)
-    own = [o for o in run.outcomes or () if (o.camouflage, o.renderer, o.match) == which]
-    return condition_panels(own, generator=np.random.default_rng(_SEED))
+def _overviews(results: Results) -> list[tuple[str, Markup]]:
+    """Per renderer, all camouflages but variants in one diagram."""
+    figures = []
+    for renderer in results.renderers:
+        headlines = [
+            headline
+            for headline in results.headlines()
+            if headline.renderer == renderer and not headline.camouflage.variant
+        ]
+        if headlines:
+            figures.append((renderer, Markup(many_figure(headlines))))
+    return figures
 
 
-def _picture(path: Path) -> str | None:
-    if not path.exists():
+def _tested(results: Results, every: Sequence[Sequence[Headline]]) -> str:
+    """What was tested on what, in one sentence."""
+    if not every:
+        return ""
+    first = every[0][0]
+    names = [words.detector_name(name) for name in first.detectors]
+    many = f"{len(names)} overhead vehicle detector{'s' if len(names) != 1 else ''}"
+    second = (
+        " The same scenes were then drawn by a second, physics-based renderer, Blender Cycles."
+        if len(results.renderers) > 1
+        else ""
+    )
+    return (
+        f"{many} ({', '.join(names)}), tested on {words.number(first.row.vehicles)} rendered "
+        f"vehicles over {_imagery(results)}, each seen once without and once with camouflage in "
+        f"the same place, light and view.{second}"
+    )
+
+
+def _imagery(results: Results) -> str:
+    if not results.sources:
+        return "ground that is not recorded"
+    if results.sources == ["procedural"]:
+        return "procedurally generated ground"
+    shown = ", ".join(results.sources[:4])
+    more = f" and {len(results.sources) - 4} more" if len(results.sources) > 4 else ""
+    return f"real imagery ({shown}{more})"
+
+
+def _panels(results: Results, headline: Headline) -> list[Panel]:
+    outcomes = results.outcomes(headline.camouflage, headline.renderer)
+    return condition_panels(outcomes, generator=np.random.default_rng(_SEED))
+
+
+def _pairs(results: Results, headline: Headline, count: int | None = None) -> list[_Picture]:
+    pictures = []
+    for folder, pair in results.pairs(headline.camouflage, headline.renderer)[:count]:
+        caption = (
+            f"{pair.why}. {pair.found_before} of {pair.vehicles} vehicles found before, "
+            f"{pair.found_after} after."
+        )
+        original = _uri(folder / pair.original)
+        adversarial = _uri(folder / pair.adversarial)
+        pictures.append(_Picture(pair.scene, original, adversarial, caption))
+    return pictures
+
+
+def _uri(path: Path) -> str:
+    """A JPEG file as a data URI."""
+    try:
+        content = path.read_bytes()
+        with Image.open(io.BytesIO(content)) as opened:
+            opened.verify()
+    except OSError as error:
+        raise StoredFileError(f"{path} is not a readable image ({error}); score again.") from error
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+
+
+def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
+    """A picture as a data URI: PNG where texels matter, else JPEG."""
+    if path is None:
         return None
+    buffer = io.BytesIO()
     try:
         with Image.open(path) as opened:
-            return image_uri(opened.convert("RGB"), lossless=True)
+            picture = opened.convert("RGB")
     except OSError as error:
-        raise StoredFileError(
-            f"{path} is not a readable image ({error}); run its stage again."
-        ) from error
+        raise StoredFileError(f"{path} is not a readable image ({error}); score again.") from error
+    if lossless:
+        picture.save(buffer, "PNG", optimize=True)
+    else:
+        picture.save(buffer, "JPEG", quality=80)
+    kind = "png" if lossless else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-def _attack_loss(run: Run, name: str) -> Markup | None:
-    steps = run.steps("camouflages", name)
+def _attack_loss(results: Results, headline: Headline) -> Markup | None:
+    path = results.pattern(headline.camouflage, "steps.jsonl")
     curves: dict[str, list[tuple[float, float]]] = {}
-    for row in steps:
+    for row in [] if path is None else _steps(path):
         for detector, loss in (row.get("losses") or {"all": row["loss"]}).items():
             curves.setdefault(detector, []).append((float(row["step"]), float(loss)))
-    return Markup(loss_figure(f"Attack {name}: loss per detector", curves)) if curves else None
+    title = f"Attack {headline.camouflage}: loss per detector"
+    return Markup(loss_figure(title, curves)) if curves else None
 
 
-def _training(run: Run) -> Markup | None:
-    curves = {
+def _training(results: Results) -> Markup | None:
+    curves = {}
+    for name in results.detectors:
+        path = results.folder / "detectors" / name / "steps.jsonl"
         # The log holds validations too, which have no loss.
-        name: [
-            (float(row["step"]), float(row["loss"]))
-            for row in run.steps("detectors", name)
-            if "loss" in row
-        ]
-        for name in run.detectors
-    }
-    curves = {name: points for name, points in curves.items() if points}
+        rows = [row for row in (_steps(path) if path.exists() else []) if "loss" in row]
+        if rows:
+            curves[name] = [(float(row["step"]), float(row["loss"])) for row in rows]
     return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
 
-def _imagery(run: Run) -> str:
-    if not run.ground_known:
-        return "ground that is not recorded"
-    imagery = run.config["imagery"]
-    if imagery == "procedural":
-        return "procedurally generated ground"
-    return (
-        "real imagery (" + ", ".join(imagery if isinstance(imagery, list) else [str(imagery)]) + ")"
-    )
+def _steps(path: Path) -> list[Mapping[str, Any]]:
+    """The log of a training or an attack."""
+    rows = read_jsonl(path)
+    for row in rows:
+        known = isinstance(row, dict) and "step" in row
+        if not known or not (row.get("kind") == "validation" or row.keys() & {"loss", "losses"}):
+            raise StoredFileError(
+                f"{path} is not of the form that this version writes; run its stage again."
+            )
+    return rows
 
 
-def _tables(run: Run) -> list[tuple[str, list[Mapping[str, Any]]]]:
+def _tables(results: Results) -> list[tuple[str, list[Row]]]:
     """The rows by match criterion and renderer, each with its heading; the main criterion first."""
     criteria = {
         MAIN_MATCH: "found = centre within 1.0 m",
         "iou_50": "found = boxes overlap by IoU ≥ 0.5",
     }
     tables = []
-    renderers = list(dict.fromkeys(row["renderer"] for row in run.rows))
     for match, meaning in criteria.items():
-        for renderer in renderers:
+        for renderer in results.renderers:
             name = words.renderer_name(renderer)
-            whose = f"Renderer {renderer}" if len(renderers) == 1 else name[0].upper() + name[1:]
-            rows = [row for row in run.rows if (row["match"], row["renderer"]) == (match, renderer)]
+            alone = len(results.renderers) == 1
+            whose = f"Renderer {renderer}" if alone else name[0].upper() + name[1:]
+            rows = [row for row in results.rows if (row.match, row.renderer) == (match, renderer)]
             if rows:
                 tables.append((f"{whose}, {meaning}", rows))
     return tables
@@ -235,107 +371,23 @@ def _readings(panels: Sequence[Panel]) -> list[str]:
         ]
         if most.rate.low > least.rate.high:
             sentences.append(
-                f"{panel.title}: most hidden at {ends[0]}, least at {ends[1]}; the intervals do not overlap."
+                f"{panel.title}: most hidden at {ends[0]}, least at {ends[1]}; the intervals do "
+                "not overlap."
             )
         else:
             sentences.append(f"{panel.title}: no clear difference; the intervals overlap.")
     return sentences
 
 
-def _advice(sections: Sequence[_Section], run: Run) -> list[str]:
-    """What the numbers suggest for the detectors; never how to hide."""
-    headline = sections[0].headline
-    single = [
-        row for row in headline.by_detector if row["detector"] != "mean" and row["easr"] is not None
-    ]
-    advice = []
-    if len(single) > 1:
-        ranked = sorted(single, key=lambda row: row["easr"])
-        best, worst = ranked[0], ranked[-1]
-        apart = best["easr_high"] is not None and worst["easr_low"] is not None
-        if apart and best["easr_high"] < worst["easr_low"]:
-            advice.append(
-                f"{words.detector_name(best['detector'])} withstands {headline.camouflage} better than "
-                f"{words.detector_name(worst['detector'])} ({words.percent(best['easr'])} against "
-                f"{words.percent(worst['easr'])} hidden): harden the weaker one first."
-            )
-        else:
-            advice.append(
-                "The detectors' intervals overlap: this result gives no ground to prefer one of them."
-            )
-    random = headline.row.get("random_easr")
-    if random is not None and random > 0.1:
-        advice.append(
-            f"Unlearnt random patterns already hide {words.percent(random)}: the detectors depend on ordinary vehicle "
-            "colours. Train with more varied vehicle textures before anything else."
-        )
-    net_low = headline.row["net_easr_low"]
-    if net_low is not None and net_low > 0:
-        advice.append(
-            "The optimised pattern does more than chance, so variety alone may not suffice: put such camouflaged "
-            "vehicles, with their true labels, into training, then measure again with a newly optimised pattern. A "
-            "detector hardened against a known pattern is not thereby hardened against the next."
-        )
-    advice.append(
-        "After hardening, check accuracy on clean images and false alarms as well; robustness can cost both."
-    )
-    advice.append(
-        "Quote net success with its interval, not the gross rate, when comparing detectors or suppliers."
-    )
-    return advice
-
-
-def _limits(sections: Sequence[_Section], run: Run) -> list[str]:
-    row = sections[0].headline.row
-    tiles = row.get("clusters")
-    limits = []
-    if run.synthetic_only:
-        limits.append(
-            "Ground and vehicles are synthetic. How far these rates carry over to real cameras is not measured here."
-        )
-    elif run.ground_known:
-        limits.append(
-            "The ground is real, the vehicles are rendered. Success on painted vehicles is not measured here."
-        )
-    if any(section.second for section in sections):
-        limits.append(
-            "Blender Cycles draws the same synthetic vehicle shapes, in another light and with other materials. It "
-            "shows whether a camouflage survives a change of renderer, not whether it survives in reality."
-        )
-    if tiles is not None:
-        few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
-        limits.append(f"The intervals rest on {tiles} background tiles.{few}")
-    limits.append(
-        "The intervals cover which scenes were drawn. They do not cover another training of the detectors, another run "
-        "of the attack, or other random patterns than those drawn."
-    )
-    steps = run.steps("camouflages", sections[0].headline.camouflage)
-    attacked = (
-        [words.detector_name(name) for name in (steps[0].get("losses") or {})] if steps else []
-    )
-    if attacked:
-        limits.append(
-            f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst case for them. Detectors "
-            "that the pattern was not optimised against may lose fewer vehicles; that is not measured here."
-        )
-    slim = [
-        words.detector_name(name)
-        for name, one in run.detectors.items()
-        if one.get("size") == "slim"
-    ]
-    if slim:
-        limits.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
-    limits.append(
-        "McNemar's test treats vehicles as independent; where a tile holds many, trust the interval more."
-    )
-    return limits
-
-
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
+    """Settings as dotted names and values."""
     if isinstance(value, Mapping):
         return [
             pair
             for key, inner in value.items()
             for pair in _flat(inner, f"{prefix}.{key}" if prefix else str(key))
         ]
-    return [(prefix, ", ".join(map(str, value)) if isinstance(value, list) else str(value))]
+    if isinstance(value, list):
+        plain = all(not isinstance(item, list | dict) for item in value)
+        return [(prefix, ", ".join(map(str, value)) if plain else json.dumps(value))]
+    return [(prefix, str(value))]

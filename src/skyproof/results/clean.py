@@ -1,22 +1,22 @@
-"""How good detectors are on images without camouflage, photographs above all (PAPER 17)."""
+"""Detectors on images without camouflage, photographs above all."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import Detector
 from skyproof.detectors.loaded import LoadedDetector
-from skyproof.detectors.matching import match_detections
-from skyproof.results.clean_intervals import ap_interval
+from skyproof.detectors.matching import MatchTable
+from skyproof.errors import ConfigurationError
+from skyproof.results.checks import Check
+from skyproof.results.statistics.intervals import Interval, bootstrap_interval, resample
 
-__all__ = ["CleanSet", "check_clean"]
+__all__ = ["CleanSet", "ap_interval", "check_clean"]
 
 
 @dataclass(frozen=True)
@@ -24,68 +24,109 @@ class CleanSet:
     """Images without camouflage that say how good the detectors are.
 
     Attributes:
-        name: as the report shows it.
-        images: in memory, at the detectors' resolution.
-        note: where they come from and what was done to them.
-        places: per image which place it shows: the clusters of the bootstrap (PAPER 40); empty where not known.
+        name: the set's name in the report.
+        images: at the detectors' resolution.
         real: whether a camera took them; False for rendered ones.
+        note: where they come from and what was done to them.
+        places: per image the place it shows, as the bootstrap's clusters; empty where not known.
     """
 
     name: str
     images: Dataset
+    _: KW_ONLY
+    real: bool
     note: str = ""
     places: Sequence[str] = ()
-    real: bool = True
 
 
 def check_clean(
     judge: LoadedDetector[Detector],
     clean: CleanSet,
-    found: Sequence[Detections],
+    centre: MatchTable,
+    overlap: MatchTable,
     *,
     generator: np.random.Generator,
-) -> dict[str, Any]:
-    """Average precision, and precision and recall at the frozen threshold, on images without camouflage.
+) -> Check:
+    """Checks a detector on images without camouflage, from its detections matched by both rules.
 
-    The interval of the average precision is over places; over images where all show one place, or none is known.
+    The interval of the average precision is over places; over images where all show one place, or
+    none is known.
+
+    Args:
+        judge: the detector.
+        clean: the images.
+        centre, overlap: their detections, matched by "centre_1m" and by "iou_50".
+        generator: of the bootstrap.
     """
-    images = clean.images
-    hits = alarms = 0
-    for boxes, ignore, each in zip(images.boxes, images.ignore, found, strict=True):
-        kept = each.scores >= judge.threshold
-        matches = match_detections(
-            each.boxes[kept],
-            each.scores[kept],
-            boxes,
-            criterion="centre_1m",
-            gsd_m=images.gsd_m,
-            ignore=ignore,
-        )
-        matched = matches.truth_of_detection >= 0
-        hits += int(matched.sum())
-        alarms += int((~matched & ~matches.ignored).sum())
-    vehicles = sum(len(boxes) for boxes in images.boxes)
     by_place = len(set(clean.places)) > 1
-    clusters = list(clean.places) if by_place else list(map(str, range(len(images))))
-    ap, low, high = ap_interval(found, images, clusters, criterion="centre_1m", generator=generator)
-    return {
-        "detector": judge.name,
-        "dataset": clean.name,
-        "images": len(images),
-        "vehicles": vehicles,
-        "real": clean.real,
-        "ap_centre_1m": _defined(ap),
-        "ap_centre_1m_low": _defined(low),
-        "ap_centre_1m_high": _defined(high),
-        "clustered_by": "places" if by_place else "images",
-        "clusters": len(set(clusters)),
-        "ap_iou_50": _defined(average_precision(found, images, criterion="iou_50").ap),
-        "precision": hits / (hits + alarms) if hits + alarms else None,
-        "recall": hits / vehicles if vehicles else None,
-        "threshold": judge.threshold,
-        "note": clean.note,
-    }
+    clusters = list(clean.places) if by_place else list(map(str, range(len(clean.images))))
+    hits, false_alarms = centre.counts_at(judge.threshold)
+    return Check(
+        detector=judge.name,
+        dataset=clean.name,
+        images=len(clean.images),
+        vehicles=centre.vehicles,
+        real=clean.real,
+        ap_centre_1m=ap_interval(centre, clusters, generator=generator),
+        clustered_by="places" if by_place else "images",
+        clusters=len(set(clusters)),
+        ap_iou_50=average_precision(overlap),
+        precision=_share(hits, hits + false_alarms),
+        recall=_share(hits, centre.vehicles),
+        threshold=judge.threshold,
+        note=clean.note,
+    )
 
 
-def _defined(value: float) -> float | None:
-    return None if math.isnan(value) else value
+def ap_interval(
+    matches: MatchTable,
+    clusters: Sequence[str],
+    *,
+    generator: np.random.Generator,
+    replicates: int = 1000,
+) -> Interval:
+    """Average precision with its 95 % interval.
+
+    Images of one place share ground, light and often the very vehicles: places are resampled, not
+    images. Limits are those of all our rates (`bootstrap_interval`: BCa widened for few clusters,
+    and no surer than the effective number of vehicles allows), so that with two or three places
+    they are honest and wide.
+
+    Args:
+        matches: the images, matched.
+        clusters: per image the place it shows.
+        generator: draws the replicates.
+        replicates: how many.
+
+    Returns:
+        Fractions. The limits are nan with fewer than two clusters, all three without a vehicle.
+
+    Raises:
+        ConfigurationError: there are not as many clusters as images.
+    """
+    if len(clusters) != matches.images:
+        raise ConfigurationError(
+            f"Got {len(clusters)} places for {matches.images} images; give one each."
+        )
+    names = list(dict.fromkeys(clusters))
+    cluster_of_image = np.array([names.index(name) for name in clusters], dtype=np.int64)
+    every = np.ones(len(names), dtype=np.int64)
+    estimate = average_precision(matches)
+    if len(names) < 2:
+        return Interval(estimate, float("nan"), float("nan"))
+
+    def replicate(weights: np.ndarray) -> float:
+        return average_precision(matches, weights[cluster_of_image])
+
+    weights = resample(len(names), generator=generator, replicates=replicates)
+    left_out = every - np.eye(len(names), dtype=np.int64)
+    return bootstrap_interval(
+        estimate,
+        np.array([replicate(row) for row in weights]),
+        np.array([replicate(row) for row in left_out]),
+        (0.0, 1.0),
+    )
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")

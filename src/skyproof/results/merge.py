@@ -1,4 +1,4 @@
-"""Several evaluation folders as one: what many small jobs scored becomes one table of results."""
+"""Several score folders as one: what many small jobs counted becomes one table."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ import numpy as np
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.sets import ORIGINAL, SetScore, read_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
+from skyproof.results.score_folder import ScoreFolder
 
-__all__ = ["merge_evaluations"]
+__all__ = ["merge_counts"]
 
 
-def merge_evaluations(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
-    """Reads `tiles.parquet` and `sets.json` of several evaluation folders that share scenes and detectors.
+def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
+    """Reads the counts and set scores of several score folders that share scenes and detectors.
 
-    What is in more than one folder (the set without camouflage always is) must be the same in all of them.
+    What is in more than one folder (the set without camouflage always is) must be the same in all
+    of them. Folders that only checked detectors have no counts and are passed over.
 
     Raises:
-        ConfigurationError: no folder; one camouflage with different results; the folders show other scenes or judge
-            with other detectors.
+        ConfigurationError: one camouflage has different results; the folders show other scenes or
+            judge with other detectors.
         StoredFileError: a file is missing or damaged.
     """
-    if not folders:
-        raise ConfigurationError("Merging expects at least one evaluation folder, got none.")
-    read = [(Path(folder), read_tiles(Path(folder) / "tiles.parquet")) for folder in folders]
+    compared = [folder for folder in folders if ScoreFolder.open(folder).record.renderer]
+    read = [(folder, read_tiles(folder / "tiles.parquet")) for folder in compared]
     names = sorted({tile for _, tiles in read for tile in tiles.tiles})
     place = {name: index for index, name in enumerate(names)}
     series: dict[Series, np.ndarray] = {}
@@ -46,7 +47,7 @@ def merge_evaluations(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScor
             if not np.array_equal(vehicles, spread[:, 0]):
                 raise ConfigurationError(
                     f"{first} and {folder} do not show the same vehicles on the same tiles; "
-                    "merge only evaluations of one scene file."
+                    "put only scores of one scene file into one run."
                 )
             series.setdefault(key, spread)
             source.setdefault(key, folder)
@@ -59,9 +60,8 @@ def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:
         for score in read_sets(folder / "sets.json"):
             key = Series(score.camouflage, score.renderer, score.detector, score.match)
             first, other = kept.setdefault(key, (folder, score))
-            if not _same(score.average_precision, other.average_precision) or not _same(
-                score.false_alarms_per_km2, other.false_alarms_per_km2
-            ):
+            same = _same(score.average_precision, other.average_precision)
+            if not same or not _same(score.false_alarms_per_km2, other.false_alarms_per_km2):
                 what = (
                     "the images without camouflage"
                     if key.camouflage == ORIGINAL
@@ -79,6 +79,6 @@ def _same(one: float, other: float) -> bool:
 
 def _contradiction(first: Path, second: Path, what: str) -> ConfigurationError:
     return ConfigurationError(
-        f"{first} and {second} hold different results for {what}; leave one of the folders out, or score both again "
-        "with the same scenes and detectors."
+        f"{first} and {second} hold different results for {what}; leave one of the folders out, "
+        "or score both again with the same scenes and detectors."
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from skyproof.camouflage.names import is_control
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
@@ -122,7 +122,12 @@ def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[A
         shown = counts[counts[:, 0] > 0]
         total = shown.sum(axis=0)
         found = int(total[1] + total[2])
-        if is_control(key.camouflage) or key.match != match or len(shown) < 3 or not found:
+        if (
+            CamouflageName.read(key.camouflage).random
+            or key.match != match
+            or len(shown) < 3
+            or not found
+        ):
             continue
         easr, gained = float((total[2] - total[3]) / found), float(total[3] / found)
         independent = _unit_variance(easr, gained) / found

@@ -9,8 +9,9 @@ import torch
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
-from skyproof.results.clean_intervals import _rank, ap_interval
+from skyproof.results import clean
 
 
 def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):
@@ -37,6 +38,16 @@ def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):
     )
 
 
+def ap_of(detections, labelled, criterion="centre_1m"):
+    return average_precision(match_images(detections, labelled, criterion=criterion))
+
+
+def ap_interval(detections, labelled, clusters, *, criterion, generator, replicates=1000):
+    matches = match_images(detections, labelled, criterion=criterion)
+    found = clean.ap_interval(matches, clusters, generator=generator, replicates=replicates)
+    return found.estimate, found.low, found.high
+
+
 def around(centres):
     centres = torch.tensor(np.asarray(centres), dtype=torch.float32).reshape(-1, 2)
     return torch.cat([centres - 9, centres + 9], 1)
@@ -56,11 +67,12 @@ def take(detections, labelled, indices):
 def test_weights_mean_repeated_images(criterion):
     detections, labelled = fabricate(5, seed=1)
     clusters = [0, 1, 1, 2, 3]
-    ranked = _rank(detections, labelled, clusters, 4, criterion)
+    matches = match_images(detections, labelled, criterion=criterion)
     for weights in ([1, 1, 1, 1], [0, 2, 0, 1], [3, 0, 1, 0], [0, 0, 0, 4]):
         images = [i for i, cluster in enumerate(clusters) for _ in range(weights[cluster])]
-        expected = average_precision(*take(detections, labelled, images), criterion=criterion).ap
-        assert ranked.average_precision(np.array(weights)) == pytest.approx(expected, abs=1e-12)
+        expected = ap_of(*take(detections, labelled, images), criterion)
+        weighted = average_precision(matches, np.array(weights)[clusters])
+        assert weighted == pytest.approx(expected, abs=1e-12)
 
 
 def test_the_estimate_is_the_average_precision_and_lies_in_its_interval():
@@ -72,9 +84,7 @@ def test_the_estimate_is_the_average_precision_and_lies_in_its_interval():
         criterion="centre_1m",
         generator=np.random.default_rng(0),
     )
-    assert ap == pytest.approx(
-        average_precision(detections, labelled, criterion="centre_1m").ap, abs=1e-12
-    )
+    assert ap == pytest.approx(ap_of(detections, labelled), abs=1e-12)
     assert 0 <= low < ap < high <= 1
     again = ap_interval(
         detections,
@@ -108,7 +118,7 @@ def test_places_that_differ_make_it_wider_than_their_images():
 def test_intervals_hold_the_truth():
     # The truth is the AP of a great many images; each run sees 20 places of 2 images.
     detections, labelled = fabricate(2000, seed=4)
-    truth = average_precision(detections, labelled, criterion="centre_1m").ap
+    truth = ap_of(detections, labelled)
     held = 0
     for run in range(50):
         part = take(detections, labelled, range(40 * run, 40 * run + 40))

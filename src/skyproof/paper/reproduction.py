@@ -1,0 +1,100 @@
+"""A run's results as the paper arranges them: by attack, at its best magnitude, beside its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.paper.curves import Curve, curve_families, practicality_curve
+from skyproof.paper.paper_results import PAPER_RESULTS
+from skyproof.results.results import CYCLES, RENDERER, Results
+from skyproof.results.rows import MAIN_MATCH, Row
+
+__all__ = ["Reproduction", "point_name"]
+
+_FEWEST = 3
+
+
+class Reproduction:
+    """Results with the curves of EASR against practicality that the paper's tables need.
+
+    Args:
+        results: of a run.
+
+    Attributes:
+        results: what was given.
+        detectors: in the order of the results.
+        cycles: whether anything was scored on Cycles.
+        names: of all camouflages, without repeats.
+        records: by attack with its repeat, what was recorded while it was learnt.
+    """
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        self.detectors = results.judges
+        self.cycles = CYCLES in results.renderers
+        self.names = [str(name) for name in results.names]
+        self.records: Mapping[str, Mapping[str, Any]] = results.records
+
+    @property
+    def comparable(self) -> bool:
+        """Whether enough of the paper's attacks were scored to set them beside the paper's."""
+        ours = {*self.names, *(name.family for name in self.results.names)}
+        return RENDERER in self.results.renderers and len(ours & set(PAPER_RESULTS)) >= _FEWEST
+
+    def row(
+        self, name: str, detector: str | None = None, *, renderer: str = RENDERER
+    ) -> Row | None:
+        """The row of a camouflage, of the mean over detectors or of one; None if not scored."""
+        return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
+
+    def practicality(self, name: str) -> Mapping[str, Any] | None:
+        """What a camouflage asks of those who would make it; None where not measured."""
+        return self.results.practicality.get(CamouflageName.read(name))
+
+    def corrected_p(self, name: str) -> float | None:
+        """The largest Holm-corrected McNemar p over the detectors; None where one is untested."""
+        tested = []
+        for detector in self.detectors:
+            row = self.row(name, detector)
+            if row is None or row.mcnemar_p_holm is None:
+                return None
+            tested.append(row.mcnemar_p_holm)
+        return max(tested, default=None)
+
+    @cached_property
+    def curves(self) -> dict[str, Curve]:
+        """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
+        tiles = self.results.tiles
+        return {
+            family: practicality_curve(
+                tiles, family, generator=np.random.default_rng(0), match=MAIN_MATCH
+            )
+            # S-O first, as in the paper.
+            for family in sorted(curve_families(tiles), key=lambda family: family != "S-O")
+        }
+
+    @cached_property
+    def best(self) -> dict[str, str]:
+        """Per attack with a shape, the name of what stands at its PM*."""
+        return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
+
+    @property
+    def hours(self) -> float | None:
+        """The hours that all stages took together; None where not known."""
+        seconds = [float(row["seconds"]) for row in self.results.timings]
+        return sum(seconds) / 3600 if seconds else None
+
+
+def point_name(family: str, magnitude: float) -> str:
+    """What stands at one point of a curve; at magnitude 0 it is the texture.
+
+    "S-O@0", the vehicle as it was, is never scored.
+    """
+    if magnitude > 0 or family == "S-O":
+        return f"{family}@{magnitude:g}"
+    return "T-" + family.split("-")[1]

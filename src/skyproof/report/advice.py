@@ -1,0 +1,123 @@
+"""What the numbers suggest for the detectors, and what limits them; never how to hide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from skyproof import words
+from skyproof.results.results import Headline, Results
+from skyproof.results.rows import MEAN
+
+__all__ = ["advice", "limits"]
+
+_FEW_TILES = 20
+_MUCH_BY_CHANCE = 0.1
+
+
+def advice(headline: Headline) -> list[str]:
+    """What the first camouflage's numbers suggest for the detectors."""
+    single = [
+        row
+        for row in headline.by_detector
+        if row.detector != MEAN and not math.isnan(row.easr.estimate)
+    ]
+    sentences = []
+    if len(single) > 1:
+        ranked = sorted(single, key=lambda row: row.easr.estimate)
+        best = ranked[0]
+        worst = ranked[-1]
+        # False where an interval is undefined.
+        if best.easr.high < worst.easr.low:
+            sentences.append(
+                f"{words.detector_name(best.detector)} withstands {headline.camouflage} better "
+                f"than {words.detector_name(worst.detector)} "
+                f"({words.percent(best.easr.estimate)} against "
+                f"{words.percent(worst.easr.estimate)} hidden): harden the weaker one first."
+            )
+        else:
+            sentences.append(
+                "The detectors' intervals overlap: this result gives no ground to prefer one of "
+                "them."
+            )
+    random = headline.row.random_easr
+    if random is not None and random > _MUCH_BY_CHANCE:
+        sentences.append(
+            f"Unlearnt random patterns already hide {words.percent(random)}: the detectors depend "
+            "on ordinary vehicle colours. Train with more varied vehicle textures before anything "
+            "else."
+        )
+    if headline.row.net_easr is not None and headline.row.net_easr.low > 0:
+        sentences.append(
+            "The optimised pattern does more than chance, so variety alone may not suffice: put "
+            "such camouflaged vehicles, with their true labels, into training, then measure again "
+            "with a newly optimised pattern. A detector hardened against a known pattern is not "
+            "thereby hardened against the next."
+        )
+    sentences.append(
+        "After hardening, check accuracy on clean images and false alarms as well; robustness can "
+        "cost both."
+    )
+    sentences.append(
+        "Quote net success with its interval, not the gross rate, when comparing detectors or "
+        "suppliers."
+    )
+    return sentences
+
+
+def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
+    """What the numbers do not cover."""
+    sentences = []
+    if results.sources == ["procedural"]:
+        sentences.append(
+            "Ground and vehicles are synthetic. How far these rates carry over to real cameras is "
+            "not measured here."
+        )
+    elif results.sources:
+        sentences.append(
+            "The ground is real, the vehicles are rendered. Success on painted vehicles is not "
+            "measured here."
+        )
+    if len(results.renderers) > 1:
+        sentences.append(
+            "Blender Cycles draws the same synthetic vehicle shapes, in another light and with "
+            "other materials. It shows whether a camouflage survives a change of renderer, not "
+            "whether it survives in reality."
+        )
+    if every:
+        tiles = every[0][0].row.clusters
+        few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
+        sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
+        sentences.append(
+            "The intervals cover which scenes were drawn. They do not cover another training of "
+            "the detectors, another run of the attack, or other random patterns than those drawn."
+        )
+        attacked = _attacked(results, every[0][0])
+        if attacked:
+            sentences.append(
+                f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst "
+                "case for them. Detectors that the pattern was not optimised against may lose "
+                "fewer vehicles; that is not measured here."
+            )
+    slim = [
+        words.detector_name(name)
+        for name, card in results.detectors.items()
+        if card.get("size") == "slim"
+    ]
+    if slim:
+        sentences.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
+    if every:
+        sentences.append(
+            "McNemar's test treats vehicles as independent; where a tile holds many, trust the "
+            "interval more."
+        )
+    return sentences
+
+
+def _attacked(results: Results, headline: Headline) -> list[str]:
+    """The detectors that a camouflage was learnt against; empty where it is not recorded."""
+    for name in (str(headline.camouflage), str(headline.camouflage.with_repeat(0))):
+        attack = results.records.get(name, {}).get("attack")
+        if attack:
+            return [words.detector_name(detector) for detector in attack.get("detectors", {})]
+    return []

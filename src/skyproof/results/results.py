@@ -1,0 +1,394 @@
+"""All results of a run, read from its score folders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.errors import StoredFileError
+from skyproof.files import read_json, write_json
+from skyproof.results.checks import Check, read_checks
+from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.outcomes import Outcome, read_outcomes
+from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.rows import MAIN_MATCH, MEAN, Row
+from skyproof.results.score_folder import Pair, ScoreFolder
+from skyproof.results.statistics.differences import difference_interval
+from skyproof.results.statistics.intervals import Interval, resample
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.summary import summarise
+
+__all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
+
+RENDERER = "torch"
+"""The renderer that attacks go through."""
+
+CYCLES = "cycles"
+"""The second opinion: Blender's path tracer."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One camouflage under one renderer, by the main criterion.
+
+    Attributes:
+        camouflage, renderer: which it is.
+        row: the row to quote: the mean over detectors, or the only detector's.
+        by_detector: the detectors' rows, then the mean's where there is one.
+        control: rows of its random control by detector.
+    """
+
+    camouflage: CamouflageName
+    renderer: str
+    row: Row
+    by_detector: Sequence[Row]
+    control: Mapping[str, Row]
+
+    @property
+    def detectors(self) -> list[str]:
+        """The detectors that judged it."""
+        return [row.detector for row in self.by_detector if row.detector != MEAN]
+
+
+@dataclass(frozen=True)
+class Change:
+    """Mean EASR under two renderers over what both have, and the second minus the first.
+
+    Attributes:
+        first, second: fractions.
+        difference: with its interval, paired by camouflage, repeat and tile.
+    """
+
+    first: float
+    second: float
+    difference: Interval
+
+
+@dataclass(frozen=True)
+class Results:
+    """What was measured in one run, from all of its score folders.
+
+    Attributes:
+        folder: of the run.
+        scores: its score folders.
+        rows: the table of results, renderer by renderer, both match criteria.
+        tiles: the counts that the rows come from.
+        checks: detectors on images without camouflage.
+        config, environment: of the run; empty where missing.
+        timings: seconds of the run's stages; empty where missing.
+        detectors: by name, what is recorded of them; empty where missing.
+        records: by camouflage folder of the run, what was recorded while it was made.
+        practicality: by camouflage without repeat, what it asks of those who would make it.
+    """
+
+    folder: Path
+    scores: Sequence[ScoreFolder]
+    rows: Sequence[Row]
+    tiles: TileCounts
+    checks: Sequence[Check]
+    config: Mapping[str, Any]
+    environment: Mapping[str, Any]
+    timings: Sequence[Mapping[str, Any]]
+    detectors: Mapping[str, Mapping[str, Any]]
+    records: Mapping[str, Mapping[str, Any]]
+    practicality: Mapping[CamouflageName, Mapping[str, Any]]
+
+    @classmethod
+    def open(cls, run_folder: str | Path) -> Results:
+        """Reads a run folder, or a single score folder.
+
+        Raises:
+            StoredFileError: nothing was scored yet, or a file is damaged.
+            ConfigurationError: the scores do not belong together.
+        """
+        folder = Path(run_folder)
+        scores = ScoreFolder.all_of(folder)
+        tiles, sets = merge_counts([score.path for score in scores])
+        config = _mapping(folder / "config.json")
+        rows: list[Row] = []
+        for renderer in dict.fromkeys(key.renderer for key in tiles.series):
+            # One by one, Holm's correction too: a renderer's numbers stay as they are when another
+            # is added.
+            series = {
+                key: counts for key, counts in tiles.series.items() if key.renderer == renderer
+            }
+            seed = config.get("seed", scores[0].record.seed)
+            generator = np.random.default_rng(seed)
+            rows += summarise(TileCounts(tiles.tiles, series), sets, generator=generator)
+        return cls(
+            folder=folder,
+            scores=scores,
+            rows=rows,
+            tiles=tiles,
+            checks=_merged_checks(scores),
+            config=config,
+            environment=_mapping(folder / "environment.json"),
+            timings=_timings(folder / "timings.json"),
+            detectors=_folders(folder / "detectors", "detector.json"),
+            records={
+                name: content.get("record") or {}
+                for name, content in _folders(folder / "camouflages", "camouflage.json").items()
+            },
+            practicality=_practicality(scores),
+        )
+
+    def write(self) -> Path:
+        """Writes `results.json`: all rows and checks, rates as fractions, undefined ones null.
+
+        Raises:
+            RunFolderError: the disk cannot take it.
+        """
+        path = self.folder / "results.json"
+        rows = [row.json() for row in self.rows]
+        write_json(path, {"rows": rows, "checks": [check.json() for check in self.checks]})
+        return path
+
+    @cached_property
+    def judges(self) -> list[str]:
+        """The detectors' names, in the order in which they were given to the first score."""
+        named = [name for score in self.scores for name in score.record.thresholds]
+        return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
+
+    @cached_property
+    def renderers(self) -> list[str]:
+        """Who drew images that were compared, the attacks' own renderer first."""
+        return list(dict.fromkeys(row.renderer for row in self.rows))
+
+    @cached_property
+    def names(self) -> list[CamouflageName]:
+        """All camouflages, without repeats."""
+        return list(dict.fromkeys(row.camouflage for row in self.rows))
+
+    @cached_property
+    def sources(self) -> list[str]:
+        """What the ground was cut from, or ["procedural"]; empty where it is not recorded."""
+        imagery = self.config.get("imagery")
+        if imagery:
+            return [imagery] if isinstance(imagery, str) else [str(name) for name in imagery]
+        index = _mapping(self.folder / "backgrounds" / "index.json")
+        tiles = [tile.get("source") for tile in index.get("tiles", []) if isinstance(tile, dict)]
+        recorded = [source for score in self.scores for source in score.record.sources]
+        return [str(source) for source in dict.fromkeys([*tiles, *recorded]) if source]
+
+    @cached_property
+    def weights(self) -> Int[np.ndarray, "R C"]:
+        """Resampled tiles, for whatever is not in the rows."""
+        return resample(len(self.tiles.tiles), generator=np.random.default_rng(0))
+
+    def row(
+        self,
+        name: CamouflageName,
+        detector: str | None = None,
+        *,
+        renderer: str = RENDERER,
+        match: str = MAIN_MATCH,
+    ) -> Row | None:
+        """The row of a camouflage, of the mean over detectors or of one; None if not scored."""
+        wanted = detector or (MEAN if len(self.judges) > 1 else self.judges[0])
+        return self._by_name.get((name, wanted, renderer, match))
+
+    def headlines(self) -> list[Headline]:
+        """One entry per camouflage that is no control and renderer, at the main criterion."""
+        found = []
+        rows = [row for row in self.rows if row.match == MAIN_MATCH and not row.camouflage.random]
+        for name, renderer in dict.fromkeys((row.camouflage, row.renderer) for row in rows):
+            own = [row for row in rows if (row.camouflage, row.renderer) == (name, renderer)]
+            single = [row for row in own if row.detector != MEAN]
+            mean = [row for row in own if row.detector == MEAN]
+            control = {
+                row.detector: random
+                for row in own
+                if (random := self.row(name.control, row.detector, renderer=renderer))
+            }
+            found.append(Headline(name, renderer, (mean or single)[0], single + mean, control))
+        return found
+
+    def outcomes(self, name: CamouflageName, renderer: str) -> list[Outcome]:
+        """The outcomes of every repeat of a camouflage, at the main criterion.
+
+        Raises:
+            StoredFileError: a table of outcomes is damaged.
+        """
+        wanted = {
+            key.camouflage
+            for key in self.tiles.series
+            if key.renderer == renderer and CamouflageName.read(key.camouflage).pooled == name
+        }
+        return [
+            outcome
+            for score in self.scores
+            if score.record.renderer == renderer
+            for outcome in self._outcomes(score)
+            if outcome.camouflage in wanted and outcome.match == MAIN_MATCH
+        ]
+
+    def pairs(self, name: CamouflageName, renderer: str) -> list[tuple[Path, Pair]]:
+        """Pictured scenes of a camouflage, each with the folder that its files lie in."""
+        return [
+            (score.path / "pairs", pair)
+            for score in self.scores
+            if score.record.renderer == renderer
+            for pair in score.pairs()
+            if CamouflageName.read(pair.camouflage).pooled == name
+        ]
+
+    def pattern(self, name: CamouflageName, file: str) -> Path | None:
+        """A picture or log of the first repeat of a camouflage; None where there is none."""
+        for score in self.scores:
+            for folder in (str(name), str(name.with_repeat(0))):
+                path = score.path / "patterns" / folder / file
+                if path.exists():
+                    return path
+        return None
+
+    def change(
+        self,
+        names: Iterable[CamouflageName],
+        *,
+        detector: str | None = None,
+        net: bool = False,
+        first: str = RENDERER,
+        second: str = CYCLES,
+    ) -> Change | None:
+        """How far the mean EASR of some camouflages moves from one renderer to another.
+
+        Only repeats that were scored under both count, each paired with itself.
+
+        Args:
+            names: of the camouflages, without repeats.
+            detector: one alone; the mean over all where None.
+            net: minus what their random controls do, whose draws count alike.
+            first, second: the renderers.
+
+        Returns:
+            None where nothing is shared, or with `net` no control.
+        """
+        before, after = self._shared(set(names), detector, first, second)
+        if not len(before):
+            return None
+        plus = [after]
+        minus = [before]
+        if net:
+            controls = {name.control for name in names}
+            random_before, random_after = self._shared(controls, detector, first, second)
+            if not len(random_before):
+                return None
+            plus.append(random_before)
+            minus.append(random_after)
+            rates = (_easr(before) - _easr(random_before), _easr(after) - _easr(random_after))
+        else:
+            rates = (_easr(before), _easr(after))
+        return Change(*rates, difference_interval(plus, minus, self.weights))
+
+    def single_easr(self, camouflage: str) -> float | None:
+        """EASR of one single repeat, mean over detectors; None where unknown or undefined."""
+        counts = self._counts(camouflage)
+        if counts is None:
+            return None
+        value = _easr(counts)
+        return None if np.isnan(value) else value
+
+    def difference(self, later: str, earlier: str) -> Interval | None:
+        """EASR of one single repeat minus another's, on the same tiles; None where unknown."""
+        after = self._counts(later)
+        before = self._counts(earlier)
+        if after is None or before is None:
+            return None
+        return difference_interval([after], [before], self.weights)
+
+    @cached_property
+    def _single_rows(self) -> list[Row]:
+        return [row for row in self.rows if row.detector != MEAN]
+
+    @cached_property
+    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str], Row]:
+        return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
+
+    @cached_property
+    def _read_outcomes(self) -> dict[Path, list[Outcome]]:
+        return {}
+
+    def _outcomes(self, score: ScoreFolder) -> list[Outcome]:
+        path = score.path / "outcomes.parquet"
+        if path not in self._read_outcomes:
+            self._read_outcomes[path] = read_outcomes(path) if path.exists() else []
+        return self._read_outcomes[path]
+
+    def _shared(
+        self, names: set[CamouflageName], detector: str | None, first: str, second: str
+    ) -> tuple[Int[np.ndarray, "S C 3"], Int[np.ndarray, "S C 3"]]:
+        """Pair counts under two renderers of every repeat and detector that both have."""
+        before: list[np.ndarray] = []
+        after: list[np.ndarray] = []
+        for key, counts in self.tiles.series.items():
+            if (key.renderer, key.match) != (first, MAIN_MATCH):
+                continue
+            if detector not in (None, MEAN, key.detector):
+                continue
+            other = self.tiles.series.get(key._replace(renderer=second))
+            if other is not None and CamouflageName.read(key.camouflage).pooled in names:
+                before.append(counts[:, 1:])
+                after.append(other[:, 1:])
+        none = np.zeros((0, len(self.tiles.tiles), 3), dtype=np.int64)
+        return (np.stack(before), np.stack(after)) if before else (none, none)
+
+    def _counts(self, camouflage: str) -> Int[np.ndarray, "S C 3"] | None:
+        keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.judges]
+        known = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
+        return np.stack(known) if len(known) == len(keys) else None
+
+
+def _easr(counts: Int[np.ndarray, "S C 3"]) -> float:
+    return float(overall_attack_success_rate(counts.sum(axis=1)).mean())
+
+
+def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:
+    """Every check once, rendered images first; each score repeats that on the original images."""
+    checks = [check for score in scores for check in read_checks(score.path / "checks.json")]
+    first = {(check.detector, check.dataset): check for check in reversed(checks)}
+    kept = [check for check in checks if first[check.detector, check.dataset] is check]
+    order = list(dict.fromkeys(check.detector for check in kept))
+    return sorted(kept, key=lambda check: order.index(check.detector))
+
+
+def _practicality(scores: Sequence[ScoreFolder]) -> dict[CamouflageName, Mapping[str, Any]]:
+    rows: dict[CamouflageName, Mapping[str, Any]] = {}
+    for score in scores:
+        for row in score.practicality():
+            rows.setdefault(CamouflageName.read(str(row["name"])).pooled, row)
+    return rows
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise _other_form(path)
+    return value
+
+
+def _timings(path: Path) -> list[Mapping[str, Any]]:
+    if not path.exists():
+        return []
+    rows = read_json(path)
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise _other_form(path)
+    return rows
+
+
+def _folders(parent: Path, file: str) -> dict[str, Mapping[str, Any]]:
+    return {path.parent.name: _mapping(path) for path in sorted(parent.glob(f"*/{file}"))}
+
+
+def _other_form(path: Path) -> StoredFileError:
+    return StoredFileError(
+        f"{path} is not of the form that this version writes; run its stage again."
+    )

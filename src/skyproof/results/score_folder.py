@@ -1,0 +1,157 @@
+"""A score folder: all that was measured in one go, and all that a report needs of it.
+
+It holds `score.json`, `tiles.parquet`, `outcomes.parquet`, `sets.json`, `checks.json`,
+`detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like) and
+`practicality.json`. `score.json` and `checks.json` are always there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.errors import StoredFileError
+from skyproof.files import is_leftover, read_json, write_json
+
+__all__ = ["Pair", "ScoreFolder", "ScoreRecord", "is_pictured", "write_pairs", "write_record"]
+
+
+@dataclass(frozen=True)
+class ScoreRecord:
+    """What a score folder says of itself.
+
+    Attributes:
+        thresholds: by detector, its frozen threshold; in the order in which they were given.
+        seed: of the bootstrap.
+        renderer: who drew the compared images; None where none were compared.
+        sources: what the ground of these images was cut from, or ["procedural"]; empty where it
+            is not known.
+    """
+
+    thresholds: Mapping[str, float]
+    seed: int = 0
+    renderer: str | None = None
+    sources: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two pictures of one scene, without and with a camouflage, as one detector sees them.
+
+    Attributes:
+        camouflage, detector, scene: which they are.
+        why: why the scene was chosen.
+        vehicles, found_before, found_after: how many there are and were found.
+        original, adversarial: files, relative to the folder's `pairs`.
+    """
+
+    camouflage: str
+    detector: str
+    scene: str
+    why: str
+    vehicles: int
+    found_before: int
+    found_after: int
+    original: str
+    adversarial: str
+
+
+def is_pictured(name: CamouflageName) -> bool:
+    """Whether pairs, portrait and practicality of a camouflage are kept.
+
+    They are of learnt ones as they finally are, and of the first of several repeats.
+    """
+    return not name.random and not name.variant and name.repeat in ("", "0")
+
+
+def write_record(folder: Path, record: ScoreRecord) -> None:
+    """Writes `score.json`."""
+    write_json(folder / "score.json", asdict(record))
+
+
+def write_pairs(folder: Path, pairs: Sequence[Pair]) -> None:
+    """Writes `pairs/pairs.json`, which names the pictures beside it."""
+    write_json(folder / "pairs" / "pairs.json", {"rows": [asdict(pair) for pair in pairs]})
+
+
+@dataclass(frozen=True)
+class ScoreFolder:
+    """A score folder, opened.
+
+    Attributes:
+        path: where it lies.
+        record: what it says of itself.
+    """
+
+    path: Path
+    record: ScoreRecord
+
+    @classmethod
+    def open(cls, path: Path) -> ScoreFolder:
+        """Reads a score folder's record.
+
+        Raises:
+            StoredFileError: `score.json` is missing or damaged.
+        """
+        content = read_json(path / "score.json")
+        try:
+            return cls(path, ScoreRecord(**content))
+        except TypeError as error:
+            raise StoredFileError(
+                f"{path / 'score.json'} is not of the form this version writes; score again."
+            ) from error
+
+    @classmethod
+    def all_of(cls, run_folder: Path) -> list[ScoreFolder]:
+        """Opens all score folders of a run, or the folder itself where it is one; by their names.
+
+        Raises:
+            StoredFileError: there is none, or one is damaged.
+        """
+        if (run_folder / "score.json").exists():
+            return [cls.open(run_folder)]
+        places = sorted(
+            path
+            for path in (run_folder / "scores").glob("*")
+            if path.is_dir() and not is_leftover(path)
+        )
+        if not places:
+            raise StoredFileError(
+                f"{run_folder} holds no scores; run skyproof score --out "
+                f"{run_folder / 'scores' / 'NAME'}, or give another run folder."
+            )
+        return [cls.open(place) for place in places]
+
+    def pairs(self) -> list[Pair]:
+        """The pictured scenes; empty where there are none.
+
+        Raises:
+            StoredFileError: `pairs.json` is damaged.
+        """
+        path = self.path / "pairs" / "pairs.json"
+        if not path.exists():
+            return []
+        content = read_json(path)
+        try:
+            return [Pair(**row) for row in content["rows"]]
+        except (TypeError, KeyError) as error:
+            raise StoredFileError(
+                f"{path} is not of the form this version writes; score again."
+            ) from error
+
+    def practicality(self) -> list[dict[str, Any]]:
+        """What the camouflages ask of those who would make them; empty where not measured.
+
+        Raises:
+            StoredFileError: `practicality.json` is damaged.
+        """
+        path = self.path / "practicality.json"
+        if not path.exists():
+            return []
+        content = read_json(path)
+        if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
+            raise StoredFileError(f"{path} is not of the form this version writes; score again.")
+        return list(content["rows"])
