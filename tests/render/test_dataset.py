@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -144,6 +145,33 @@ def test_the_same_scenes_give_the_same_bytes(tmp_path, fleet):
     assert sorted(one) == sorted(
         ["annotations.json", "scenes.jsonl", *(f"images/scene-{n}.png" for n in range(4))]
     )
+
+
+def test_several_threads_write_the_same_bytes_and_give_their_setting_back(
+    tmp_path, fleet, monkeypatch
+):
+    write(tmp_path / "alone", fleet, batch_size=1)
+    drawing = []
+    draw = TorchRenderer.__call__
+    # Nobody gets past it alone: of the four batches two are always drawn at once.
+    meeting = threading.Barrier(2)
+
+    def noted(renderer, *arguments, **options):
+        meeting.wait(60)
+        drawing.append((threading.current_thread().name, torch.get_num_threads()))
+        return draw(renderer, *arguments, **options)
+
+    monkeypatch.setattr(TorchRenderer, "__call__", noted)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        write(tmp_path / "together", fleet, batch_size=1)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert files(tmp_path / "together") == files(tmp_path / "alone")
+    assert len({name for name, _ in drawing}) == 2
+    assert {threads for _, threads in drawing} == {1}
 
 
 def test_matched_pairs_on_disk_share_annotations_and_scenes(tmp_path, fleet):

@@ -46,13 +46,12 @@ def composite_crops(
         return photograph
     radius, size = settings.blur_radius_px, photograph.shape[-1]
     wide = size + 2 * radius
-    total, weight = photograph.new_zeros(7, wide, wide), photograph.new_zeros(wide, wide)
+    total = photograph.new_zeros(7, wide, wide)
+    weight = photograph.new_zeros(wide, wide)
     nearest = photograph.new_zeros(wide, wide)
     for (left, top, width, height), layers in crops:
-        rows, columns = (
-            slice(top + radius, top + radius + height),
-            slice(left + radius, left + radius + width),
-        )
+        rows = slice(top + radius, top + radius + height)
+        columns = slice(left + radius, left + radius + width)
         inside = _inwards(height, margin_px, layers)[:, None] * _inwards(width, margin_px, layers)
         trust = inside + _LEAST_WEIGHT
         total[:, rows, columns] += layers * trust

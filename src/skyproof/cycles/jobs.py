@@ -104,11 +104,9 @@ def crop_jobs(
         sensor: for the sky's share of the light.
     """
     low, high = windows[:, :2], windows[:, 2:]
-    rows, materials, scene_of = (
-        _Rows(vehicles, placed),
-        material_table(settings.finish).numpy(),
-        placed.scene.cpu(),
-    )
+    rows = _Rows(vehicles, placed)
+    materials = material_table(settings.finish).numpy()
+    scene_of = placed.scene.cpu()
     jobs = []
     for index, scene in enumerate(scenes):
         light = daylight(scene.sun, sensor.sky_share, scene.weather.overcast)

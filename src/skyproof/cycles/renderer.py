@@ -52,7 +52,8 @@ class CyclesRenderer:
         sensor: RenderSettings | None = None,
     ) -> None:
         self.backgrounds, self.workers = backgrounds, workers
-        self.settings, self.sensor = settings or CyclesSettings(), sensor or RenderSettings()
+        self.settings = settings or CyclesSettings()
+        self.sensor = sensor or RenderSettings()
 
     def record(self) -> dict[str, Any]:
         """Its settings, and Blender's version."""
@@ -76,14 +77,15 @@ class CyclesRenderer:
         )
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
-        placed, sensor = place(scenes, vehicles), self.sensor
+        placed = place(scenes, vehicles)
+        sensor = self.sensor
         margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
         windows = crop_windows(placed, margin_px, sensor.blur_radius_px)
         jobs = crop_jobs(
             scenes, vehicles, placed, srgb_to_linear(ground), windows, self.settings, sensor
         )
         drawn = [
-            torch.from_numpy(each).permute(2, 0, 1).to(ground) for each in self.workers.run(jobs)
+            torch.from_numpy(crop).permute(2, 0, 1).to(ground) for crop in self.workers.run(jobs)
         ]
         images: list[Float[Tensor, "3 H W"]] = []
         for index, scene in enumerate(scenes):
@@ -93,6 +95,7 @@ class CyclesRenderer:
                 if job.scene == index
             ]
             images.append(composite_crops(ground[index], crops, scene.seed, margin_px, sensor))
-        finished, factor = finish_images(torch.stack(images), scenes), sensor.supersampling
+        finished = finish_images(torch.stack(images), scenes)
+        factor = sensor.supersampling
         visibility, window = visible_samples(placed, vehicles.template.faces, factor)
         return label(finished, placed, visibility, window, factor, masks=masks)

@@ -126,12 +126,11 @@ class Stage:
         material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
         nodes.clear()
-        output, matt = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeBsdfDiffuse")
-        image, place, scale = (
-            nodes.new("ShaderNodeTexImage"),
-            nodes.new("ShaderNodeNewGeometry"),
-            nodes.new("ShaderNodeMapping"),
-        )
+        output = nodes.new("ShaderNodeOutputMaterial")
+        matt = nodes.new("ShaderNodeBsdfDiffuse")
+        image = nodes.new("ShaderNodeTexImage")
+        place = nodes.new("ShaderNodeNewGeometry")
+        scale = nodes.new("ShaderNodeMapping")
         image.extension, image.interpolation = "EXTEND", "Linear"
         links.new(place.outputs["Position"], scale.inputs["Vector"])
         links.new(scale.outputs["Vector"], image.inputs["Vector"])
@@ -169,7 +168,8 @@ class Stage:
     def _light(self, job: dict[str, Any], sky: np.ndarray) -> None:
         light, irradiance = self.sun.data, job["sun_irradiance"]
         # Energy times colour is the irradiance across the rays.
-        light.energy, light.angle = max(irradiance), job["sun_diameter_rad"]
+        light.energy = max(irradiance)
+        light.angle = job["sun_diameter_rad"]
         light.color = [value / max(light.energy, 1e-9) for value in irradiance]
         self.sun.hide_render = light.energy == 0
         self.sun.rotation_euler = Vector(job["sun"]).to_track_quat("Z", "Y").to_euler()
@@ -228,7 +228,8 @@ class Stage:
         material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
         surface = nodes["Principled BSDF"]
-        colour, finish = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeTexImage")
+        colour = nodes.new("ShaderNodeTexImage")
+        finish = nodes.new("ShaderNodeTexImage")
         for node, interpolation in ((colour, "Linear"), (finish, "Closest")):
             node.interpolation, node.extension = interpolation, "REPEAT"
         colour.image = new_image(linear(texture).transpose(1, 2, 0))
@@ -297,7 +298,8 @@ def read_exr(path: Path) -> np.ndarray:
     width, height = right - left + 1, bottom - top + 1
     # After the header: an offset of 8 bytes per line, then the lines, each with its number and its
     # size before it.
-    start, line = place + 1 + 8 * height, 8 + 4 * width * len(names)
+    start = place + 1 + 8 * height
+    line = 8 + 4 * width * len(names)
     lines = np.frombuffer(data, np.uint8, height * line, start).reshape(height, line)[:, 8:]
     values = np.ascontiguousarray(lines).view("<f4").reshape(height, len(names), width)
     return np.stack([values[:, names.index(name)] for name in CHANNELS], axis=-1)

@@ -13,7 +13,8 @@ def rotate_about_vertical(
     points: Float[Tensor, "N V 3"], angle_rad: Float[Tensor, " N"]
 ) -> Float[Tensor, "N V 3"]:
     """Turns each set of points counter-clockwise (from x towards y) about the z axis."""
-    cosine, sine = angle_rad.cos()[:, None], angle_rad.sin()[:, None]
+    cosine = angle_rad.cos()[:, None]
+    sine = angle_rad.sin()[:, None]
     x, y, z = points.unbind(-1)
     return torch.stack((cosine * x - sine * y, sine * x + cosine * y, z), dim=-1)
 

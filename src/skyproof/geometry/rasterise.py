@@ -128,7 +128,8 @@ def _draw(
     corners = screen.flatten(0, 1).index_select(0, corner).view(-1, 3, 2)
     corner_depth = depth.flatten().index_select(0, corner).view(-1, 3)
     # Counted from a whole sample near the triangle, coordinates keep their digits.
-    low, high = corners.amin(1), corners.amax(1)
+    low = corners.amin(1)
+    high = corners.amax(1)
     base = low.floor()
     planes, depth_plane = _planes(corners - base[:, None], corner_depth, areas[vehicle, face])
     x_base, y_base = base.long().unbind(1)

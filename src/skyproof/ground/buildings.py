@@ -101,7 +101,8 @@ def _flat_roof(
     canvas: Canvas, patch: Patch, place: Place, size_m: tuple[float, float], angle_rad: float
 ) -> None:
     rng = canvas.rng
-    height_m, parapet_m = float(rng.uniform(3, 9)), float(rng.uniform(0.2, 0.7))
+    height_m = float(rng.uniform(3, 9))
+    parapet_m = float(rng.uniform(0.2, 0.7))
     edge = patch.inside < 0.35
     canvas.raise_to(patch, np.where(edge, height_m + parapet_m, height_m))
     base = pick(canvas, FLAT_COLOURS)
@@ -128,7 +129,8 @@ def _roof_furniture(
     if half_u <= 0.5 or half_v <= 0.5 or kind == "village":
         return
     area = size_m[0] * size_m[1]
-    glass, bright = reflectance((60, 70, 82)), reflectance((214, 218, 222))
+    glass = reflectance((60, 70, 82))
+    bright = reflectance((214, 218, 222))
     if rng.random() < 0.55:  # a row of roof lights
         light_m = (
             float(rng.uniform(0.8, 1.4)),

@@ -32,7 +32,8 @@ def draw_street(canvas: Canvas) -> None:
     rng = canvas.rng
     ground = canvas.everywhere(wander_m=float(rng.uniform(0, 1.0)))
     lay_grass(canvas, ground)
-    width, pavement = float(rng.uniform(5, 7.5)), float(rng.uniform(1.2, 2.4))
+    width = float(rng.uniform(5, 7.5))
+    pavement = float(rng.uniform(1.2, 2.4))
     centre = float(rng.uniform(-10, 10))
     add_pavement(canvas, ground, centre, width, pavement)
     add_road(canvas, ground, centre, width)
@@ -42,7 +43,8 @@ def draw_street(canvas: Canvas) -> None:
     for side in (-1, 1):
         u_m = -canvas.reach_m
         while u_m < canvas.reach_m:
-            plot, depth = float(rng.uniform(12, 20)), float(rng.uniform(8, 12))
+            plot = float(rng.uniform(12, 20))
+            depth = float(rng.uniform(8, 12))
             house_v = centre + side * (front + verge + depth / 2)
             drive_u = u_m + 2.0
             drive = canvas.rectangle(
@@ -119,10 +121,8 @@ def draw_crossroads(canvas: Canvas) -> None:
     colour = pick_asphalt(canvas)
     add_road(canvas, across, 0.0, widths[1], colour=colour)
     add_road(canvas, ground, 0.0, widths[0], colour=colour)
-    first, second = (
-        canvas.band(ground, 0.0, widths[0] + 0.4),
-        canvas.band(across, 0.0, widths[1] + 0.4),
-    )
+    first = canvas.band(ground, 0.0, widths[0] + 0.4)
+    second = canvas.band(across, 0.0, widths[1] + 0.4)
     lay_asphalt(
         canvas, dataclasses.replace(first, coverage=first.coverage * second.coverage), colour
     )
@@ -158,12 +158,11 @@ def draw_car_park(canvas: Canvas) -> None:
     rng = canvas.rng
     ground = canvas.everywhere()
     lay_asphalt(canvas, ground)
-    bay_m, length_m, aisle_m = (
-        float(rng.uniform(2.3, 2.7)),
-        float(rng.uniform(4.6, 5.4)),
-        float(rng.uniform(5.5, 7.5)),
-    )
-    period, offset = 2 * length_m + aisle_m, float(rng.uniform(0, 15))
+    bay_m = float(rng.uniform(2.3, 2.7))
+    length_m = float(rng.uniform(4.6, 5.4))
+    aisle_m = float(rng.uniform(5.5, 7.5))
+    period = 2 * length_m + aisle_m
+    offset = float(rng.uniform(0, 15))
     slant = float(rng.choice([0.0, 0.0, 0.35]))
     lines = str(rng.choice(["white", "white", "yellow", "faint"]))
     colour: Colour = (226, 200, 90) if lines == "yellow" else (232, 230, 224)

@@ -134,7 +134,8 @@ class Canvas:
 
     def to_pixels(self, u_m: float, v_m: float) -> tuple[float, float]:
         """Column and row of a place."""
-        cosine, sine = math.cos(self.axes_rad), math.sin(self.axes_rad)
+        cosine = math.cos(self.axes_rad)
+        sine = math.sin(self.axes_rad)
         x, y = cosine * u_m - sine * v_m, sine * u_m + cosine * v_m
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
@@ -156,7 +157,8 @@ class Canvas:
             :, None
         ]
         turn = self.axes_rad + angle_rad
-        cosine, sine = math.cos(turn), math.sin(turn)
+        cosine = math.cos(turn)
+        sine = math.sin(turn)
         return rows, columns, cosine * x + sine * y, -sine * x + cosine * y
 
     def _patch(self, rows: slice, columns: slice, u: Array, v: Array, inside: Array) -> Patch:
@@ -177,7 +179,8 @@ class Canvas:
         half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
         radius_m = min(math.hypot(*size_m) / 2, 2 * self.reach_m + math.hypot(*place))
         rows, columns, u, v = self._local(*place, angle_rad, radius_m)
-        du, dv = np.abs(u) - half_u, np.abs(v) - half_v
+        du = np.abs(u) - half_u
+        dv = np.abs(v) - half_v
         if corner_m == 0:
             return self._patch(rows, columns, u, v, -np.maximum(du, dv))
         outside = np.hypot(np.maximum(du, 0), np.maximum(dv, 0)) + np.minimum(np.maximum(du, dv), 0)
@@ -254,13 +257,15 @@ class Canvas:
         """Returns the part of the direct sun that each pixel gets."""
         # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
         tangent = math.tan(self.sun_elevation_rad)
-        step_x, step_y = math.cos(self.sun_azimuth_rad), -math.sin(self.sun_azimuth_rad)
+        step_x = math.cos(self.sun_azimuth_rad)
+        step_y = -math.sin(self.sun_azimuth_rad)
         height, n = self.height, self.pixels
         horizon = np.full_like(height, -1e3)
         distance_px = 1.0
         furthest_px = min(float(height.max()) / tangent / self.gsd_m + 1, n - 1)
         while distance_px <= furthest_px:
-            dx, dy = round(distance_px * step_x), round(distance_px * step_y)
+            dx = round(distance_px * step_x)
+            dy = round(distance_px * step_y)
             here = (slice(max(0, -dy), n - max(0, dy)), slice(max(0, -dx), n - max(0, dx)))
             there = (slice(max(0, dy), n - max(0, -dy)), slice(max(0, dx), n - max(0, -dx)))
             drop = np.float32(distance_px * self.gsd_m * tangent)
@@ -337,5 +342,6 @@ def textured(canvas: Canvas, patch: Patch, colour: Array, grain: float, mottle: 
 
 
 def beside(place: Place, angle_rad: float, u_m: float, v_m: float) -> Place:
-    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    cosine = math.cos(angle_rad)
+    sine = math.sin(angle_rad)
     return place[0] + cosine * u_m - sine * v_m, place[1] + sine * u_m + cosine * v_m

@@ -24,7 +24,8 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
     patch = canvas.disc(place, radius_m, raggedness=0.16, stretch=float(rng.uniform(1.0, 1.25)))
     if patch.empty:
         return
-    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    clumps = canvas.noise("clump", patch)
+    leaves = canvas.noise("grain", patch)
     dome = np.sqrt(np.clip(patch.inside / radius_m, 0, 1))
     top_m = float(rng.uniform(1.2, 2.2)) * radius_m
     canvas.raise_to(
@@ -45,7 +46,8 @@ def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
     )
     if patch.empty:
         return
-    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    clumps = canvas.noise("clump", patch)
+    leaves = canvas.noise("grain", patch)
     canvas.raise_to(
         patch,
         np.clip(
@@ -63,7 +65,8 @@ def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -
     patch = canvas.rectangle(place, (length_m, float(canvas.rng.uniform(0.7, 1.3))), angle_rad, 0.3)
     if patch.empty:
         return
-    clumps, leaves = canvas.noise("clump", patch), canvas.noise("grain", patch)
+    clumps = canvas.noise("clump", patch)
+    leaves = canvas.noise("grain", patch)
     canvas.raise_to(patch, float(canvas.rng.uniform(0.9, 1.9)) + 0.12 * clumps)
     canvas.paint(
         patch,

@@ -53,7 +53,8 @@ def write_procedural_backgrounds(
         raise ConfigurationError(
             f"Unknown split {sorted(unknown)[0]!r}; the splits are {', '.join(SPLITS)}."
         )
-    total, tiles = sum(counts.values()), []
+    total = sum(counts.values())
+    tiles = []
     for split in SPLITS:
         for number in range(counts.get(split, 0)):
             state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(

@@ -210,7 +210,8 @@ def add_road(
 def add_street_furniture(canvas: Canvas, v_m: float) -> None:
     """Lamp posts and street trees in a row along u."""
     rng = canvas.rng
-    spacing, start = float(rng.uniform(9, 22)), float(rng.uniform(0, 9))
+    spacing = float(rng.uniform(9, 22))
+    start = float(rng.uniform(0, 9))
     trees = rng.random() < 0.6
     for u_m in np.arange(-canvas.reach_m + start, canvas.reach_m, spacing):
         if trees and rng.random() < 0.7:

@@ -47,8 +47,10 @@ def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Ten
     placements = [placement for scene in scenes for placement in scene.placements]
     # On the CPU, so that a dataset has the same labels wherever it was drawn.
     plan = vehicles.vertices[..., :2].cpu()
-    (rear, right), (front, left) = plan.amin(1).unbind(-1), plan.amax(1).unbind(-1)
-    xs, ys = torch.stack((front, front, rear, rear), 1), torch.stack((left, right, right, left), 1)
+    rear, right = plan.amin(1).unbind(-1)
+    front, left = plan.amax(1).unbind(-1)
+    xs = torch.stack((front, front, rear, rear), 1)
+    ys = torch.stack((left, right, right, left), 1)
     local = torch.stack((xs, ys, torch.zeros_like(xs)), -1)
     heading = plan.new_tensor([placement.heading_rad for placement in placements])
     place = plan.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements]).view(

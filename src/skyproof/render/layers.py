@@ -57,7 +57,8 @@ class Layers:
 @torch.no_grad()
 def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
     """Windows that hold every vehicle's points with a pixel to spare."""
-    low, high = screen.amin(1).floor() - 1, screen.amax(1).ceil() + 1
+    low = screen.amin(1).floor() - 1
+    high = screen.amax(1).ceil() + 1
     return Windows(low.long(), int((high - low).max()))
 
 
@@ -72,30 +73,34 @@ def draw_bodies(
     settings: RenderSettings,
     sky_share: Float[Tensor, " N"] | None = None,
 ) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
-    """Visibility first, then light on the visible samples, then averaging to pixels (section S2.2).
+    """Draws vehicles as the camera sees them, averaged from samples to pixels (section S2.2).
 
     Args:
         window: around every vehicle.
         screen: vertices in image pixels.
         depth: metres, smaller is nearer.
         vertices: metres, world frame.
-        viewer, sun: unit vectors.
-        vehicles: for template and texture.
+        viewer: unit vectors towards the camera.
+        sun: unit vectors towards the sun.
+        vehicles: give template and texture.
         settings: light and supersampling.
-        sky_share: where it is not the settings'.
+        sky_share: the sky's part of the light, where it is not the settings'.
 
     Returns:
         What each sample sees, and per pixel linear colour times coverage (3) and coverage (1).
     """
     template, factor = vehicles.template, settings.supersampling
+    # Visibility: which face each sample sees.
     wide = window.size * factor
     samples = window.samples(screen, factor)
     visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
+    # The texture, at the levels that are read.
     levels = _texture_levels(samples.detach(), vehicles).view(-1)
     seen = visibility.vehicle * len(template.faces) + visibility.face
     finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
     texture = LinearTexture(vehicles.texture, finest, samples.dtype, vehicles.overlay)
-    # One row per (vehicle, face) with all that is interpolated, so that a sample takes one look-up.
+    # The surface: one row per (vehicle, face) with all that is interpolated, so that a sample
+    # takes one look-up.
     normals = vertex_normals(vertices, template.faces)[:, template.faces]
     uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
     surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
@@ -113,12 +118,14 @@ def draw_bodies(
         diffuse, mirrored = light(normal, to_sun, to_viewer, half, settings, sky)
         return torch.addcmul(mirrored, albedo, diffuse)
 
+    # Light on the visible samples, averaged to pixels.
     centre = torch.stack((visibility.x, visibility.y), dim=-1) + 0.5
     corners = (
         samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
     )
     colour = radiance(visibility.vehicle, visibility.face, _held_weights(corners, centre))
     layers = _average(visibility, colour, factor)
+    # What moving silhouettes change; nothing in value.
     if samples.requires_grad:
         points = silhouette_points(samples, depth.detach(), template.faces, visibility)
         with torch.no_grad():

@@ -63,8 +63,8 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     scene = torch.tensor(
         [i for i, each in enumerate(scenes) for _ in each.placements], device=like.device
     )
-    viewer = like.new_tensor([each.camera.direction for each in scenes])[scene]
-    sun = like.new_tensor([each.sun.direction for each in scenes])[scene]
+    viewer = like.new_tensor([picture.camera.direction for picture in scenes])[scene]
+    sun = like.new_tensor([picture.sun.direction for picture in scenes])[scene]
     ground = like.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements])
     heading = like.new_tensor([placement.heading_rad for placement in placements])
     vertices = rotate_about_vertical(like, heading) + ground[:, None]

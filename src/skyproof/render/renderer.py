@@ -84,8 +84,10 @@ class TorchRenderer:
         )
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
-        placed, settings = place(scenes, vehicles), self.settings
-        window, cast = windows_around(placed.screen), windows_around(placed.shadow_screen)
+        placed = place(scenes, vehicles)
+        settings = self.settings
+        window = windows_around(placed.screen)
+        cast = windows_around(placed.shadow_screen)
         sky = sky_shares(scenes, settings.sky_share, vehicles.vertices)
         own_sky = None if sky is None else sky[placed.scene]
         visibility, bodies = draw_bodies(

@@ -43,7 +43,8 @@ class LinearTexture:
             if overlay is None
             else _covered(texture, overlay, self.finest)
         )
-        self.count, (self.height, self.width) = len(level), texture.shape[2:]
+        self.count = len(level)
+        self.height, self.width = texture.shape[2:]
         texels, offsets = [], [0]
         for index in range(self.levels):
             if index >= self.finest:
@@ -65,9 +66,11 @@ class LinearTexture:
         index = torch.zeros_like(index) if self.count == 1 else index
         base = self._offsets.index_select(0, level - self.finest) + index * height * width
         x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
-        left, top = x.detach().floor(), y.detach().floor()
+        left = x.detach().floor()
+        top = y.detach().floor()
         across, down = (x - left)[:, None], (y - top)[:, None]
-        left, top = left.long(), top.long()
+        left = left.long()
+        top = top.long()
         columns = [left % width, (left + 1) % width]
         rows = [base + top.clamp(min=0).minimum(height - 1) * width]
         rows += [base + (top + 1).clamp(min=0).minimum(height - 1) * width]
@@ -88,7 +91,7 @@ def _linear(texture: Tensor, dtype: torch.dtype, finest: int) -> Tensor:
     if texture.dtype != torch.uint8:
         return _reduced(srgb_to_linear(texture), finest)
     # One vehicle at a time: the full maps of a batch together would fall out of every cache.
-    return torch.stack([_reduced(_bytes_to_linear(each, dtype), finest) for each in texture])
+    return torch.stack([_reduced(_bytes_to_linear(vehicle, dtype), finest) for vehicle in texture])
 
 
 def _bytes_to_linear(texture: UInt8[Tensor, "3 H W"], dtype: torch.dtype) -> Float[Tensor, "3 H W"]:

@@ -53,6 +53,7 @@ def silhouette_points(
     """
     edges, edge_faces = mesh_edges(faces)
     size = visibility.keys.shape[-1]
+    # Silhouettes: edges between a face towards the viewer and one that faces away.
     with torch.no_grad():
         front = face_areas(screen, faces) > 0
         first, second = front[:, edge_faces[:, 0]], front[:, edge_faces[:, 1]]
@@ -62,6 +63,7 @@ def silhouette_points(
         ends = edges[edge]
         start_index = torch.where(forward, ends[:, 0], ends[:, 1])
         end_index = torch.where(forward, ends[:, 1], ends[:, 0])
+        # Cut into pieces at most a sample long, each with a point in its middle.
         length = (screen[vehicle, end_index] - screen[vehicle, start_index]).norm(dim=-1)
         pieces = length.ceil().clamp(min=1).long()
         row = torch.repeat_interleave(torch.arange(len(pieces), device=screen.device), pieces)
@@ -72,6 +74,7 @@ def silhouette_points(
 
     start, end = screen[vehicle, start_index], screen[vehicle, end_index]
     point = torch.lerp(start, end, along)
+    # Visible are the points whose sample just outside lies farther away.
     with torch.no_grad():
         piece = (end - start) / pieces[row][:, None]
         outward = torch.stack((-piece[:, 1], piece[:, 0]), dim=-1)
@@ -90,6 +93,7 @@ def silhouette_points(
         weights = (corners == start_index[kept][:, None]) * (1 - along) + (
             corners == end_index[kept][:, None]
         ) * along
+    # The area that a moving piece sweeps, as a derivative.
     swept = ((point - point.detach()) * outward).sum(-1)
     return SilhouettePoints(
         point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept]

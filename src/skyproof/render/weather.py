@@ -42,9 +42,9 @@ def shadow_lights(
     scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor
 ) -> Float[Tensor, "B 3"]:
     """Returns what remains of light in shadows: `clear` under a clear sky, all under clouds."""
-    left = like.new_tensor(clear).expand(len(scenes), 3)
+    remaining = like.new_tensor(clear).expand(len(scenes), 3)
     overcast = like.new_tensor([scene.weather.overcast for scene in scenes])[:, None]
-    return left + (1 - left) * overcast
+    return remaining + (1 - remaining) * overcast
 
 
 def wet_grounds(

@@ -182,7 +182,8 @@ class BackgroundSet:
         """
         pixels = self.pixels(window.tile)
         half = size_px / 2
-        cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
+        cosine = math.cos(window.rotation_rad)
+        sine = math.sin(window.rotation_rad)
         reach = half * (abs(cosine) + abs(sine))
         left, top = window.centre_x_px - reach, window.centre_y_px - reach
         right, bottom = window.centre_x_px + reach, window.centre_y_px + reach
@@ -199,7 +200,8 @@ class BackgroundSet:
             and corner_x.is_integer()
             and corner_y.is_integer()
         ):
-            x0, y0 = int(corner_x), int(corner_y)
+            x0 = int(corner_x)
+            y0 = int(corner_y)
             # The camera turns left, so the picture turns right.
             return (
                 torch.rot90(
@@ -207,7 +209,8 @@ class BackgroundSet:
                 ).float()
                 / 255
             )
-        x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
+        x0 = max(0, math.floor(left) - 1)
+        y0 = max(0, math.floor(top) - 1)
         crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
         # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and
         # down to (sin, cos).
