@@ -164,6 +164,34 @@ def test_blenders_interface_is_imported_in_one_file_that_stands_alone():
     assert "SPDX-License-Identifier: GPL-3.0-or-later" in modules[BLENDER_WORKER].split("\n")[0]
 
 
+def rooms_without_a_description(modules):
+    """Rooms whose first file does not say in two sentences or more what belongs there."""
+    return [
+        module
+        for module, text in modules.items()
+        if module.endswith(".__init__")
+        and len(re.findall(r"\.\s", (ast.get_docstring(ast.parse(text)) or "") + "\n")) < 2
+    ]
+
+
+def test_every_room_says_what_belongs_there():
+    assert rooms_without_a_description(sources()) == []
+
+
+def test_the_paper_is_cited_by_section_equation_and_table():
+    root = SOURCE.parents[1]
+    # The number of a private list would tell a reader nothing.
+    private = re.compile("PAPER" + r"\s+\d")
+    places = ("src", "tests", "tools", "examples", "docs")
+    files = [path for place in places for path in (root / place).rglob("*.*")]
+    texts = [*root.glob("*.md"), *(path for path in files if path.suffix in (".py", ".md", ".j2"))]
+    assert [
+        path.relative_to(root).as_posix()
+        for path in texts
+        if private.search(path.read_text(encoding="utf-8"))
+    ] == []
+
+
 def test_only_the_command_line_prints():
     assert printers(sources()) == []
 
@@ -197,7 +225,10 @@ def test_these_rules_can_fail():
         "report.page": "from skyproof.results.fine import f\nprint('done')",
         "report.slow": "from skyproof.results import heavy",
         "cli": "print('hello')",
+        "paper.__init__": '"""The paper: tables. Nothing else."""',
+        "render.__init__": '"""The renderer."""',
     }
+    assert rooms_without_a_description(modules) == ["render.__init__"]
     assert upward_imports(modules) == [
         "camouflage.texture imports render",
         "detectors.detector imports attacks",
