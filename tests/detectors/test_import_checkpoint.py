@@ -276,7 +276,7 @@ def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_folders_of_before_say_nothing_of_their_training_images(tmp_path: Path) -> None:
-    from test_folder import CARD
+    from test_loaded import CARD
 
     from skyproof.detectors.loaded import save_detector
 

@@ -215,7 +215,7 @@ def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(imported: Import
 
 
 def test_candidates_are_differentiable_and_detections_sorted(imported: ImportedDetector) -> None:
-    assert isinstance(brought, Detector)
+    assert isinstance(imported, Detector)
     images = IMAGES.clone().requires_grad_()
     found = imported.candidates(images)
     found.scores[found.valid].max().backward()
