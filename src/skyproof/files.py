@@ -155,13 +155,23 @@ def write_jsonl(path: Path, rows: Iterable[Any]) -> None:
     write_bytes(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, *, leave_out: str | None = None) -> Any:
     """Reads JSON.
+
+    Args:
+        path: the file.
+        leave_out: a field that no object keeps; a large one is given up while the file is read.
 
     Raises:
         StoredFileError: the file is missing or not JSON; names it.
     """
-    return _read(path, json.loads)
+
+    def thinned(mapping: dict[str, Any]) -> dict[str, Any]:
+        mapping.pop(leave_out, None)
+        return mapping
+
+    hook = thinned if leave_out else None
+    return _read(path, lambda text: json.loads(text, object_hook=hook))
 
 
 def read_jsonl(path: Path) -> list[Any]:
