@@ -79,7 +79,9 @@ def test_an_imported_detector_is_used_like_any_other(
     ]
     answer = skyproof("attack", "T-U", *both, *world, "--out", tmp_path / "made", *steps)
     assert answer.code == 0, answer.err
-    losses = json.loads((tmp_path / "made" / "T-U" / "steps.jsonl").read_text().splitlines()[0])["losses"]
+    losses = json.loads((tmp_path / "made" / "T-U" / "steps.jsonl").read_text().splitlines()[0])[
+        "losses"
+    ]
     assert set(losses) == {"retinanet", "theirs"}
     assert all(0 < value < 100 for value in losses.values())
     assert (out / "weights.safetensors").read_bytes() == stored

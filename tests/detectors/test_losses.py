@@ -17,6 +17,13 @@ BOXES = list(LABELLED.boxes)
 NOTHING = [torch.zeros(0, 4)] * len(BOXES)
 
 
+@torch.no_grad()
+def best_scores(detector: TrainableDetector) -> torch.Tensor:
+    """The highest score in each of the images."""
+    found = detector.candidates(IMAGES)
+    return found.scores.masked_fill(~found.valid, 0).amax(dim=1)
+
+
 @pytest.mark.parametrize("targets", [BOXES, NOTHING], ids=["truth", "empty"])
 def test_loss_of_an_image_does_not_depend_on_its_batch(
     trained: TrainableDetector, targets: list
@@ -40,16 +47,36 @@ def test_empty_truth_costs_where_a_vehicle_is_seen_and_little_where_none_is(
 ) -> None:
     losses = trained.loss(IMAGES, NOTHING)
     count = torch.tensor([len(boxes) for boxes in BOXES])
+    best = best_scores(trained)
     assert torch.isfinite(losses).all()
     assert (losses > 0).all()
-    assert losses[count == 1].min() > losses[count == 0].max()
+    # So few steps do not teach every vehicle on every processor, but some, and no ground.
+    assert (best > 0.5).any()
+    assert (best[count == 0] < 0.5).all()
+    assert losses[best > 0.5].min() > losses[count == 0].max()
     assert losses[count == 1].max() < 10
+
+
+def test_an_image_without_any_doubt_still_costs_something() -> None:
+    generator = torch.Generator().manual_seed(0)
+    detector = build_detector("faster_rcnn", "slim", generator=generator).eval()
+    with torch.no_grad():
+        detector.model.rpn.head.cls_logits.bias.sub_(25)
+        detector.model.roi_heads.box_predictor.cls_score.bias.copy_(torch.tensor([20.0, -20.0]))
+    images = IMAGES.clone().requires_grad_()
+    losses = detector.loss(images, NOTHING)
+    assert (losses > 0).all()
+    assert (losses < 1e-9).all()
+    losses.sum().backward()
+    assert images.grad is not None
+    assert (images.grad.abs().amax(dim=(1, 2, 3)) > 0).all()
 
 
 def test_gradient_reaches_the_vehicle_and_a_step_lowers_its_score(
     trained: TrainableDetector,
 ) -> None:
-    images = IMAGES[1:2].clone().requires_grad_()
+    index = int(best_scores(trained).argmax())
+    images = IMAGES[index : index + 1].clone().requires_grad_()
     before = trained.candidates(images).scores.max()
     trained.loss(images, NOTHING[:1]).sum().backward()
     gradient = images.grad
@@ -100,7 +127,7 @@ def test_candidates_are_differentiable_and_detections_sorted(trained: TrainableD
 
 def test_images_are_never_resized(trained: TrainableDetector) -> None:
     """A vehicle keeps its pixels when the tile around it grows, also to a size that is no multiple of the stride."""
-    index = 1
+    index = int(best_scores(trained).argmax())
     large = torch.full((1, 3, 150, 171), 0.3)
     large[:, :, :96, :96] = IMAGES[index]
     small_best = trained.detect(IMAGES[index : index + 1])[0].boxes[0]

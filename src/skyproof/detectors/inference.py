@@ -37,6 +37,8 @@ _SEAM_PX = 8
 """Two windows place the same vehicle a little differently: by less than this."""
 
 _BATCH_SIZE = 16
+# Beside a large image there is less room.
+_WINDOW_BATCH_SIZE = 8
 
 
 def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
@@ -125,8 +127,8 @@ def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     views = picture.windows(windows)
     boxes: list[Tensor] = []
     scores: list[Tensor] = []
-    for start in range(0, len(windows), _BATCH_SIZE):
-        numbers = range(start, min(start + _BATCH_SIZE, len(windows)))
+    for start in range(0, len(windows), _WINDOW_BATCH_SIZE):
+        numbers = range(start, min(start + _WINDOW_BATCH_SIZE, len(windows)))
         images = torch.stack(list(itertools.islice(views, len(numbers))))
         for number, found in zip(numbers, detect_batch(detector, images), strict=True):
             window = windows[number]

@@ -168,14 +168,19 @@ class FasterRcnnDetector(TorchvisionDetector):
         logits, region_deltas = self._region_outputs(features, regions, image_list)
         counts = [len(own) for own in regions]
         losses = []
-        for index, (own_logits, own_deltas) in enumerate(
+        for index, (image_logits, image_deltas) in enumerate(
             zip(logits.split(counts), region_deltas.split(counts), strict=True)
         ):
             truth = targets[index]
             proposal_loss = self._proposal_loss(objectness[index], deltas[index], anchors, truth)
-            losses.append(
-                proposal_loss + self._region_loss(own_logits, own_deltas, regions[index], truth)
-            )
+            region_loss = self._region_loss(image_logits, image_deltas, regions[index], truth)
+            total = proposal_loss + region_loss
+            if not len(truth):
+                # The library subtracts numbers as large as a logit: what an image without any
+                # doubt costs is lost in their rounding, and would be exactly 0.
+                sure = _cost_of_the_sure(objectness[index], image_logits)
+                total = torch.where(total > 0, total, sure)
+            losses.append(total)
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
@@ -263,6 +268,23 @@ class FasterRcnnDetector(TorchvisionDetector):
         wanted = heads.box_coder.encode_single(truth[matched[0][positive]], regions[positive])
         box = functional.smooth_l1_loss(deltas[positive, 4:], wanted, beta=1 / 9, reduction="sum")
         return entropy + box / len(regions)
+
+
+def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
+    """The loss with an empty truth, where every anchor and every region is surely background.
+
+    It is the same sum of cross-entropies, written so that it stays exact, and so above 0, for
+    scores near 0; for scores near 1 torch's own form is as good.
+
+    Args:
+        objectness: `[A]` logits of the anchors.
+        logits: `[R, C]` of the regions; column 0 is the background.
+    """
+    cost = functional.softplus(objectness).sum() / EMPTY_PROPOSAL_DIVISOR
+    if len(logits):
+        doubt = logits[:, 1:].logsumexp(dim=1) - logits[:, 0]
+        cost = cost + functional.softplus(doubt).mean()
+    return cost
 
 
 def _build_retinanet(size: str) -> RetinaNet:
