@@ -167,10 +167,10 @@ def read_json(path: Path, *, leave_out: str | None = None) -> Any:
     """
 
     def thinned(mapping: dict[str, Any]) -> dict[str, Any]:
-        mapping.pop(leave_out, None)
+        mapping.pop(str(leave_out), None)
         return mapping
 
-    hook = thinned if leave_out else None
+    hook = None if leave_out is None else thinned
     return _read(path, lambda text: json.loads(text, object_hook=hook))
 
 

@@ -1,4 +1,4 @@
-"""A checkpoint imported, and then used by evaluate, attack, score and train's neighbours like any detector."""
+"""A checkpoint is imported and then used by other commands like any detector."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_bad_input(checkpoint: Path, finished: Path, tmp_path: Path, skyproof: S
 
 
 def tiled(folder: Path) -> Path:
-    """A tiled folder as real imagery gives it: grey and coloured tiles of two sizes, with and without vehicles."""
+    """Tiles as real imagery gives them: grey and coloured, of two sizes, some with vehicles."""
     draws = np.random.default_rng(0)
     rows = []
     for split in ("train", "validation"):

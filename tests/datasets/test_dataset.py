@@ -1,4 +1,4 @@
-"""Datasets read lazily: labels at once, pixels when they are asked for, and one sentence for damage."""
+"""Datasets read lazily: labels at once, pixels when asked for; one sentence for damage."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Detectors trained for a few seconds once, shared by the tests that need one that sees something."""
+"""Detectors trained for a few seconds, shared by tests that need one that sees something."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ def trained(request: pytest.FixtureRequest) -> TrainableDetector:
     ).train()
     for module in detector.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
-            # So few steps are too few for the running statistics of eval mode to arrive (Ultralytics: 0.03).
+            # So few steps are too few for the running statistics of eval mode to arrive
+            # (Ultralytics: 0.03).
             module.momentum = 0.3
     labelled = bar_images(6, seed=1)
     images = torch.stack(labelled.images(range(len(labelled)))).float() / 255

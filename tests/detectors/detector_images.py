@@ -23,7 +23,10 @@ YOLO = pytest.param(
 
 
 def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
-    """Marks a test that Ultralytics is needed for; it is not imported here, as that would patch other libraries."""
+    """Marks a test that Ultralytics is needed for.
+
+    It is not imported here, as that would patch other libraries.
+    """
     for mark in YOLO.marks:
         test = mark(test)
     return test

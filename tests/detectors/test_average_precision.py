@@ -125,7 +125,8 @@ def test_f1_threshold_lies_midway_below_the_best_detection() -> None:
 
 
 def test_f1_threshold_never_splits_a_tie() -> None:
-    # After the first of the tied pair F1 would be 1, but its twin of the same score is a false alarm.
+    # After the first of the tied pair F1 would be 1, but its twin of the same score is a false
+    # alarm.
     threshold, f1 = best_f1_threshold(curve([0.8, 0.8, 0.3], [1, 0, 0], 1))
     assert threshold == pytest.approx(0.55)
     assert f1 == pytest.approx(2 / 3)

@@ -1,4 +1,4 @@
-"""Windows of large training images: where boxes go, what is hidden, and that small images stay as they were."""
+"""Windows of large training images: where boxes go, what is hidden, what stays as it was."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_a_small_image_is_left_alone_and_nothing_is_drawn() -> None:
 
 
 def test_boxes_and_regions_follow_the_pixels() -> None:
-    """Every vehicle and region has its own value in the image; in the window its box holds just these pixels."""
+    """Each vehicle and region has a value of its own; its box holds just these pixels."""
     height, width = 500, 900
     generator = torch.Generator().manual_seed(1)
     corners = torch.stack(

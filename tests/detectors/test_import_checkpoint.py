@@ -207,7 +207,7 @@ def test_a_garbled_folder_is_refused(
 
 
 def stored_by_ultralytics(path: Path, file: str, names: list[str]) -> Any:
-    """A network of one of Ultralytics' YAML files, stored as its trainer does it: a pickled object, in halves."""
+    """A network of a YAML file, stored as Ultralytics does: a pickled object, in halves."""
     with _quiet_import():
         from ultralytics import YOLO
 

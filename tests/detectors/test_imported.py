@@ -1,4 +1,4 @@
-"""Imported networks: against the libraries' own detections, and the loss tests of ours (section 3.2)."""
+"""Imported networks: the libraries' own detections, and the loss tests of ours (section 3.2)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
 
 
 def livened(detector: ImportedDetector) -> ImportedDetector:
-    """Random weights that tell places and classes apart; fresh ones give every place the same low score."""
+    """Random weights that tell places and classes apart, which fresh ones do not."""
     generator = torch.Generator().manual_seed(7)
     model = detector.network.model
     # FCOS normalises the features before the last layer, which is why they are larger there.
@@ -159,7 +159,7 @@ def test_loss_is_ultralytics_own_against_an_empty_truth() -> None:
 
 
 def test_losses_by_their_formulas() -> None:
-    """RetinaNet, FCOS: focal loss; Faster R-CNN: every region is background and every anchor negative."""
+    """Focal loss; of Faster R-CNN every region is background and every anchor negative."""
     torch.manual_seed(3)
     retinanet = livened(
         ImportedDetector("mine", replace(PLAN, architecture="retinanet_resnet50_fpn"))
@@ -253,7 +253,7 @@ def test_no_training_with_a_imported_detector(imported: ImportedDetector) -> Non
 
 
 class Blobs(TrainableDetector):
-    """Stands for a network of another resolution: one box around what is bright; remembers what it was shown."""
+    """A network of another resolution: one box around what is bright; keeps what it saw."""
 
     name, size = "blobs", "brought"
 

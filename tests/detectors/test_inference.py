@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -98,9 +99,7 @@ def test_windows_cover_every_pixel_and_overlap(side: int) -> None:
     width = windows[0].width
     assert width == min(side, 384)
     assert (starts[0], starts[-1] + width) == (0, side)
-    assert all(
-        first + width - second >= 96 for first, second in zip(starts, starts[1:], strict=False)
-    )
+    assert all(first + width - second >= 96 for first, second in itertools.pairwise(starts))
 
 
 @pytest.mark.parametrize("scale", [0.25, 2.0, 4.0, 0.928, 3.7])

@@ -126,7 +126,7 @@ def test_candidates_are_differentiable_and_detections_sorted(trained: TrainableD
 
 
 def test_images_are_never_resized(trained: TrainableDetector) -> None:
-    """A vehicle keeps its pixels when the tile around it grows, also to a size that is no multiple of the stride."""
+    """A vehicle keeps its pixels when the tile grows, also to a size off the stride."""
     index = int(best_scores(trained).argmax())
     large = torch.full((1, 3, 150, 171), 0.3)
     large[:, :, :96, :96] = IMAGES[index]

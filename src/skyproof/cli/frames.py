@@ -30,8 +30,9 @@ class _Given:
 def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[CleanSet]:
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD`, e.g. `kit/MOS*@0.116`.
 
-    LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images. Arguments of the
-    same NAME are one set. Each argument counts as one place; in a set that `skyproof ground` cut, each source.
+    LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images.
+    Arguments of the same NAME are one set. Each argument counts as one place; in a set that
+    `skyproof ground` cut, each source.
 
     Raises:
         ConfigurationError: a text of another form.
@@ -63,7 +64,8 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
     rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
     bordered = any(map(_border_px, given))
     note = (
-        f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to {gsd_m * 100:.1f} cm/px; vehicles: "
+        f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to "
+        f"{gsd_m * 100:.1f} cm/px; vehicles: "
         f"{', '.join(classes)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
     )
     return CleanSet(name, images, real=not rendered, note=note, places=tuple(places))
@@ -85,8 +87,8 @@ def _parse(text: str) -> _Given:
         own_gsd_m = 0.0
     if not place or not 0 < own_gsd_m <= 0.5:
         raise ConfigurationError(
-            "--frames expects [NAME=]FOLDER[/PATTERN][:LABELS]@GSD with metres per pixel up to 0.5, "
-            f"got {text!r}; write it like my_frames@0.12."
+            "--frames expects [NAME=]FOLDER[/PATTERN][:LABELS]@GSD with metres per pixel up to "
+            f"0.5, got {text!r}; write it like my_frames@0.12."
         )
     labels = None
     if ":" in place and not Path(place).is_dir():

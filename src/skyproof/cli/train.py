@@ -16,7 +16,9 @@ __all__ = ["Train"]
 
 @dataclass(frozen=True)
 class Train:
-    """Trains a detector on a dataset folder and freezes its threshold; goes on where it was stopped.
+    """Trains a detector on a dataset folder and freezes its threshold.
+
+    A training that was stopped goes on where it was.
 
     Attributes:
         detector: retinanet, faster_rcnn or yolov5.

@@ -35,8 +35,8 @@ class Annotation:
         vehicle: id in the fleet, or None where not known.
         placement_index: which of the scene's placements it is, or None.
         ignore: a region where nothing is scored; COCO's iscrowd.
-        corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left, front right, rear
-            right, rear left, not cut at the border; None where not known.
+        corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left,
+            front right, rear right, rear left, not cut at the border; None where not known.
     """
 
     box_xyxy: tuple[float, float, float, float]
@@ -50,9 +50,10 @@ class Annotation:
 
 
 class CocoWriter:
-    """Writes a dataset image by image: `images/<scene id>.png`, and `annotations.json` when the block ends well.
+    """Writes a dataset image by image, and its annotations when the block ends well.
 
-    Put it inside `skyproof.files.finished_folder`, so that only a whole dataset gets its final name.
+    The images are `images/<scene id>.png`, the annotations `annotations.json`. Put it inside
+    `skyproof.files.finished_folder`, so that only a whole dataset gets its final name.
 
     Args:
         folder: gets the files.
@@ -104,7 +105,13 @@ class CocoWriter:
     def add_written(
         self, scene_id: str, size_px: tuple[int, int], annotations: Sequence[Annotation]
     ) -> None:
-        """Keeps the annotations of an image of width and height `size_px` that lies at its place already."""
+        """Keeps the annotations of an image that lies at its place already.
+
+        Args:
+            scene_id: names the image.
+            size_px: its width and height.
+            annotations: its vehicles and ignore regions.
+        """
         image_id, (width, height) = len(self._images) + 1, size_px
         self._images.append(
             {

@@ -15,7 +15,14 @@ __all__ = ["jitter", "turn"]
 def turn(
     image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, quarter_turns: int, mirror: bool
 ) -> tuple[Float[Tensor, "3 H2 W2"], Float[Tensor, "n 4"]]:
-    """Mirrors left to right, then turns counter-clockwise by 90 degrees `quarter_turns` times; boxes follow exactly."""
+    """Mirrors left to right, then turns counter-clockwise; boxes follow exactly.
+
+    Args:
+        image: of any values.
+        boxes: pixel xyxy.
+        quarter_turns: by 90 degrees each.
+        mirror: whether to mirror at all.
+    """
     if mirror:
         image = image.flip(2)
         width = image.shape[2]
@@ -34,13 +41,15 @@ def turn(
 def jitter(
     images: Float[Tensor, "B 3 H W"], strength: float, *, generator: torch.Generator
 ) -> Float[Tensor, "B 3 H W"]:
-    """Brightness, contrast, gamma, colour and, in part of the images, blur and noise; each image draws its own.
+    """Changes light and colour of each image, and blurs some of them and adds noise to some.
 
-    Real imagery differs from rendered imagery in all of these, so a detector should not lean on them.
+    Every image draws its own brightness, contrast, gamma and colour. Real imagery differs from
+    rendered imagery in all of these, so a detector should not lean on them.
 
     Args:
         images: sRGB in [0, 1].
-        strength: 0 leaves the images as they are; 1 is mild (brightness ±0.1, contrast and gamma ±25 %, colour ±10 %).
+        strength: 0 leaves the images as they are; 1 is mild (brightness ±0.1, contrast and gamma
+            ±25 %, colour ±10 %).
         generator: on the CPU.
     """
     if strength == 0:

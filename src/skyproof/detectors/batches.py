@@ -93,10 +93,12 @@ def training_batch(
 def window(
     image: Tensor, boxes: Tensor, ignore: Tensor, *, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A random window of at most 384 px a side; an image no larger comes back as it is, and nothing is drawn.
+    """Shows a random window of at most 384 px a side.
 
-    Every second window is laid over a vehicle where there is one, so that wide images with few vehicles do not teach
-    ground alone. A box that lies wholly in the window stays a vehicle; one that its edge cuts becomes an ignore region.
+    An image no larger comes back as it is, and nothing is drawn. Every second window is laid over a
+    vehicle where there is one, so that wide images with few vehicles do not teach ground alone. A
+    box that lies wholly in the window stays a vehicle; one that its edge cuts becomes an ignore
+    region.
 
     Args:
         image: `[3, H, W]`, of any type.
@@ -144,7 +146,10 @@ def _over(low: float, high: float, side: int, length: int, generator: torch.Gene
 
 
 def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
-    """Paints ignore regions with the mean colour, so that their content is taught neither as vehicle nor as ground."""
+    """Paints ignore regions with the mean colour.
+
+    So their content is taught neither as vehicle nor as ground.
+    """
     if not len(ignore):
         return image
     hidden = torch.zeros(image.shape[1:], dtype=torch.bool)

@@ -1,9 +1,9 @@
 """Checkpoint files of other programs, opened without running anything that stands in them.
 
-NOTICE: a checkpoint as `torch.save` writes it is a pickle, and opening a pickle in the usual way runs whatever its
-author put into it. Here every class and function that a file names, but for tensors and plain containers, is replaced
-by an inert stand-in, and what is left is read as data: nothing of the file runs, and no library of its author is
-needed.
+NOTICE: a checkpoint as `torch.save` writes it is a pickle, and opening a pickle in the usual way
+runs whatever its author put into it. Here every class and function that a file names, but for
+tensors and plain containers, is replaced by an inert stand-in, and what is left is read as data:
+nothing of the file runs, and no library of its author is needed.
 """
 
 from __future__ import annotations
@@ -48,10 +48,13 @@ class StandIn:
 
 
 def read_checkpoint(path: Path) -> Any:
-    """What a `.safetensors` file or a file of `torch.save` holds; tensors on the CPU, foreign objects as `StandIn`.
+    """Reads what a `.safetensors` file or a file of `torch.save` holds.
+
+    Tensors come on the CPU, foreign objects as `StandIn`.
 
     Raises:
-        StoredFileError: the file is missing, no checkpoint, damaged, or names what no checkpoint needs.
+        StoredFileError: the file is missing, no checkpoint, damaged, or names what no checkpoint
+            needs.
     """
     path = Path(path)
     if not path.is_file():
@@ -69,13 +72,16 @@ def read_checkpoint(path: Path) -> Any:
         # Unpicklers meet damage with any exception there is.
         reason = str(error).split("\n")[0][:200]
         raise StoredFileError(
-            f"{path} is not a checkpoint that can be read ({reason}); give a file as torch.save or safetensors write "
-            "it, with the weights in it."
+            f"{path} is not a checkpoint that can be read ({reason}); give a file as torch.save or "
+            "safetensors write it, with the weights in it."
         ) from error
 
 
 def network_of(content: Any) -> Any:
-    """The state dict or stored network in what `read_checkpoint` gives; `content` itself where it wraps none."""
+    """Finds the state dict or stored network in what `read_checkpoint` gives.
+
+    It is `content` itself where that wraps none.
+    """
     if isinstance(content, Mapping):
         wrapped = (content.get(key) for key in _WRAPPINGS)
         return next((value for value in wrapped if isinstance(value, Mapping | StandIn)), content)
@@ -104,7 +110,10 @@ def state_of(network: Any) -> dict[str, Tensor]:
 
 
 def _foreign_names(path: Path) -> list[str]:
-    """Dotted names that the unpickler would refuse; none in the form of before 2020, where it refuses them."""
+    """Lists the dotted names that the unpickler would refuse.
+
+    None are listed in the form of before 2020, where it refuses them itself.
+    """
     return (
         torch.serialization.get_unsafe_globals_in_checkpoint(str(path))
         if zipfile.is_zipfile(path)

@@ -1,4 +1,4 @@
-"""What every detector shares: padding to the network's stride, suppression, and the cut at the lowest score."""
+"""What detectors share: padding to a stride, suppression, and the cut at the lowest score."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def check_images(images: Tensor) -> None:
     """
     if images.ndim != 4 or images.shape[1] != 3 or min(images.shape[-2:]) < SMALLEST_IMAGE_PX:
         raise ConfigurationError(
-            f"A detector expects images [B, 3, H, W] with H and W of at least {SMALLEST_IMAGE_PX} px, "
-            f"but got {list(images.shape)}; use larger tiles."
+            "A detector expects images [B, 3, H, W] with H and W of at least "
+            f"{SMALLEST_IMAGE_PX} px, but got {list(images.shape)}; use larger tiles."
         )
 
 
@@ -55,20 +55,24 @@ def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
     """
     if len(targets) != len(images):
         raise ConfigurationError(
-            f"A loss expects one tensor of boxes per image, but got {len(targets)} for {len(images)}."
+            f"A loss expects one tensor of boxes per image, but got {len(targets)} for "
+            f"{len(images)}."
         )
 
 
 def pad_to_stride(
     images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32
 ) -> Float[Tensor, "B 3 H2 W2"]:
-    """Pads right and below, so that pixel coordinates stay, until both sides are multiples of `stride_px`."""
+    """Pads right and below until both sides are multiples of `stride_px`; coordinates stay."""
     height, width = images.shape[-2:]
     return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
 
 
 def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Candidates to detections: score >= 0.01, clipped, best 1000, suppression at IoU 0.5, at most 100, sorted.
+    """Makes detections of candidates.
+
+    Those of a score >= 0.01 are clipped to the image, of the best 1000 duplicates are suppressed at
+    an IoU of 0.5, and at most 100 are left, sorted by falling score.
 
     Args:
         candidates: before threshold and suppression.

@@ -18,7 +18,8 @@ class Detections:
     """What a detector found in one image.
 
     Attributes:
-        boxes: `[K, 4]` pixel xyxy, half-open, origin at the top-left corner; sorted by falling score.
+        boxes: `[K, 4]` pixel xyxy, half-open, origin at the top-left corner; sorted by falling
+            score.
         scores: `[K]` in [0, 1].
     """
 
@@ -43,12 +44,19 @@ class Candidates:
 
 @runtime_checkable
 class Detector(Protocol):
-    """Enough for a black box: a name and boxes with scores. Scaling and normalising are the detector's own affair."""
+    """Enough for a black box: a name, and boxes with scores.
+
+    Scaling and normalising are the detector's own affair.
+    """
 
     name: str
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """Finds vehicles in sRGB images in [0, 1]; returns every detection with score >= 0.01, after suppression."""
+        """Finds vehicles in sRGB images in [0, 1].
+
+        Returns:
+            Per image every detection with score >= 0.01, after suppression.
+        """
         ...
 
 
@@ -68,8 +76,8 @@ class TrainableDetector(nn.Module):
     ) -> Float[Tensor, " B"]:
         """The detector's own training loss per image, normalised (section 3.2).
 
-        Each image's value depends on that image alone; all negatives count; with an empty truth it is finite,
-        positive and of order 1 or below. Differentiable in `images` and in the weights.
+        Each image's value depends on that image alone; all negatives count; with an empty truth it
+        is finite, positive and of order 1 or below. Differentiable in `images` and in the weights.
 
         Args:
             images: sRGB in [0, 1].

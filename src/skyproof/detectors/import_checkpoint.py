@@ -1,4 +1,4 @@
-"""From a checkpoint file to a detector folder: weights converted, vehicle classes chosen, threshold frozen."""
+"""From a checkpoint to a detector folder: weights, vehicle classes, frozen threshold."""
 
 from __future__ import annotations
 
@@ -44,9 +44,11 @@ class Checkpoint:
     Attributes:
         path: `.pt` or `.pth` as `torch.save` writes it, or `.safetensors`; nothing in it is run.
         kind: "torchvision" or "ultralytics".
-        vehicle_classes: of Ultralytics the names, of torchvision the label numbers (COCO: 3 car, 6 bus, 8 truck).
+        vehicle_classes: of Ultralytics the names, of torchvision the label numbers (COCO: 3 car, 6
+            bus, 8 truck).
         architecture: of torchvision, such as "retinanet_resnet50_fpn".
-        gsd_m: metres per pixel the detector was made for; that of the images it is to judge where None.
+        gsd_m: metres per pixel the detector was made for; that of the images it is to judge where
+            None.
     """
 
     path: Path
@@ -68,7 +70,8 @@ def import_detector(
 
     Args:
         checkpoint: what to import.
-        validation: images of the resolution that the detector will judge; they freeze its threshold.
+        validation: images of the resolution that the detector will judge; they freeze its
+            threshold.
         folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
         name: as tables will show it; the file's name where None.
         device: to validate on.
@@ -77,8 +80,8 @@ def import_detector(
         The card of the stored detector.
 
     Raises:
-        ConfigurationError: weights that do not fit, a class that is not there, no vehicle found in the validation
-            images or none in them, or ultralytics is not installed.
+        ConfigurationError: weights that do not fit, a class that is not there, no vehicle found in
+            the validation images or none in them, or ultralytics is not installed.
         StoredFileError: no checkpoint, or one of another kind of network.
         RunFolderError: the folder exists, or the disk cannot take it.
     """
@@ -112,8 +115,9 @@ def import_detector(
     threshold = scores.pop("threshold")
     if not scores["f1"]:
         raise ConfigurationError(
-            f"{checkpoint.path} finds none of the vehicles of the validation images, so no threshold can be "
-            "frozen; check --vehicle-classes, and give with --gsd the metres per pixel that it was made for."
+            f"{checkpoint.path} finds none of the vehicles of the validation images, so no "
+            "threshold can be frozen; check --vehicle-classes, and give with --gsd the metres per "
+            "pixel that it was made for."
         )
     width, height = validation.pictures[0].size_px
     card = DetectorCard(
@@ -151,8 +155,8 @@ def _torchvision(
     wrong = next((number for number in numbers if not first <= number < count), None)
     if not numbers or wrong is not None:
         raise ConfigurationError(
-            f"--vehicle-classes expects label numbers from {first} to {count - 1} (torchvision keeps no names), got "
-            f"{' '.join(checkpoint.vehicle_classes) or 'none'}."
+            f"--vehicle-classes expects label numbers from {first} to {count - 1} (torchvision "
+            f"keeps no names), got {' '.join(checkpoint.vehicle_classes) or 'none'}."
         )
     digest = _sha256(checkpoint.path)
     published = _WITHOUT_EPS.get(checkpoint.architecture)
@@ -183,8 +187,8 @@ def _ultralytics(
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in _NETWORKS:
         raise StoredFileError(
-            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5u, YOLOv8, YOLO11 or later); give a "
-            "checkpoint that was trained to find boxes."
+            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5u, YOLOv8, "
+            "YOLO11 or later); give a checkpoint that was trained to find boxes."
         )
     values = vars(network)
     try:
@@ -199,7 +203,8 @@ def _ultralytics(
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]
     if missing or not checkpoint.vehicle_classes:
         raise ConfigurationError(
-            f"--vehicle-classes expects names out of {', '.join(classes)}; got {', '.join(missing) or 'none'}."
+            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
+            f"{', '.join(missing) or 'none'}."
         )
     numbers = [classes.index(name) for name in checkpoint.vehicle_classes]
     try:
@@ -227,8 +232,8 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
         )
         what = checkpoint.architecture or "the architecture it names"
         raise ConfigurationError(
-            f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, such as "
-            f"{different[0] if different else 'none by name'}; "
+            f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
+            f"such as {different[0] if different else 'none by name'}; "
             + (
                 "give the --architecture they were trained as."
                 if checkpoint.architecture

@@ -29,15 +29,20 @@ __all__ = ["Blueprint", "ImportedDetector"]
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What builds an imported detector's network, but for the weights; plain values, kept in `detector.json`.
+    """What builds an imported detector's network, but for the weights.
+
+    Its plain values are kept in `detector.json`.
 
     Attributes:
         kind: "torchvision" or "ultralytics".
         architecture: torchvision's name of it, or Ultralytics' YAML of it.
-        classes: all class names of the checkpoint in their order; of torchvision's, which has none, "0", "1", ...
+        classes: all class names of the checkpoint in their order; of torchvision's, which has none,
+            "0", "1", ...
         vehicle_classes: which of them are vehicles, by position.
-        image_scale: the network's pixels per pixel of the images it is given, 1 where they have its resolution.
-        norm_eps: of torchvision's published weights, where their batch norm has another one; None else.
+        image_scale: the network's pixels per pixel of the images it is given, 1 where they have its
+            resolution.
+        norm_eps: of torchvision's published weights, where their batch norm has another one; None
+            else.
         checkpoint: name of the file it came from.
         checkpoint_sha256: of that file.
 
@@ -76,8 +81,9 @@ class Blueprint:
 class ImportedDetector(TrainableDetector):
     """A network with another's weights: frozen, attacked through its loss against an empty truth.
 
-    Images are brought to the network's resolution with anti-aliasing, boxes back to that of the images. Scores are of
-    the best vehicle class, and suppression runs over all vehicle classes together.
+    Images are brought to the network's resolution with anti-aliasing, boxes back to that of the
+    images. Scores are of the best vehicle class, and suppression runs over all vehicle classes
+    together.
 
     Args:
         name: as tables show it.
@@ -93,7 +99,8 @@ class ImportedDetector(TrainableDetector):
         super().__init__()
         self.name = name
         self.image_scale = float(blueprint.image_scale)
-        # The libraries draw weights, which are replaced at once: the program's own draws must not notice.
+        # The libraries draw weights, which are replaced at once: the program's own draws must not
+        # notice.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
 
@@ -103,7 +110,8 @@ class ImportedDetector(TrainableDetector):
         """The network's own loss per image against an empty truth, normalised (section 3.2).
 
         Raises:
-            ConfigurationError: a vehicle among the targets: an imported detector is not trained here.
+            ConfigurationError: a vehicle among the targets: an imported detector is not trained
+                here.
         """
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):

@@ -1,4 +1,4 @@
-"""torchvision's detectors with another's weights: any number of classes, of which some are vehicles."""
+"""torchvision's detectors with another's weights, and with classes that are no vehicles."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def build_torchvision(
         architecture: see `ARCHITECTURES`; anchors and limits are torchvision's own.
         class_count: as `count_classes` gives it.
         vehicle_classes: columns of the class scores; their best is the vehicle's score.
-        norm_eps: of the backbone's batch norm where torchvision's published weights ask for another one.
+        norm_eps: of the backbone's batch norm where torchvision's published weights ask for another
+            one.
     """
     model = getattr(detection, architecture)(
         weights=None, weights_backbone=None, num_classes=class_count
@@ -109,7 +110,10 @@ class ImportedFasterRcnn(_Imported, FasterRcnnDetector):
 
 
 class ImportedRetinaNet(_Imported, RetinaNetDetector):
-    """RetinaNet: its sigmoid scores are independent, so only those of the vehicle classes are read."""
+    """A RetinaNet of several classes.
+
+    Its sigmoid scores are independent, so only those of the vehicle classes are read.
+    """
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         outputs, anchors = super()._outputs(images)
@@ -127,7 +131,9 @@ class ImportedFcos(_Imported):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """torchvision's focal loss of the vehicle classes against an empty truth, by the points one vehicle gets.
+        """torchvision's focal loss of the vehicle classes against an empty truth.
+
+        It is divided by the points one vehicle gets.
 
         Centredness has no loss where there is no vehicle (section 3.2).
         """

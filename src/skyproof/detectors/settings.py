@@ -43,7 +43,8 @@ class TrainingSettings:
         counts = min(self.steps, self.batch_size, self.validate_every, self.checkpoint_every)
         if counts < 1 or not self.learning_rate > 0:
             raise ConfigurationError(
-                f"Training expects counts of at least 1 and a learning rate above 0, but got {self}."
+                "Training expects counts of at least 1 and a learning rate above 0, but got "
+                f"{self}."
             )
 
 

@@ -23,7 +23,10 @@ def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 class _Residual(nn.Module):
-    """Two 3x3 convolutions beside the identity; the second starts at zero, so that depth costs no trainability."""
+    """Two 3x3 convolutions beside the identity.
+
+    The second starts at zero, so that depth costs no trainability.
+    """
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -37,7 +40,9 @@ class _Residual(nn.Module):
 
 
 class SlimBackbone(nn.Module):
-    """Four stages of 24, 48, 96 and 128 channels with a feature pyramid of 64 channels at strides 8 and 16.
+    """Four stages of 24, 48, 96 and 128 channels with a feature pyramid.
+
+    The pyramid has 64 channels at strides 8 and 16.
 
     A vehicle of 36x15 px spans 4.5x2 cells at stride 8; stride 32 would hold no vehicle.
     """

@@ -1,4 +1,4 @@
-"""RetinaNet and Faster R-CNN: torchvision's own classes, with per-image losses over all negatives."""
+"""RetinaNet and Faster R-CNN of torchvision, with losses per image over all negatives."""
 
 from __future__ import annotations
 
@@ -43,35 +43,42 @@ __all__ = [
     "TorchvisionDetector",
 ]
 
-# Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the diagonal.
+# Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the
+# diagonal.
 SLIM_SIDES_PX = ((20.0, 30.0), (28.0, 42.0))
 SLIM_RATIOS = (0.45, 1.0, 2.2)
-# torchvision's full models start at 32 px, too coarse for 15 px wide vehicles: half of its sizes, same count.
+# torchvision's full models start at 32 px, too coarse for 15 px wide vehicles: half of its sizes,
+# same count.
 FULL_SIDES_PX = (16.0, 32.0, 64.0, 128.0, 256.0)
 FULL_RATIOS = (0.5, 1.0, 2.0)
-# Measured: anchors a vehicle makes positive in RetinaNet (slim 8.8, full 7.8). With an empty truth the focal sum is
-# divided by it, so that a seen vehicle costs about one.
+# Measured: anchors a vehicle makes positive in RetinaNet (slim 8.8, full 7.8). With an empty truth
+# the focal sum is divided by it, so that a seen vehicle costs about one.
 POSITIVES_PER_VEHICLE = 8.0
-# Faster R-CNN's proposal network answers a seen vehicle from more anchors, and cross-entropy does not saturate: the sum
-# is about 60 per vehicle for the trained slim detector.
+# Faster R-CNN's proposal network answers a seen vehicle from more anchors, and cross-entropy does
+# not saturate: the sum is about 60 per vehicle for the trained slim detector.
 EMPTY_PROPOSAL_DIVISOR = 64.0
 PRIOR_PROBABILITY = 0.01
 PROPOSALS = {"slim": 100, "full": 300}
 
 
 class TorchvisionDetector(TrainableDetector):
-    """Normalising, padding and anchors without torchvision's transform, which would resize the images silently."""
+    """Normalising, padding and anchors without torchvision's transform.
+
+    That one would resize the images silently.
+    """
 
     def __init__(self, size: str, model: RetinaNet | FasterRCNN | FCOS) -> None:
         super().__init__()
         self.size = size
         self.model = model
-        # Calling the wrapped model directly would resize; without its transform it fails loudly instead.
+        # Calling the wrapped model directly would resize; without its transform it fails loudly
+        # instead.
         self.model.transform = nn.Identity()
 
     def _features(self, images: Tensor) -> tuple[list[Tensor], ImageList]:
         check_images(images)
-        # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the image.
+        # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the
+        # image.
         padded = pad_to_stride(self._normalise(images), value=0.0)
         sizes = [(images.shape[-2], images.shape[-1])] * len(images)
         return list(self.model.backbone(padded).values()), ImageList(padded, sizes)
@@ -89,7 +96,8 @@ class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from scratch).
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
+            scratch).
     """
 
     name = "retinanet"
@@ -100,10 +108,11 @@ class RetinaNetDetector(TorchvisionDetector):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """torchvision's focal and box losses per image, each divided by that image's positive anchors.
+        """torchvision's focal and box losses per image.
 
-        With an empty truth torchvision leaves the focal sum undivided; here it is divided by the positives one vehicle
-        would have, so that one seen vehicle costs about one. Anchors without a vehicle all count.
+        Each is divided by its image's positive anchors. With an empty truth torchvision leaves the
+        focal sum undivided; here it is divided by the positives one vehicle would have, so that one
+        seen vehicle costs about one. Anchors without a vehicle all count.
         """
         check_targets(images, targets)
         outputs, anchors = self._outputs(images)
@@ -114,7 +123,8 @@ class RetinaNetDetector(TorchvisionDetector):
             else:
                 matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
             target = as_targets(boxes)
-            # torchvision's one class of num_classes=1 has label 0: RetinaNet keeps no background class.
+            # torchvision's one class of num_classes=1 has label 0: RetinaNet keeps no background
+            # class.
             target["labels"] = torch.zeros_like(target["labels"])
             own = {key: value[index : index + 1] for key, value in outputs.items()}
             terms = self.model.head.compute_loss([target], own, [anchors], [matched])
@@ -139,14 +149,18 @@ class RetinaNetDetector(TorchvisionDetector):
 
 
 class FasterRcnnDetector(TorchvisionDetector):
-    """torchvision's Faster R-CNN for one class, never resizing, nothing drawn at random (section 5.3).
+    """torchvision's Faster R-CNN for one class (section 5.3).
 
-    Differences from torchvision: instead of a random sample of anchors and regions all of them count. The proposal
-    network's sums are divided by its positive anchors (as RetinaNet's are; by a constant with an empty truth), because
-    a mean over all anchors would drown the vehicles; the regions' cross-entropy is the mean over all proposals.
+    It never resizes, and nothing is drawn at random.
+
+    Differences from torchvision: instead of a random sample of anchors and regions all of them
+    count. The proposal network's sums are divided by its positive anchors (as RetinaNet's are; by
+    a constant with an empty truth), because a mean over all anchors would drown the vehicles; the
+    regions' cross-entropy is the mean over all proposals.
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from scratch).
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
+            scratch).
     """
 
     name = "faster_rcnn"
@@ -163,7 +177,8 @@ class FasterRcnnDetector(TorchvisionDetector):
         check_targets(images, targets)
         features, image_list = self._features(images)
         objectness, deltas, anchors, proposals = self._proposal_outputs(features, image_list)
-        # As in torchvision the true boxes join the proposals, so that regions learn before proposals are good.
+        # As in torchvision the true boxes join the proposals, so that regions learn before
+        # proposals are good.
         regions = [torch.cat([own, boxes]) for own, boxes in zip(proposals, targets, strict=True)]
         logits, region_deltas = self._region_outputs(features, regions, image_list)
         counts = [len(own) for own in regions]
@@ -184,7 +199,10 @@ class FasterRcnnDetector(TorchvisionDetector):
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every proposal's box and score, both of its best vehicle class; rows beyond an image's are not valid."""
+        """Every proposal's box and score, both of its best vehicle class.
+
+        Rows beyond those of an image are not valid.
+        """
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
@@ -208,7 +226,12 @@ class FasterRcnnDetector(TorchvisionDetector):
     def _proposal_outputs(
         self, features: list[Tensor], image_list: ImageList
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
-        """Objectness `[B, A]`, box deltas `[B, A, 4]`, the shared anchors `[A, 4]`, and per image its proposals."""
+        """Runs the proposal network.
+
+        Returns:
+            Objectness `[B, A]`, box deltas `[B, A, 4]`, the anchors `[A, 4]` that all images share,
+            and per image its proposals.
+        """
         network = self.model.rpn
         per_level = network.head(features)
         anchors = network.anchor_generator(image_list, features)[0]
@@ -328,7 +351,8 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
             rpn_anchor_generator=anchors,
             rpn_head=RPNHead(FEATURE_CHANNELS, anchors.num_anchors_per_location()[0]),
             rpn_fg_iou_thresh=0.6,
-            # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is enough.
+            # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is
+            # enough.
             box_roi_pool=ops.MultiScaleRoIAlign(["0", "1"], output_size=5, sampling_ratio=1),
             box_head=TwoMLPHead(FEATURE_CHANNELS * 5 * 5, 192),
             box_predictor=FastRCNNPredictor(192, 2),

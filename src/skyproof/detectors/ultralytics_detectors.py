@@ -1,11 +1,12 @@
 """YOLO through Ultralytics, ours and imported: the only file that imports it.
 
-NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor requires it;
-installing the extra `skyproof[yolo]` and using this detector brings the terms of the AGPL-3.0 with it, for network
-services too.
+NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor
+requires it; installing the extra `skyproof[yolo]` and using this detector brings the terms of the
+AGPL-3.0 with it, for network services too.
 
-What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the anchor-free head and
-the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the paper may have used, is not in the package.
+What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the
+anchor-free head and the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the
+paper may have used, is not in the package.
 """
 
 from __future__ import annotations
@@ -37,22 +38,24 @@ MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
-# Ultralytics looks a layer's name up among all it imports, functions that open files included, and evaluates the text
-# of an activation: only names of plain layers pass.
-# Whether their boxes are turned.
+# Heads whose answers are read here, and whether their boxes are turned.
 HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
+# Ultralytics looks a layer's name up among all it imports, functions that open files included, and
+# evaluates the text of an activation: only names of plain layers pass.
 _LAYER_NAMES = """
-A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x CBFuse CBLinear Concat
-Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck GhostConv HGBlock HGStem PSA RepC3
-RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity
-nn.MaxPool2d nn.Upsample nn.ZeroPad2d
+A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x
+CBFuse CBLinear Concat Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck
+GhostConv HGBlock HGStem PSA RepC3 RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d
+nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample nn.ZeroPad2d
 """
 LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
 
 
 class YoloV5Detector(TrainableDetector):
-    """Ultralytics' YOLOv5u for one class, from its YAML, without weights and never fused (section 5.3).
+    """Ultralytics' YOLOv5u for one class (section 5.3).
+
+    It is built from its YAML file, without weights, and never fused.
 
     Args:
         size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
@@ -80,10 +83,11 @@ class YoloV5Detector(TrainableDetector):
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """Ultralytics' own v8DetectionLoss (box, class, distribution) image by image on one forward pass.
+        """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
 
-        Its sums are already divided by the target scores, but by 1 with an empty truth; then they are divided by the
-        ten points a vehicle gets. Called per image, its factor "batch size" is 1.
+        Its terms are of box, class and distribution. Its sums are already divided by the target
+        scores, but by 1 with an empty truth; then they are divided by the ten points a vehicle
+        gets. Called per image, its factor "batch size" is 1.
         """
         check_targets(images, targets)
         outputs = self._outputs(images)
@@ -123,7 +127,11 @@ class YoloV5Detector(TrainableDetector):
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     def _outputs(self, images: Tensor) -> dict[str, Any]:
-        """Raw heads: boxes `[B, 64, A]`, scores `[B, 1, A]`, feature maps; the same in both modes."""
+        """Runs the network; the answer is the same in both modes.
+
+        Returns:
+            The raw heads: boxes `[B, 64, A]`, scores `[B, 1, A]`, feature maps.
+        """
         check_images(images)
         # 114/255 is the grey Ultralytics pads with.
         outputs = self.model(pad_to_stride(images, value=114 / 255))
@@ -142,10 +150,12 @@ def check_layers(architecture: Mapping[str, Any]) -> None:
     """Refuses an architecture that names anything but plain layers and a detection head.
 
     Args:
-        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count, layer, arguments].
+        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count,
+            layer, arguments].
 
     Raises:
-        ConfigurationError: another layer or head, another activation, or images of other than three channels.
+        ConfigurationError: another layer or head, another activation, or images of other than three
+            channels.
     """
     try:
         rows = [(str(row[2]), row[3]) for row in [*architecture["backbone"], *architecture["head"]]]
@@ -178,8 +188,8 @@ def check_layers(architecture: Mapping[str, Any]) -> None:
 class YoloNetwork(TrainableDetector):
     """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
 
-    Of oriented boxes the upright hull counts. Of the two heads of YOLOv10 and YOLO26 that one is read which the
-    installed Ultralytics reads.
+    Of oriented boxes the upright hull counts. Of the two heads of YOLOv10 and YOLO26 that one is
+    read which the installed Ultralytics reads.
 
     Args:
         architecture: as `check_layers` has passed it.
@@ -206,16 +216,20 @@ class YoloNetwork(TrainableDetector):
             except Exception as error:
                 # Whatever a row of numbers can bring about in another library.
                 raise ConfigurationError(
-                    f"the installed Ultralytics cannot build the network ({str(error)[:200]}); install the version "
+                    "the installed Ultralytics cannot build the network "
+                    f"({str(error)[:200]}); install the version "
                     "that trained it."
                 ) from error
 
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """Ultralytics' class loss of the vehicle classes against an empty truth, by the points a vehicle gets.
+        """Ultralytics' class loss of the vehicle classes against an empty truth.
 
-        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are independent.
+        It is divided by the points a vehicle gets.
+
+        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are
+        independent.
         """
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]
@@ -265,11 +279,15 @@ def _upright(half: Tensor, angles: Tensor) -> Tensor:
 
 @contextmanager
 def _quiet_import() -> Iterator[None]:
-    """Imports Ultralytics without network, usage statistics, log lines, a settings file at home or patched libraries.
+    """Imports Ultralytics and leaves everything around it as it was.
 
-    Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder, replaces `torch.save`,
-    and replaces Pillow's `Image.open` by one that installs packages when it meets a damaged file; all are undone. Where
-    the program imported Ultralytics before us, its settings stay as they are.
+    There is no network, no usage statistics, no log line, no settings file at home and no patched
+    library.
+
+    Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder,
+    replaces `torch.save`, and replaces Pillow's `Image.open` by one that installs packages when it
+    meets a damaged file; all are undone. Where the program imported Ultralytics before us, its
+    settings stay as they are.
     """
     logger = logging.getLogger("ultralytics")
     level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
@@ -288,7 +306,8 @@ def _quiet_import() -> Iterator[None]:
             yield
         except ModuleNotFoundError as error:
             raise ConfigurationError(
-                'YOLOv5 needs Ultralytics (AGPL-3.0), which is not installed: pip install "skyproof[yolo]".'
+                "YOLOv5 needs Ultralytics (AGPL-3.0), which is not installed: "
+                'pip install "skyproof[yolo]".'
             ) from error
         finally:
             torch.save, Image.open = save, image_open
