@@ -33,6 +33,8 @@ __all__ = [
 Criterion = Literal["centre_1m", "iou_50"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5
+# Detections at a time: more than a detector returns of an image that it sees whole.
+_PART = 512
 
 
 @dataclass(frozen=True)
@@ -194,24 +196,32 @@ def match_detections(
             f'"{criterion}" and {gsd_m}.'
         )
     centres = _centres(boxes)
-    if criterion == "centre_1m":
-        cost = torch.cdist(centres.double(), _centres(truth).double()) * gsd_m
-        limit = CENTRE_DISTANCE_M
-    else:
-        cost = -ops.box_iou(boxes.double(), truth.double())
-        limit = -MATCH_IOU
-    # The loop runs on the CPU over at most 100 detections; a difference of rounding must not
-    # decide at the limit.
-    cost = cost.cpu().clone()
+    # Which pairs are near enough. Large images have thousands of detections and vehicles, so the
+    # table of all pairs is made in parts.
+    pairs: dict[int, list[tuple[float, int]]] = {}
+    for start in range(0, len(boxes) if len(truth) else 0, _PART):
+        part = slice(start, start + _PART)
+        if criterion == "centre_1m":
+            cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
+            limit = CENTRE_DISTANCE_M
+        else:
+            cost = -ops.box_iou(boxes[part].double(), truth.double())
+            limit = -MATCH_IOU
+        # A difference of rounding must not decide at the limit.
+        near = torch.nonzero(cost <= limit + 1e-9)
+        costs = cost[near[:, 0], near[:, 1]].tolist()
+        for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
+            pairs.setdefault(start + detection, []).append((value, vehicle))
+    # Detections choose in turn, on the CPU.
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
-    if len(truth):
-        for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
-            best_cost, best = cost[detection].min(dim=0)
-            if float(best_cost) <= limit + 1e-9:
-                truth_of_detection[detection] = best
-                detection_of_truth[best] = detection
-                cost[:, best] = torch.inf
+    for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
+        free = [pair for pair in pairs.get(detection, ()) if detection_of_truth[pair[1]] < 0]
+        if free:
+            best = min(free)[1]
+            truth_of_detection[detection] = best
+            detection_of_truth[best] = detection
+    # Which of the others lie where nothing is scored.
     ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     if ignore is not None and len(ignore):
         inside = (centres[:, None] >= ignore[None, :, :2]) & (
