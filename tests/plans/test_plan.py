@@ -14,9 +14,9 @@ import tyro
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.layout import Layout
 from skyproof.main import load_command
 from skyproof.plans.demo import Demo, demo_plan
-from skyproof.plans.layout import Layout
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
 from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan

@@ -11,7 +11,7 @@ from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import ConfigurationError
-from skyproof.plans.layout import Layout
+from skyproof.layout import Layout
 from skyproof.plans.plan import Plan
 from skyproof.plans.steps import (
     AttackJob,

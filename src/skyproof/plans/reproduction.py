@@ -13,7 +13,7 @@ from skyproof.camouflage.name import CamouflageName, Order
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.settings import TrainingChanges, TrainingSettings
 from skyproof.errors import ConfigurationError
-from skyproof.plans.layout import Layout
+from skyproof.layout import Layout
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import Preset
 from skyproof.plans.steps import (

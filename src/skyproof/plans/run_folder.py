@@ -18,12 +18,11 @@ from typing import Any
 from skyproof import __version__
 from skyproof.errors import RunFolderError
 from skyproof.files import is_leftover, read_json, write_json
+from skyproof.layout import Layout
 from skyproof.plans.plan import Step
 from skyproof.plans.progress import FinishedJob
 
 __all__ = ["RunFolder"]
-
-_RECORDS = {"config.json", "environment.json", "timings.json"}
 
 
 class RunFolder:
@@ -41,24 +40,25 @@ class RunFolder:
 
     def __init__(self, path: Path, config: dict[str, Any]) -> None:
         self.path = Path(path)
+        self._layout = Layout(self.path)
         self._config = json.loads(json.dumps(config, default=str))
         if not self.path.exists():
             return
         if not self.path.is_dir():
             raise RunFolderError(f"{self.path} is a file; choose another --out.")
         entries = {entry.name for entry in self.path.iterdir() if not is_leftover(entry)}
-        if "config.json" not in entries:
+        place = self._layout.config
+        if place.name not in entries:
             if entries:
                 raise RunFolderError(
                     f"{self.path} is not empty and not a run of skyproof; choose another --out."
                 )
             return
-        stored = read_json(self.path / "config.json")
+        stored = read_json(place)
         if not isinstance(stored, dict):
-            raise RunFolderError(
-                f"{self.path / 'config.json'} is not that of a run; choose another --out."
-            )
-        if stored != self._config and not entries <= _RECORDS:
+            raise RunFolderError(f"{place} is not that of a run; choose another --out.")
+        records = {place.name, self._layout.environment.name, self._layout.timings.name}
+        if stored != self._config and not entries <= records:
             names = {*stored, *self._config}
             changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
             raise RunFolderError(
@@ -72,7 +72,7 @@ class RunFolder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        write_json(self.path / "config.json", self._config)
+        write_json(self._layout.config, self._config)
         self._record_environment(device, self._config.get("seed"))
 
     def timed(self, step: Step, work: Callable[[], object]) -> None:
@@ -103,19 +103,15 @@ class RunFolder:
             }
             for job in jobs
         ]
-        write_json(self._timings, rows)
+        write_json(self._layout.timings, rows)
 
     def finish(self) -> None:
         """Notes when the run ended."""
-        path = self.path / "environment.json"
+        path = self._layout.environment
         write_json(path, {**read_json(path), "finished": _now()})
 
-    @property
-    def _timings(self) -> Path:
-        return self.path / "timings.json"
-
     def _times(self) -> list[dict[str, Any]]:
-        return read_json(self._timings) if self._timings.exists() else []
+        return read_json(self._layout.timings) if self._layout.timings.exists() else []
 
     def _add_time(self, step: Step, seconds: float) -> None:
         rows = self._times()
@@ -124,10 +120,10 @@ class RunFolder:
             known = [{"stage": step.kind, "name": step.name, "seconds": 0.0}]
             rows += known
         known[0]["seconds"] = round(known[0]["seconds"] + seconds, 2)
-        write_json(self._timings, rows)
+        write_json(self._layout.timings, rows)
 
     def _record_environment(self, device: str, seed: Any) -> None:
-        path = self.path / "environment.json"
+        path = self._layout.environment
         stored = read_json(path) if path.exists() else {}
         command = " ".join(["skyproof", *sys.argv[1:]])
         commands = [*stored.get("commands", []), command]

@@ -12,7 +12,7 @@ from skyproof.cli.report import Report
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
-from skyproof.plans.layout import Layout
+from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
 
@@ -167,7 +167,7 @@ def score_step(
     command = Score(
         **vars(chosen),
         detectors=tuple(layout.detector(detector) for detector in detectors),
-        out=layout.scores(name),
+        out=layout.score(name),
         original=original,
         camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
@@ -189,7 +189,7 @@ def score_step(
         name,
         command,
         tuple(inputs),
-        (layout.scores(name),),
+        (layout.score(name),),
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
@@ -200,7 +200,7 @@ def report_step(layout: Layout, scores: Sequence[str]) -> Step:
         "report",
         "report",
         Report(layout.folder),
-        tuple(layout.scores(name) for name in scores),
+        tuple(layout.score(name) for name in scores),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

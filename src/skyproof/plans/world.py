@@ -14,7 +14,7 @@ from skyproof.cli.scenes import Scenes
 from skyproof.cli.vehicles import Vehicles
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import SourceSettings
-from skyproof.plans.layout import Layout
+from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.scenes.settings import SceneSettings
 

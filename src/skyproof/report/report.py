@@ -127,10 +127,10 @@ def write_report(run_folder: str | Path) -> Path:
             settings=list(_flat(results.config)),
         )
     )
-    path = results.folder / "report.html"
+    path = Layout(results.folder).report
     write_bytes(path, page.encode())
     if paper is not None:
-        _write_tables(results.folder / "tables", paper)
+        _write_tables(Layout(results.folder).tables, paper)
     return path
 
 
@@ -318,7 +318,7 @@ def _attack_loss(results: Results, headline: Headline) -> Markup | None:
 def _training(results: Results) -> Markup | None:
     curves = {}
     for name in results.detectors:
-        path = results.folder / "detectors" / name / "steps.jsonl"
+        path = Layout(results.folder).detector(name) / "steps.jsonl"
         # The log holds validations too, which have no loss.
         rows = [row for row in (_steps(path) if path.exists() else []) if "loss" in row]
         if rows:

@@ -14,6 +14,7 @@ from jaxtyping import Int
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
 from skyproof.files import read_json, write_json
+from skyproof.layout import Layout
 from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
@@ -109,9 +110,10 @@ class Results:
             ConfigurationError: the scores do not belong together.
         """
         folder = Path(run_folder)
+        layout = Layout(folder)
         scores = ScoreFolder.all_of(folder)
         tiles, sets = merge_counts([score.path for score in scores])
-        config = _mapping(folder / "config.json")
+        config = _mapping(layout.config)
         rows: list[Row] = []
         for renderer in dict.fromkeys(key.renderer for key in tiles.series):
             # One by one, Holm's correction too: a renderer's numbers stay as they are when another
@@ -129,12 +131,12 @@ class Results:
             tiles=tiles,
             checks=_merged_checks(scores),
             config=config,
-            environment=_mapping(folder / "environment.json"),
-            timings=_timings(folder / "timings.json"),
-            detectors=_folders(folder / "detectors", "detector.json"),
+            environment=_mapping(layout.environment),
+            timings=_timings(layout.timings),
+            detectors=_folders(layout.detectors, "detector.json"),
             records={
                 name: content.get("record") or {}
-                for name, content in _folders(folder / "camouflages", "camouflage.json").items()
+                for name, content in _folders(layout.camouflages, "camouflage.json").items()
             },
             practicality=_practicality(scores),
         )
@@ -145,7 +147,7 @@ class Results:
         Raises:
             RunFolderError: the disk cannot take it.
         """
-        path = self.folder / "results.json"
+        path = Layout(self.folder).results
         rows = [row.json() for row in self.rows]
         write_json(path, {"rows": rows, "checks": [check.json() for check in self.checks]})
         return path
@@ -172,7 +174,7 @@ class Results:
         imagery = self.config.get("imagery")
         if imagery:
             return [imagery] if isinstance(imagery, str) else [str(name) for name in imagery]
-        index = _mapping(self.folder / "backgrounds" / "index.json")
+        index = _mapping(Layout(self.folder).backgrounds / "index.json")
         tiles = [tile.get("source") for tile in index.get("tiles", []) if isinstance(tile, dict)]
         recorded = [source for score in self.scores for source in score.record.sources]
         return [str(source) for source in dict.fromkeys([*tiles, *recorded]) if source]

@@ -15,6 +15,7 @@ from typing import Any
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
 from skyproof.files import is_leftover, read_json, write_json
+from skyproof.layout import Layout
 
 __all__ = ["Pair", "ScoreFolder", "ScoreRecord", "is_pictured", "write_pairs", "write_record"]
 
@@ -115,7 +116,7 @@ class ScoreFolder:
             return [cls.open(run_folder)]
         places = sorted(
             path
-            for path in (run_folder / "scores").glob("*")
+            for path in Layout(run_folder).scores.glob("*")
             if path.is_dir() and not is_leftover(path)
         )
         if not places:

@@ -1,4 +1,4 @@
-"""Where everything lies in a run folder, the same for every plan."""
+"""Where everything lies in a run folder: told here, for those who write it and who read it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,21 @@ class Layout:
     folder: Path
 
     @property
+    def config(self) -> Path:
+        """Every setting that decides the results."""
+        return self.folder / "config.json"
+
+    @property
+    def environment(self) -> Path:
+        """Versions, machine, commands, start and end."""
+        return self.folder / "environment.json"
+
+    @property
+    def timings(self) -> Path:
+        """Seconds per step."""
+        return self.folder / "timings.json"
+
+    @property
     def backgrounds(self) -> Path:
         """The background set."""
         return self.folder / "backgrounds"
@@ -36,9 +51,14 @@ class Layout:
         """A rendered dataset: the scenes of a split, perhaps by another renderer."""
         return self.folder / "datasets" / name
 
+    @property
+    def detectors(self) -> Path:
+        """The folder of all detectors."""
+        return self.folder / "detectors"
+
     def detector(self, name: str) -> Path:
         """A detector folder."""
-        return self.folder / "detectors" / name
+        return self.detectors / name
 
     @property
     def camouflages(self) -> Path:
@@ -49,9 +69,14 @@ class Layout:
         """A camouflage folder."""
         return self.camouflages / name
 
-    def scores(self, name: str) -> Path:
-        """A score folder; the report reads all of them."""
-        return self.folder / "scores" / name
+    @property
+    def scores(self) -> Path:
+        """The folder of all score folders; the report reads every one."""
+        return self.folder / "scores"
+
+    def score(self, name: str) -> Path:
+        """A score folder."""
+        return self.scores / name
 
     @property
     def results(self) -> Path:
@@ -62,3 +87,8 @@ class Layout:
     def report(self) -> Path:
         """The report."""
         return self.folder / "report.html"
+
+    @property
+    def tables(self) -> Path:
+        """The paper's tables, as Markdown and CSV."""
+        return self.folder / "tables"
