@@ -18,6 +18,7 @@ from PIL import Image
 from skyproof import words
 from skyproof.errors import StoredFileError
 from skyproof.files import read_jsonl, write_bytes
+from skyproof.layout import Layout
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
