@@ -67,9 +67,8 @@ def composite_crops(
     )
     pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
     if settings.noise > 0:
-        place = torch.arange(size * size, device=photograph.device)
-        noise = sensor_noise([seed], place * 0, place // size, place % size, photograph)
-        noise = noise.view(3, size, size)
+        steps = torch.arange(size, device=photograph.device)[None]
+        noise = sensor_noise([seed], steps, steps, photograph[None])[0]
         pixels = pixels + settings.noise * alpha * noise
     reached = (taken != 0).any(0) | (alpha[0] > 0)
     return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)

@@ -56,39 +56,45 @@ def composite(
     layers = blurred(layers, settings.blur_sigma_px, settings.blur_radius_px)
     shadow = blurred(shadow, settings.blur_sigma_px, settings.blur_radius_px)
 
-    # Only the pixels that something reaches are worked on: `K` of them.
+    # Where each pixel of the windows lies in the flat photographs; beyond their edge, on the edge.
     steps = torch.arange(size, device=photographs.device)
-    rows = origin[:, 1, None] + steps
-    columns = origin[:, 0, None] + steps
-    row_held = ((rows >= 0) & (rows < height))[:, :, None]
-    column_held = ((columns >= 0) & (columns < width))[:, None, :]
-    reached = (layers.detach()[:, 3] > 0) | (shadow.detach()[:, 0] > 0)
-    cell = torch.nonzero((reached & row_held & column_held).view(-1))[:, 0]
-    image = cell // (size * size)
-    cell = cell - image * (size * size)
-    y = origin[:, 1].index_select(0, image) + cell // size
-    x = origin[:, 0].index_select(0, image) + cell % size
-    place = _planes(image, 3, height * width) + (y * width + x)
-    ground = srgb_to_linear(photographs.view(-1).index_select(0, place.view(-1)).view(3, -1))
-    drawn = layers.reshape(-1).index_select(0, (_planes(image, 4, size * size) + cell).view(-1))
-    colour, alpha = drawn.view(4, -1).split((3, 1))
-    shade = shadow.reshape(-1).index_select(0, image * (size * size) + cell)
+    y = origin[:, 1, None] + steps
+    x = origin[:, 0, None] + steps
+    row = (y.clamp(0, height - 1) * width)[:, None, :, None]
+    column = x.clamp(0, width - 1)[:, None, None, :]
+    place = row + column + _planes(count, height * width, photographs.device)
+    ground_srgb = photographs.view(-1)[place]
 
     # Light adds up; then the sensor makes a picture of it.
-    kept_light = 1 - (1 - shadow_light.index_select(0, image).T) * shade
+    ground = srgb_to_linear(ground_srgb)
+    colour = layers[:, :3]
+    alpha = layers[:, 3:]
+    kept_light = 1 - (1 - shadow_light[:, :, None, None]) * shadow
     pixels = linear_to_srgb(ground * kept_light * (1 - alpha) + colour)
     if settings.noise > 0:
-        noise = sensor_noise(seeds, image, y, x, ground)
+        noise = sensor_noise(seeds, y, x, ground)
         pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
+    reached = (alpha.detach() > 0) | (shadow.detach() > 0)
+    pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
+
+    # Only what lies inside the photographs is written.
+    rows_inside = ((y >= 0) & (y < height))[:, None, :, None]
+    columns_inside = ((x >= 0) & (x < width))[:, None, None, :]
+    inside = rows_inside & columns_inside
+    place = place.reshape(-1)
+    pixels = pixels.reshape(-1)
+    if not bool(inside.all()):
+        held = torch.nonzero(inside.expand(-1, 3, -1, -1).reshape(-1))[:, 0]
+        place = place.index_select(0, held)
+        pixels = pixels.index_select(0, held)
     # In place: a copy of the images would cost as much as the rest of this function.
-    photographs.view(-1).index_put_((place.view(-1),), pixels.clamp(0.0, 1.0).view(-1))
+    photographs.view(-1).index_put_((place,), pixels)
     return photographs
 
 
-def _planes(image: Int[Tensor, " K"], channels: int, area: int) -> Int[Tensor, "C K"]:
-    """Returns where each channel of an image begins in a flat batch of images."""
-    channel = torch.arange(channels, device=image.device)[:, None]
-    return (image * channels + channel) * area
+def _planes(count: int, area: int, device: torch.device) -> Int[Tensor, "B 3 1 1"]:
+    """Returns where each channel of each image begins in a flat batch of images."""
+    return (torch.arange(count * 3, device=device) * area).view(count, 3, 1, 1)
 
 
 @torch.no_grad()

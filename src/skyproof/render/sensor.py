@@ -60,23 +60,24 @@ def _blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Fl
 
 def sensor_noise(
     seeds: Sequence[int],
-    image: Int[Tensor, " K"],
-    y: Int[Tensor, " K"],
-    x: Int[Tensor, " K"],
-    like: Tensor,
-) -> Float[Tensor, "3 K"]:
-    """Returns unit noise at some pixels, from every scene's own seed.
+    y: Int[Tensor, "B S"],
+    x: Int[Tensor, "B S"],
+    like: Float[Tensor, "B 3 S S"],
+) -> Float[Tensor, "B 3 S S"]:
+    """Returns unit noise on windows of images, from every scene's own seed.
 
     It is tied to image pixels, and so the same whatever else is in the batch.
 
     Args:
         seeds: one per image.
-        image: which image each pixel belongs to.
-        y: its row.
-        x: its column.
+        y: rows of the image that the window's rows show.
+        x: columns likewise.
         like: decides device and type.
     """
     shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
     drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
-    tiles = torch.stack(drawn, dim=1).to(like)
-    return tiles[:, image, y % _NOISE_TILE_PX, x % _NOISE_TILE_PX]
+    tiles = torch.stack(drawn).to(like).permute(0, 2, 3, 1)
+    image = torch.arange(len(seeds), device=like.device)[:, None, None]
+    rows = (y % _NOISE_TILE_PX)[:, :, None]
+    columns = (x % _NOISE_TILE_PX)[:, None, :]
+    return tiles[image, rows, columns].permute(0, 3, 1, 2)
