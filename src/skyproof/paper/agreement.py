@@ -1,4 +1,7 @@
-"""Do our results and the paper's, or two renderers', order the attacks alike? Rank correlations (table 2)."""
+"""Do our results and the paper's, or two renderers', order the attacks alike?
+
+Rank correlations over the attacks of table 2 answer that.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +32,8 @@ class Agreement:
     Attributes:
         attacks: names, in the second order of falling success.
         ours, theirs: EASR per attack in either: ours as fractions, the paper's in percent.
-        spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the reverse, with the 95 %
-            percentile interval over resampled tiles.
+        spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the
+            reverse, with the 95 % percentile interval over resampled tiles.
     """
 
     attacks: Sequence[str]
@@ -49,21 +52,24 @@ def rank_agreement(
     renderer: str = "torch",
     match: str = "centre_1m",
 ) -> Agreement:
-    """Rank correlation between our EASRs and the paper's over the attacks both have.
+    """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
 
-    Ours are means over repeats and detectors. The interval says how far the test scenes alone could move the
-    correlation: ours vary over resampled tiles, the paper's numbers, which come without intervals, stay fixed.
+    Ours are means over repeats and detectors. The interval says how far the test scenes alone could
+    move the correlation: ours vary over resampled tiles, the paper's numbers, which come without
+    intervals, stay fixed.
 
     Args:
         tiles: our counts.
         paper: EASR by attack, e.g. {name: result.easr for name, result in PAPER_RESULTS.items()}.
-        rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude to compare.
+        rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude
+            to compare.
         generator: of the bootstrap.
         renderer, match: which of the counts.
 
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
+    # The attacks that both have, the paper's most successful one first.
     rows = rows or {}
     series = _pooled(tiles, renderer, match)
     shared = [
@@ -73,8 +79,11 @@ def rank_agreement(
     ]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
-            f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has too, got {len(shared)}."
+            f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has "
+            f"too, got {len(shared)}."
         )
+
+    # Ours vary over resampled tiles; the paper's are the same in every replicate.
     weights = resample(len(tiles.tiles), generator=generator)
     ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, weights)
     theirs = np.array([paper[name] for name in shared])
@@ -89,9 +98,10 @@ def renderer_agreement(
     renderers: tuple[str, str] = ("torch", "cycles"),
     match: str = "centre_1m",
 ) -> Agreement:
-    """Rank correlation between the EASRs under two renderers, over the attacks scored under both.
+    """Gives the rank correlation between the EASRs under two renderers.
 
-    Repeats that only one renderer has are left out. Both vary over the same resampled tiles: they show the same scenes.
+    It is over the attacks that were scored under both. Repeats that only one renderer has are left
+    out. Both vary over the same resampled tiles: they show the same scenes.
 
     Args:
         tiles: counts under both.
@@ -103,22 +113,27 @@ def renderer_agreement(
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
+    # The counts that exist under both renderers, and the attacks in them.
     both = [
         all(key._replace(renderer=renderer) in tiles.series for renderer in renderers)
         for key in tiles.series
     ]
     paired = TileCounts(tiles.tiles, dict(itertools.compress(tiles.series.items(), both)))
-    one, other = (_pooled(paired, renderer, match) for renderer in renderers)
-    shared = [name for name in names if name in one and name in other]
+    pooled = [_pooled(paired, renderer, match) for renderer in renderers]
+    shared = [name for name in names if all(name in series for series in pooled)]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
-            f"A rank correlation of two renderers expects at least {_FEWEST} attacks scored under both, "
-            f"got {len(shared)}."
+            f"A rank correlation of two renderers expects at least {_FEWEST} attacks scored under "
+            f"both, got {len(shared)}."
         )
+
+    # EASR under either renderer, on the same resampled tiles.
     weights = resample(len(tiles.tiles), generator=generator)
-    (ours, drawn_ours), (theirs, drawn_theirs) = (
-        _easr({name: series[name] for name in shared}, weights) for series in (one, other)
-    )
+    first, second = pooled
+    ours, drawn_ours = _easr({name: first[name] for name in shared}, weights)
+    theirs, drawn_theirs = _easr({name: second[name] for name in shared}, weights)
+
+    # In the second renderer's order of falling success.
     order = np.argsort(-theirs, kind="stable")
     return _agreement(
         [shared[place] for place in order],
@@ -132,7 +147,7 @@ def renderer_agreement(
 def _pooled(
     tiles: TileCounts, renderer: str, match: str
 ) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
-    """Pair counts of every repeat and detector by attack."""
+    """Gathers the pair counts of every repeat and detector by attack."""
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
         if (key.renderer, key.match) == (renderer, match):
@@ -145,7 +160,7 @@ def _pooled(
 def _easr(
     series: Mapping[str, Sequence[Int[np.ndarray, "C 3"]]], weights: Int[np.ndarray, "R C"]
 ) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
-    """Mean EASR of every attack, as it is and on the resampled tiles.
+    """Gives the mean EASR of every attack, as it is and on the resampled tiles.
 
     Raises:
         ConfigurationError: one is undefined.
@@ -172,6 +187,7 @@ def _agreement(
     drawn_ours: Float[np.ndarray, "R A"],
     drawn_theirs: Float[np.ndarray, "R A"],
 ) -> Agreement:
+    """Correlates two orders; replicates in which an EASR is undefined are left out."""
     defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
     drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
     spearman, kendall = (
@@ -184,7 +200,7 @@ def _agreement(
 
 
 def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
-    """Pearson's correlation of the ranks; nan where all of one are equal."""
+    """Gives Pearson's correlation of the ranks; nan where all of one are equal."""
     ranks = stats.rankdata(np.stack([one, other]), axis=1)
     if np.ptp(ranks, axis=1).min() == 0:
         return math.nan
@@ -192,13 +208,14 @@ def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> f
 
 
 def _kendall(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
-    """Tau-b; nan where all of one are equal."""
+    """Gives tau-b; nan where all of one are equal."""
     first, second = (np.sign(values[:, None] - values) for values in (one, other))
     pairs = np.sqrt(np.sum(first**2) * np.sum(second**2))
     return float(np.sum(first * second) / pairs) if pairs else math.nan
 
 
 def _interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:
+    """Gives the percentile interval of defined replicates, widened to hold the estimate."""
     drawn = drawn[~np.isnan(drawn)]
     if len(drawn) == 0:
         return Interval(estimate, math.nan, math.nan)

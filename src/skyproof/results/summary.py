@@ -29,7 +29,7 @@ __all__ = ["summarise"]
 def summarise(
     tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator
 ) -> list[Row]:
-    """The rows of `results.json`.
+    """Makes the rows of `results.json`.
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
     row: the mean over repeats, and over detectors in row "mean" (unweighted; undefined where one
@@ -48,6 +48,7 @@ def summarise(
             is undefined.
         generator: of the bootstrap.
     """
+    # A table per match criterion and renderer, from the counts and set scores of both.
     rows: list[Row] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
     for match in MATCHES:
@@ -58,6 +59,8 @@ def summarise(
                 if key.renderer == renderer and key.match == match
             }
             rows.extend(_Table(here, scores, generator).rows(renderer, match))
+
+    # Holm's correction needs all p-values of a criterion, so it comes last.
     for match in MATCHES:
         tested = [
             index
@@ -119,8 +122,8 @@ class _Table:
         first = (members[0], detectors[0])
 
         # Rates of the camouflage itself, and how far its repeats lie apart.
-        own = self._stack(members, detectors)
-        of_repeats = overall_attack_success_rate(own.sum(axis=1)).reshape(len(members), -1)
+        counts = self._stack(members, detectors)
+        of_repeats = overall_attack_success_rate(counts.sum(axis=1)).reshape(len(members), -1)
         spread = of_repeats.mean(axis=1)
         several = len(spread) > 1
 
@@ -129,6 +132,7 @@ class _Table:
         control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
         random = self._stack(control, detectors) if control else None
 
+        # Average precision, and what else the row needs.
         ap_original = self._mean([ORIGINAL], detectors, renderer, match, "average_precision")
         ap_adversarial = self._mean(members, detectors, renderer, match, "average_precision")
         alarms = "false_alarms_per_km2"
@@ -142,10 +146,10 @@ class _Table:
             vehicles=self.vehicles[first],
             clusters=self.tiles[first],
             repeats=len(members),
-            easr=mean_interval(own, overall_attack_success_rate, weights, (-math.inf, 1.0)),
-            asr=mean_interval(own, attack_success_rate, weights, (0.0, 1.0)),
-            er=mean_interval(own, enhancement_rate, weights, (0.0, math.inf)),
-            net_easr=None if random is None else difference_interval([own], [random], weights),
+            easr=mean_interval(counts, overall_attack_success_rate, weights, (-math.inf, 1.0)),
+            asr=mean_interval(counts, attack_success_rate, weights, (0.0, 1.0)),
+            er=mean_interval(counts, enhancement_rate, weights, (0.0, math.inf)),
+            net_easr=None if random is None else difference_interval([counts], [random], weights),
             random_easr=None if random is None else _mean_easr(random),
             random_draws=len(control),
             easr_repeat_sd=float(spread.std(ddof=1)) if several else math.nan,
@@ -160,7 +164,7 @@ class _Table:
             false_alarms_per_km2_adversarial=self._mean(
                 members, detectors, renderer, match, alarms
             ),
-            mcnemar_p=_largest_p(own.sum(axis=1)) if tested else None,
+            mcnemar_p=_largest_p(counts.sum(axis=1)) if tested else None,
         )
 
     def _stack(self, camouflages: list[str], detectors: list[str]) -> Int[np.ndarray, "S C 3"]:
@@ -171,7 +175,7 @@ class _Table:
     def _mean(
         self, camouflages: list[str], detectors: list[str], renderer: str, match: str, field: str
     ) -> float:
-        """The mean of a set score; nan where any of the sets was not scored."""
+        """Gives the mean of a set score; nan where any of the sets was not scored."""
         known = [
             self.scores.get(Series(camouflage, renderer, detector, match))
             for camouflage in camouflages
@@ -187,7 +191,7 @@ def _mean_easr(counts: Int[np.ndarray, "S C 3"]) -> float:
 
 
 def _largest_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
-    """The largest of the repeats' McNemar p-values; 1 where they point both ways."""
+    """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways."""
     balance = totals[:, 1] - totals[:, 2]
     if balance.min() < 0 < balance.max():
         return 1.0

@@ -1,4 +1,7 @@
-"""How many test vehicles a wanted precision needs, from assumptions or from a pilot evaluation."""
+"""Says how many test vehicles a wanted precision needs.
+
+The answer comes from assumptions, or from a pilot evaluation.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +30,8 @@ class Assumptions:
         enhancement_rate: ER, vehicles found only with the camouflage over those found before.
         vehicles_per_tile: in sight, per background tile.
         found_before: share of them that the detector finds without camouflage, in (0, 1].
-        design_effect: how many times larger the variance is than with independent vehicles; 1 + (m − 1)ρ for m found
-            vehicles a tile with intra-tile correlation ρ. At least 1.
+        design_effect: how many times larger the variance is than with independent vehicles, at
+            least 1. It is 1 + (m − 1)ρ for m found vehicles a tile with intra-tile correlation ρ.
     """
 
     easr: float
@@ -41,8 +44,8 @@ class Assumptions:
         rate = self.easr + self.enhancement_rate
         if not (-1 <= self.easr <= 1 and self.enhancement_rate >= 0 and -1e-9 <= rate <= 1 + 1e-9):
             raise ConfigurationError(
-                "EASR expects a fraction of at most 1 whose sum with ER (the attack success rate) lies between 0 and "
-                f"1, got EASR {self.easr:g} and ER {self.enhancement_rate:g}."
+                "EASR expects a fraction of at most 1 whose sum with ER (the attack success rate) "
+                f"lies between 0 and 1, got EASR {self.easr:g} and ER {self.enhancement_rate:g}."
             )
         if not (
             math.isfinite(self.vehicles_per_tile)
@@ -50,8 +53,8 @@ class Assumptions:
             and 0 < self.found_before <= 1
         ):
             raise ConfigurationError(
-                "Planning expects vehicles on a tile, and some found before (a fraction of at most 1), got "
-                f"{self.vehicles_per_tile:g} and {self.found_before:g}."
+                "Planning expects vehicles on a tile, and some found before (a fraction of at most "
+                f"1), got {self.vehicles_per_tile:g} and {self.found_before:g}."
             )
         if not (math.isfinite(self.design_effect) and self.design_effect >= 1):
             raise ConfigurationError(
@@ -61,7 +64,10 @@ class Assumptions:
 
 @dataclass(frozen=True)
 class Need:
-    """The test that gives a half-width: so many background tiles with so many vehicles in sight altogether."""
+    """The test that gives a half-width.
+
+    It has so many background tiles, with so many vehicles in sight altogether.
+    """
 
     half_width: float
     tiles: int
@@ -69,7 +75,7 @@ class Need:
 
 
 def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
-    """The smallest test whose 95 % interval of EASR is expected to be at most ± `half_width`.
+    """Finds the smallest test whose 95 % interval of EASR is at most ± `half_width`, as expected.
 
     Raises:
         ConfigurationError: the half-width is not in [0.001, 1).
@@ -78,9 +84,11 @@ def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
         raise ConfigurationError(
             f"The half-width expects a fraction from {SMALLEST} to below 1, got {half_width:g}."
         )
+    # A number of tiles that is enough, by doubling.
     enough = 2
     while expected_half_width(enough, assumptions) > half_width:
         enough *= 2
+    # The smallest one, by halving what lies between too few and enough.
     few = enough // 2
     while enough - few > 1:
         middle = (few + enough) // 2
@@ -92,12 +100,14 @@ def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
 
 
 def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
-    """Half the width of the interval that `cluster_interval` gives for one detector with so many tiles, about.
+    """Expects half the width of the interval that `cluster_interval` gives, about.
 
-    The variance of EASR is that of a ratio, linearised: of the vehicles found before, a share ASR is lost (influence
-    1 − EASR) and the rest kept (−EASR), and ER as many are gained (−1); times the design effect.
+    It holds for one detector with so many tiles. The variance of EASR is that of a ratio,
+    linearised: of the vehicles found before, a share ASR is lost (influence 1 − EASR) and the rest
+    kept (−EASR), and ER as many are gained (−1). That is multiplied by the design effect.
     """
-    easr, gained = assumptions.easr, assumptions.enhancement_rate
+    easr = assumptions.easr
+    gained = assumptions.enhancement_rate
     variance = _unit_variance(easr, gained) * assumptions.design_effect
     variance /= tiles * assumptions.vehicles_per_tile * assumptions.found_before
     if variance < 1e-15:
@@ -108,14 +118,24 @@ def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
 
 
 def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[Assumptions, str]:
-    """Assumptions for the least certain learnt camouflage and detector of a pilot evaluation, and their names.
+    """Takes assumptions from a pilot evaluation: its least certain learnt camouflage and detector.
 
-    Rates, vehicles a tile and the share found before are that series' own. The design effect, which a pilot tells only
-    roughly, is the median over all series (jackknife variance over tiles against that of independent vehicles).
+    Rates, vehicles a tile and the share found before are that series' own. The design effect, which
+    a pilot tells only roughly, is the median over all series (jackknife variance over tiles against
+    that of independent vehicles).
+
+    Args:
+        tiles: counts of the pilot.
+        match: the match criterion whose counts are taken.
+
+    Returns:
+        The assumptions, and the names of that camouflage and detector.
 
     Raises:
-        ConfigurationError: the pilot has no learnt camouflage, fewer than three tiles, or nothing changed in it.
+        ConfigurationError: the pilot has no learnt camouflage, fewer than three tiles, or nothing
+            changed in it.
     """
+    # Design effect and uncertainty of every learnt series that tells something.
     effects: list[float] = []
     series: list[tuple[float, str, Int[np.ndarray, "C 4"]]] = []
     for key, counts in tiles.series.items():
@@ -129,7 +149,8 @@ def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[A
             or not found
         ):
             continue
-        easr, gained = float((total[2] - total[3]) / found), float(total[3] / found)
+        easr = float((total[2] - total[3]) / found)
+        gained = float(total[3] / found)
         independent = _unit_variance(easr, gained) / found
         if independent <= 1e-15:
             continue
@@ -139,25 +160,25 @@ def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[A
         series.append((independent * found, f"{key.camouflage} before {key.detector}", shown))
     if not series:
         raise ConfigurationError(
-            "The pilot tells nothing about precision: expected is a learnt camouflage on at least three tiles that "
-            "hides some vehicles and not all; give --easr and the rest yourself."
+            "The pilot tells nothing about precision: expected is a learnt camouflage on at least "
+            "three tiles that hides some vehicles and not all; give --easr and the rest yourself."
         )
-    _, name, shown = max(series, key=lambda each: each[0])
+
+    # The least certain series gives the rates.
+    _, name, shown = max(series, key=lambda candidate: candidate[0])
     vehicles, both, lost, gone = (int(value) for value in shown.sum(axis=0))
     found = both + lost
-    return (
-        Assumptions(
-            easr=(lost - gone) / found,
-            enhancement_rate=gone / found,
-            vehicles_per_tile=vehicles / len(shown),
-            found_before=found / vehicles,
-            design_effect=float(np.median(effects)),
-        ),
-        name,
+    assumptions = Assumptions(
+        easr=(lost - gone) / found,
+        enhancement_rate=gone / found,
+        vehicles_per_tile=vehicles / len(shown),
+        found_before=found / vehicles,
+        design_effect=float(np.median(effects)),
     )
+    return assumptions, name
 
 
 def _unit_variance(easr: float, gained: float) -> float:
-    """The variance of EASR times the number of vehicles found before, were they independent."""
+    """Gives the variance of EASR times the vehicles found before, were they independent."""
     lost = easr + gained
     return (1 - lost) * easr**2 + lost * (1 - easr) ** 2 + gained
