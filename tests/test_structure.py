@@ -6,7 +6,8 @@ from pathlib import Path
 
 SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 
-# From the ground up. A module imports from its own package and from lower floors, never from a neighbour.
+# From the ground up. A module imports from its own package and from lower floors, never from a
+# neighbour.
 FLOORS = [
     {"errors"},
     {"files", "words", "layout", "randomness"},
@@ -156,7 +157,8 @@ def test_ultralytics_is_imported_in_one_file_and_only_when_used():
 
 
 def test_blenders_interface_is_imported_in_one_file_that_stands_alone():
-    # It is under the GPL, and so is that file: it shares no code with the rest, in either direction.
+    # It is under the GPL, and so is that file: it shares no code with the rest, in either
+    # direction.
     modules = sources()
     assert importers(modules, "bpy") == importers(modules, "mathutils") == [BLENDER_WORKER]
     assert ours(imports(modules[BLENDER_WORKER])) == set()
@@ -201,10 +203,42 @@ def test_no_module_unpickles():
         assert not {"pickle", "joblib", "dill"} & {name.split(".")[0] for name in imports(text)}, (
             module
         )
-        # Checkpoints of others: weights alone, with every foreign class replaced by one that does nothing.
+        # Checkpoints of others: weights alone, with every foreign class replaced by one that does
+        # nothing.
         loads = re.findall(r"torch\.load\(.*", text)
         assert len(loads) == (module == "detectors.checkpoints"), module
         assert all("weights_only=True" in load for load in loads), module
+
+
+def packed_calls(text):
+    """The lines that assign two values or more at once, of which one is computed by a call."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Tuple)
+        and any(isinstance(target, ast.Tuple) for target in node.targets)
+        and any(isinstance(part, ast.Call) for part in ast.walk(node.value))
+    ]
+
+
+def packings_per_1000_lines(modules):
+    packings = sum(len(packed_calls(text)) for text in modules.values())
+    return 1000 * packings / sum(text.count("\n") for text in modules.values())
+
+
+def test_one_statement_a_line():
+    modules = sources()
+    places = {module: packed_calls(text) for module, text in modules.items() if packed_calls(text)}
+    assert packings_per_1000_lines(modules) <= 3, places
+
+
+def test_packed_calls_are_counted():
+    assert packed_calls("a, b = f(), g()\nc, d = d, c\ne, f = pair()\ng = f(), h()\n") == [1]
+    assert packed_calls("first, second = (\n    one(),\n    2,\n)\n") == [1]
+    lines = "a = 1\n" * 249
+    assert packings_per_1000_lines({"packed": "a, b = f(), g()\n" + lines}) == 4
+    assert packings_per_1000_lines({"packed": "a, b = f(), g()\n" + lines, "fine": lines}) < 3
 
 
 def test_a_module_beyond_400_lines_has_a_second_subject():
@@ -219,7 +253,9 @@ def test_these_rules_can_fail():
         "camouflage.texture": "from skyproof.render.renderer import TorchRenderer",
         "detectors.detector": "def later():\n    from skyproof.attacks import attack",
         "vehicles.fleet": "import skyproof.scenes.scene",
-        "render.shade": "from skyproof.errors import SkyproofError\nfrom skyproof.render import settings",
+        "render.shade": (
+            "from skyproof.errors import SkyproofError\nfrom skyproof.render import settings"
+        ),
         "results.fine": "from skyproof.errors import SkyproofError\ndef f():\n    import torch",
         "results.heavy": "class Row:\n    from torch import Tensor",
         "report.page": "from skyproof.results.fine import f\nprint('done')",

@@ -94,7 +94,8 @@ def _parse(text: str) -> _Given:
     if ":" in place and not Path(place).is_dir():
         place, _, elsewhere = place.rpartition(":")
         labels = Path(elsewhere)
-    folder, pattern = Path(place), "*"
+    folder = Path(place)
+    pattern = "*"
     if not folder.is_dir():
         folder, pattern = folder.parent, folder.name
         if not folder.is_dir() or not set(pattern) & set("*?["):

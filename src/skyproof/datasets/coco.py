@@ -112,7 +112,8 @@ class CocoWriter:
             size_px: its width and height.
             annotations: its vehicles and ignore regions.
         """
-        image_id, (width, height) = len(self._images) + 1, size_px
+        image_id = len(self._images) + 1
+        width, height = size_px
         self._images.append(
             {
                 "id": image_id,

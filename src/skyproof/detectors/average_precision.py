@@ -1,4 +1,4 @@
-"""Precision against recall over a set of images, average precision, and the threshold of best F1."""
+"""Precision and recall over a set of images, average precision, and the threshold of best F1."""
 
 from __future__ import annotations
 

@@ -110,10 +110,12 @@ def window(
         The window, and the boxes and ignore regions in its pixels.
     """
     height, width = image.shape[1:]
-    high, wide = min(height, WINDOW_PX), min(width, WINDOW_PX)
+    high = min(height, WINDOW_PX)
+    wide = min(width, WINDOW_PX)
     if (high, wide) == (height, width):
         return image, boxes, ignore
-    left, top = _draw(width - wide, generator), _draw(height - high, generator)
+    left = _draw(width - wide, generator)
+    top = _draw(height - high, generator)
     if len(boxes) and _draw(1, generator):
         # Where the vehicle lies in the window is drawn too: it must not be learnt.
         x1, y1, x2, y2 = boxes[_draw(len(boxes) - 1, generator)].tolist()

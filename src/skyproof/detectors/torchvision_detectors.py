@@ -238,7 +238,8 @@ class FasterRcnnDetector(TorchvisionDetector):
         level_sizes = [level[0].numel() for level in per_level[0]]
         objectness, deltas = concat_box_prediction_layers(*per_level)
         batch = len(image_list.image_sizes)
-        objectness, deltas = objectness.view(batch, -1), deltas.view(batch, -1, 4)
+        objectness = objectness.view(batch, -1)
+        deltas = deltas.view(batch, -1, 4)
         # As in torchvision no gradient flows through where the proposals lie.
         boxes = network.box_coder.decode_single(
             deltas.detach().flatten(0, 1), anchors.repeat(batch, 1)

@@ -267,7 +267,8 @@ class YoloNetwork(TrainableDetector):
 
 def _upright(half: Tensor, angles: Tensor) -> Tensor:
     """Half sides `[..., 2]` of turned boxes to half sides of the upright boxes around them."""
-    cosine, sine = angles.cos().abs(), angles.sin().abs()
+    cosine = angles.cos().abs()
+    sine = angles.sin().abs()
     return torch.cat(
         [
             half[..., :1] * cosine + half[..., 1:] * sine,
@@ -290,7 +291,10 @@ def _quiet_import() -> Iterator[None]:
     settings stay as they are.
     """
     logger = logging.getLogger("ultralytics")
-    level, environment, save, image_open = logger.level, dict(os.environ), torch.save, Image.open
+    level = logger.level
+    environment = dict(os.environ)
+    save = torch.save
+    image_open = Image.open
     with tempfile.TemporaryDirectory(prefix="skyproof-yolo-") as folder:
         os.environ.update(
             {"YOLO_OFFLINE": "true", "YOLO_CONFIG_DIR": folder, "YOLO_VERBOSE": "false"}

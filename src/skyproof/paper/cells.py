@@ -140,9 +140,10 @@ def as_markdown(blocks: Sequence[Block]) -> str:
 
 def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
     """A value with its interval, which stands in the columns `<key>_low` and `<key>_high`."""
-    value, low, high = row.get(key), row.get(f"{key}_low"), row.get(f"{key}_high")
+    low = row.get(f"{key}_low")
+    high = row.get(f"{key}_high")
     known = low is not None and high is not None and not (low != low or high != high)
-    return number(value, digits) + (
+    return number(row.get(key), digits) + (
         f" ({number(low, digits)} to {number(high, digits)})" if known else ""
     )
 

@@ -93,8 +93,9 @@ def practicality_curve(
 ) -> Curve:
     """The curve of one family over the magnitudes that were scored.
 
-    Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is the texture by
-    itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR is 0 by definition.
+    Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is
+    the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR
+    is 0 by definition.
 
     Args:
         tiles: counts of the magnitudes, and of the texture where the family has one.
@@ -104,17 +105,20 @@ def practicality_curve(
         detector: one alone; default the mean over all.
 
     Raises:
-        ConfigurationError: nothing of the family was scored, or a detector judged only some of its magnitudes.
+        ConfigurationError: nothing of the family was scored, or a detector judged only some of its
+            magnitudes.
     """
     groups = _magnitudes(tiles, family, renderer, match, detector)
     if not groups or set(groups) == {0.0}:
         raise ConfigurationError(
-            f"Nothing of {family} was scored by {match} under {renderer}; score {family}@0.1, {family}@0.2, ..."
+            f"Nothing of {family} was scored by {match} under {renderer}; score {family}@0.1, "
+            f"{family}@0.2, ..."
         )
     judged = {magnitude: {name for name, _ in group} for magnitude, group in groups.items()}
     if len({frozenset(names) for names in judged.values()}) > 1:
         raise ConfigurationError(
-            f"The magnitudes of {family} were judged by different detectors; score all of them with the same."
+            f"The magnitudes of {family} were judged by different detectors; score all of them "
+            "with the same."
         )
     shown = np.any([counts[:, 0] > 0 for group in groups.values() for _, counts in group], axis=0)
     stacks = {
@@ -131,7 +135,8 @@ def practicality_curve(
     }
     if family == "S-O":
         # Without any change every vehicle is found exactly when it was found before.
-        easr[0.0], replicates[0.0] = Interval(0.0, 0.0, 0.0), np.zeros(len(weights))
+        easr[0.0] = Interval(0.0, 0.0, 0.0)
+        replicates[0.0] = np.zeros(len(weights))
     magnitudes = sorted(easr)
     p1 = [float(p1_score(np.array(easr[pm].estimate), 1 - pm)) for pm in magnitudes]
     shares = _shares_best(np.stack([p1_score(replicates[pm], 1 - pm) for pm in magnitudes]))
@@ -174,7 +179,10 @@ def _texture_of(family: str) -> str | None:
 
 
 def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
-    """Per magnitude the share of replicates in which its score is the largest; of equals the first wins."""
+    """Gives per magnitude the share of replicates in which its score is the largest.
+
+    Of equal scores the first wins.
+    """
     scores = scores[:, ~np.isnan(scores).any(axis=0)]
     if scores.shape[1] == 0:
         return [math.nan] * len(scores)

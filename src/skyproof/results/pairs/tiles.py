@@ -1,4 +1,7 @@
-"""Counts per background tile: all that success rates and their intervals need of any number of vehicles."""
+"""Counts per background tile.
+
+They are all that success rates and their intervals need of any number of vehicles.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ _COUNTS = ("vehicles", "both", "lost", "gained")
 
 
 class Series(NamedTuple):
-    """What was compared: one camouflage as one detector sees it, by one match criterion, under one renderer."""
+    """What was compared: one camouflage as one detector sees it.
+
+    The match criterion and the renderer are part of it.
+    """
 
     camouflage: str
     renderer: str
@@ -43,8 +49,9 @@ class TileCounts:
 
     Attributes:
         tiles: names of the C background tiles.
-        series: per series `[C, 4]`: vehicles in sight, detected in both images, lost (in the original only), gained (in
-            the adversarial only). Vehicles missed in both count in the first column alone.
+        series: per series `[C, 4]`: vehicles in sight, detected in both images, lost (in the
+            original only), gained (in the adversarial only). Vehicles missed in both count in the
+            first column alone.
     """
 
     tiles: tuple[str, ...]
@@ -75,7 +82,10 @@ def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
 def cluster_counts(
     outcomes: Sequence[Outcome], clusters: Mapping[str, int]
 ) -> Int[np.ndarray, "C 3"]:
-    """Pair counts (both, lost, gained) per background tile; `clusters` maps each tile to its row."""
+    """Counts the pairs (both, lost, gained) per background tile.
+
+    `clusters` maps each tile to its row.
+    """
     counts = np.zeros((len(clusters), 3), dtype=np.int64)
     for outcome in outcomes:
         column = _column(outcome)
@@ -106,7 +116,8 @@ def read_tiles(path: Path) -> TileCounts:
     """Reads what `write_tiles` wrote.
 
     Raises:
-        StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot be.
+        StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot
+            be.
     """
     table = read_table(path, _SCHEMA)
     names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
@@ -114,7 +125,8 @@ def read_tiles(path: Path) -> TileCounts:
     keys, first, which = np.unique(
         np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True
     )
-    which, tiles = which.reshape(-1), sorted(names[4])
+    which = which.reshape(-1)
+    tiles = sorted(names[4])
     place = np.array([tiles.index(name) for name in names[4]], dtype=np.int64)[codes[4]]
     repeated = len(np.unique(which * len(tiles) + place)) < len(which)
     if repeated or (counts < 0).any() or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
@@ -129,7 +141,10 @@ def read_tiles(path: Path) -> TileCounts:
 
 
 def _column(outcome: Outcome) -> int | None:
-    """Of (both, lost, gained), the one an outcome counts in; None where the vehicle was missed in both images."""
+    """Says in which of (both, lost, gained) an outcome counts.
+
+    It is None where the vehicle was missed in both images.
+    """
     if outcome.detected_original:
         return 0 if outcome.detected_adversarial else 1
     return 2 if outcome.detected_adversarial else None
