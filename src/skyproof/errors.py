@@ -10,7 +10,10 @@ __all__ = [
 
 
 class SkyproofError(Exception):
-    """Base of every error meant for a user; the command line prints it as one sentence and exits with code 2."""
+    """Base of every error that is meant for a user.
+
+    The command line prints it as one sentence and exits with code 2.
+    """
 
 
 class ConfigurationError(SkyproofError):

@@ -31,7 +31,9 @@ _NEARLY_FULL_BYTES = 2**20
 
 @contextmanager
 def write_beside(path: Path) -> Iterator[Path]:
-    """Yields a temporary path beside `path`; renames it to `path` when the block ends well, removes it when not.
+    """Yields a temporary path beside `path`, which becomes `path` when the block ends well.
+
+    When the block ends otherwise, what lies at the temporary path is removed.
 
     Raises:
         RunFolderError: the disk is full or not writable; names `path` and the remedy.
@@ -52,10 +54,11 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def finished_folder(path: Path) -> Iterator[Path]:
-    """Yields a fresh folder `.<name>.partial` beside `path`; renames it to `path` when the block ends well.
+    """Yields a fresh folder `.<name>.partial`, which becomes `path` when the block ends well.
 
-    Only a folder under its final name counts as finished. When the block ends otherwise what it wrote is removed, so
-    that a full disk has room again; what a kill left is thrown away by the next try.
+    Only a folder under its final name counts as finished. When the block ends otherwise what it
+    wrote is removed, so that a full disk has room again; what a kill left is thrown away by the
+    next try.
 
     Raises:
         RunFolderError: `path` exists already, or the disk is full or not writable.
@@ -77,7 +80,10 @@ def finished_folder(path: Path) -> Iterator[Path]:
 
 
 def is_leftover(path: Path) -> bool:
-    """Whether a kill left this file or folder: it was being written and never got its final name."""
+    """Whether a kill left this file or folder.
+
+    It was being written then, and never got its final name.
+    """
     return path.name.startswith(".") and (
         path.name.endswith(".partial") or path.stem.endswith(".partial")
     )
@@ -91,7 +97,8 @@ def refuse_existing(path: Path) -> None:
     """
     if path.exists():
         raise RunFolderError(
-            f"{path} exists already and is not overwritten; choose another --out or remove it first."
+            f"{path} exists already and is not overwritten; choose another --out or remove it "
+            "first."
         )
 
 
@@ -127,8 +134,8 @@ def _unwritable(path: Path, error: OSError) -> RunFolderError:
         # Image encoders report a failed write without its cause.
         reason = os.strerror(errno.ENOSPC)
     return RunFolderError(
-        f"Could not write {path}: {reason}; free space or choose another --out, then run the same command again "
-        "(finished stages are kept)."
+        f"Could not write {path}: {reason}; free space or choose another --out, then run the same "
+        "command again (finished stages are kept)."
     )
 
 

@@ -50,7 +50,8 @@ COMMANDS: dict[str, dict[str, str]] = {
 
 def main() -> None:
     """Runs the `skyproof` command."""
-    # Many small operations stall when idle threads spin; this must be said before torch is imported.
+    # Many small operations stall when idle threads spin; this must be said before torch is
+    # imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     _keep_freed_memory()
     sys.exit(run())
@@ -102,7 +103,8 @@ def load_command(name: str) -> type[Any]:
     places = {key: place for group in COMMANDS.values() for key, place in group.items()}
     if name not in places:
         raise SkyproofError(
-            f"there is no command {name!r}; expected one of {', '.join(places)} (see skyproof --help)."
+            f"there is no command {name!r}; expected one of {', '.join(places)} (see skyproof "
+            "--help)."
         )
     module, _, kind = places[name].partition(":")
     return getattr(import_module(module), kind)

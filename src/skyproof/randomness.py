@@ -8,7 +8,9 @@ __all__ = ["generator_of"]
 
 
 def generator_of(seed: int, *names: str | int) -> torch.Generator:
-    """Returns a generator for one purpose, so that a change to one stage leaves the others' draws alone.
+    """Returns a generator for one purpose.
+
+    So a change to one stage leaves the draws of the others alone.
 
     Args:
         seed: the run's.

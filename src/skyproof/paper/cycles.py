@@ -56,7 +56,10 @@ def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
 
 
 def cycles_tables(run: Reproduction) -> list[Table]:
-    """How far EASR moves from the renderer to Cycles, and who orders the attacks alike; none without Cycles."""
+    """Says how far EASR moves from the renderer to Cycles, and who orders the attacks alike.
+
+    Nothing is said of a run without Cycles.
+    """
     if not run.cycles:
         return []
     return [Table("cycles", _changes(run)), Table("cycles_agreement", _agreements(run))]
@@ -68,12 +71,12 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         return []
     parts: list[Block] = [
         Heading("On Cycles"),
-        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the images "
-        "are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: light "
-        "that no attack saw while it was learnt. It is the counterpart of the paper’s “Blender” "
-        "column. A vehicle counts where the detector found it on Cycles’ own image without "
-        "camouflage; net is minus the random control on Cycles. Shapes and combinations keep the "
-        "PM* that they have on the renderer.",
+        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the "
+        "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
+        "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
+        "“Blender” column. A vehicle counts where the detector found it on Cycles’ own image "
+        "without camouflage; net is minus the random control on Cycles. Shapes and combinations "
+        "keep the PM* that they have on the renderer.",
         _missing(run),
         *_moves(tables["cycles"]),
         _placebo(tables),
@@ -89,7 +92,10 @@ def _names(run: Reproduction) -> list[str]:
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
-    """Mean EASR under either renderer and their difference, in percent; empty for nothing shared."""
+    """Gives mean EASR under either renderer and their difference, in percent.
+
+    The answer is empty where the renderers share nothing.
+    """
     change = run.results.change([CamouflageName.read(name) for name in names])
     if change is None:
         return {}
@@ -194,8 +200,8 @@ def _missing(run: Reproduction) -> str:
     )
     if on_cycles < repeats:
         parts.append(
-            f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; changes and rank "
-            "correlations between the two take only those."
+            f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; "
+            "changes and rank correlations between the two take only those."
         )
     return " ".join(parts)
 
@@ -230,8 +236,8 @@ def _placebo(tables: Mapping[str, Table]) -> str:
     controlled = [row for row in rows if row["cycles_net_easr_low"] is not None]
     below = [row["attack"] for row in controlled if row["cycles_net_easr_low"] <= 0]
     text = (
-        f"Placebo on Cycles: in {len(controlled) - len(below)} of {len(controlled)} rows of the tables above, the "
-        "interval of the net EASR lies above zero."
+        f"Placebo on Cycles: in {len(controlled) - len(below)} of {len(controlled)} rows of the "
+        "tables above, the interval of the net EASR lies above zero."
     )
     return text + (f" Not surely better than chance there: {', '.join(below)}." if below else "")
 

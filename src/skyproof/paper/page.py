@@ -38,14 +38,14 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "All rates in percent, of the test vehicles that a detector found before; mean over "
         f"{detectors}. Brackets hold 95 % bootstrap intervals over background tiles, “repeats” the "
         "range over attacks from different seeds. “random” is the EASR of random draws under the "
-        "same constraints, “net” the EASR minus that. “paper” is what the paper reports for its own "
-        "renderer († only in its source’s comments)." + (explained if run.cycles else ""),
+        "same constraints, “net” the EASR minus that. “paper” is what the paper reports for its "
+        "own renderer († only in its source’s comments)." + (explained if run.cycles else ""),
         Heading("Textures"),
         texture_table(tables["textures"]),
         Heading("Shape and combinations"),
         "At PM*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is "
-        "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many percent "
-        "of bootstrap replicates it would be. PM 0 is the texture alone.",
+        "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many "
+        "percent of bootstrap replicates it would be. PM 0 is the texture alone.",
         shape_table(tables["shape_combined"]),
         Figure("easr_vs_pr", "EASR against practicality"),
         Heading("Does our order agree with the paper’s?"),
@@ -199,10 +199,11 @@ def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
     tested = [row for row in learnt if row["mcnemar_p_holm"] is not None]
     controlled = [row for row in learnt if row["net_easr_low"] is not None]
     text = (
-        f"Placebo: in {sum(row['net_easr_low'] > 0 for row in controlled)} of {len(controlled)} rows above, the "
-        "interval of the net EASR lies above zero. McNemar’s exact test, with Holm’s correction over every "
-        f"attack and detector of the run: p < {_SURE} on every detector and for every repeat in "
-        f"{sum(row['mcnemar_p_holm'] < _SURE for row in tested)} of {len(tested)}."
+        f"Placebo: in {sum(row['net_easr_low'] > 0 for row in controlled)} of {len(controlled)} "
+        "rows above, the interval of the net EASR lies above zero. McNemar’s exact test, with "
+        f"Holm’s correction over every attack and detector of the run: p < {_SURE} on every "
+        f"detector and for every repeat in {sum(row['mcnemar_p_holm'] < _SURE for row in tested)} "
+        f"of {len(tested)}."
     )
     open_rows = [row["attack"] for row in tested if row["mcnemar_p_holm"] >= _SURE]
     below = [row["attack"] for row in controlled if row["net_easr_low"] <= 0]
@@ -220,17 +221,23 @@ def _signs(table: Table) -> list[Block]:
     sure = [row for row in table.rows if row["p"] < _SURE]
     others = [row for row in table.rows if row["mean_change"] >= 0]
     text = (
-        f"Sign test: one step along an attack’s gradient lowered the mean score on the target in {len(lower)} of "
-        f"{len(table.rows)} pairs of attack and detector; in {len(sure)} it fell in more scenes than chance explains "
-        f"(exact, p < {_SURE})."
+        "Sign test: one step along an attack’s gradient lowered the mean score on the target in "
+        f"{len(lower)} of {len(table.rows)} pairs of attack and detector; in {len(sure)} it fell "
+        f"in more scenes than chance explains (exact, p < {_SURE})."
     )
     if others:
         header = ["did not fall", "detector", "scenes", "fell", "p", "mean change"]
         cells = [
-            [row["attack"], row["detector"], str(row["scenes"]), str(row["fell"]), probability(row["p"]),
-             f"{row['mean_change']:+.4f}".replace("-", "−")]
+            [
+                row["attack"],
+                row["detector"],
+                str(row["scenes"]),
+                str(row["fell"]),
+                probability(row["p"]),
+                f"{row['mean_change']:+.4f}".replace("-", "−"),
+            ]
             for row in others
-        ]  # fmt: skip
+        ]
         return [text, Grid(header, cells)]
     return [text]
 
@@ -246,8 +253,9 @@ def _ladder(table: Table) -> list[Block]:
     holds = sum(row["never_surely_falls"] is True for row in table.rows)
     strict = sum(row["never_falls"] is True for row in table.rows)
     text = (
-        f"EASR of the first repeat after so many steps. From rung to rung it never falls in {strict} of "
-        f"{len(table.rows)} attacks; in {holds} no fall is certain (its 95 % interval reaches zero)."
+        "EASR of the first repeat after so many steps. From rung to rung it never falls in "
+        f"{strict} of {len(table.rows)} attacks; in {holds} no fall is certain (its 95 % interval "
+        "reaches zero)."
     )
     rows = [
         [row["attack"], *(number(row.get(column)) for column in columns), word(row["never_falls"]),

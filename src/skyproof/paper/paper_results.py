@@ -12,7 +12,8 @@ class PaperResult:
     """One attack in the paper's tables: means over its three synthetic models, in percent.
 
     Attributes:
-        easr, easr_blender: overall attack success rate on the renderer's own data and on Blender's; None if not given.
+        easr, easr_blender: overall attack success rate on the renderer's own data and on Blender's;
+            None if not given.
         apd, apd_blender: average precision drop, from the supplement.
         perturbation_magnitude: PM*, the one that maximises P1; None for attacks on texture alone.
         commented: the EASR stands only in the comments of the paper's source.

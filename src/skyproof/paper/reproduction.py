@@ -1,4 +1,7 @@
-"""A run's results as the paper arranges them: by attack, at its best magnitude, beside its numbers."""
+"""A run's results as the paper arranges them.
+
+They stand by attack, each at its best magnitude, beside the paper's numbers.
+"""
 
 from __future__ import annotations
 

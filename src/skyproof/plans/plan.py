@@ -1,4 +1,7 @@
-"""A plan: named steps, each one command's settings, with the files it needs and the files it leaves."""
+"""A plan is a list of named steps.
+
+Each step has the settings of one command, the files that it needs and the files that it leaves.
+"""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ class Preset:
         attack: options of `skyproof attack --settings.*`, the same for all.
         attack_image_px: image side in attacks.
         attack_steps: by kind: texture, shape, sequential, parallel.
-        textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also make parallel
-            combinations.
+        textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also
+            make parallel combinations.
         repeats: attacks of each kind, from different seeds.
         draws: of each random control (section 5.4).
         magnitudes: PM of shapes alone and of combinations (section 5.5).
@@ -41,7 +41,8 @@ class Preset:
         ladder_magnitude: PM of the shapes and combinations for which that is done.
         score_batch: camouflages scored in one job.
         threads: of each job.
-        resources: of each job that renders, trains, attacks or scores, such as gpu, mem_mb, runtime (minutes).
+        resources: of each job that renders, trains, attacks or scores, such as gpu, mem_mb, runtime
+            (minutes).
     """
 
     seed: int
@@ -119,7 +120,8 @@ def read_preset(preset: str) -> tuple[str, Path]:
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():
         raise ConfigurationError(
-            f"--preset expects {' or '.join(PRESETS)}, or a JSON file of the same form; {preset} is none."
+            f"--preset expects {' or '.join(PRESETS)}, or a JSON file of the same form; {preset} "
+            "is none."
         )
     values = read_json(path)
     if not isinstance(values, dict):

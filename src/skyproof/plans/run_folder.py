@@ -1,4 +1,7 @@
-"""A run folder: what was asked, on what machine, which stages are finished and how long they took."""
+"""A run folder tells what was asked and on what machine.
+
+It also tells which stages are finished and how long they took.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,8 @@ __all__ = ["RunFolder"]
 class RunFolder:
     """A new run, or the same run again; nothing is written before `start`.
 
-    A run that has not finished a single stage may be given other settings: its first input was wrong, and corrected.
+    A run that has not finished a single stage may be given other settings: its first input was
+    wrong, and corrected.
 
     Args:
         path: the folder; made if missing.
@@ -62,8 +66,8 @@ class RunFolder:
             names = {*stored, *self._config}
             changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
             raise RunFolderError(
-                f"{self.path} holds a run with other settings ({', '.join(changed)}); choose another --out, or "
-                "remove the folder to start afresh."
+                f"{self.path} holds a run with other settings ({', '.join(changed)}); choose "
+                "another --out, or remove the folder to start afresh."
             )
 
     def start(self, device: str) -> None:
@@ -158,7 +162,10 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """The commit of a source checkout; None for an installed package, even one inside a user's own checkout."""
+    """Returns the commit of a source checkout.
+
+    It is None for an installed package, even for one inside a user's own checkout.
+    """
     here = Path(__file__).resolve().parents[3]
     if not (here / ".git").exists():
         return None

@@ -24,7 +24,8 @@ class CheckedSet:
     Attributes:
         name: as the evaluation calls it.
         real: whether a camera took the images.
-        contents: how many images and vehicles, what was done to them, and what the intervals rest on.
+        contents: how many images and vehicles, what was done to them, and what the intervals rest
+            on.
         checks: per detector its check; None where it was not checked on this set.
     """
 
@@ -68,7 +69,10 @@ def _contents(check: Check) -> str:
 
 
 def standing(results: Results) -> Standing:
-    """What the report rests on, in plain words; where all of it is synthetic, that is said first."""
+    """Says what the report rests on, in plain words.
+
+    Where all of it is synthetic, that is said first.
+    """
     real = [checked for checked in checked_sets(results) if checked.real]
     scores = _scores(real, results.judges)
     synthetic = results.sources == ["procedural"]

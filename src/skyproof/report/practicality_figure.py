@@ -1,4 +1,7 @@
-"""The figure of EASR against practicality: our curves with intervals, the paper's best points beside them."""
+"""The figure of EASR against practicality.
+
+It shows our curves with their intervals, and the paper's best points beside them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Writes a run's `report.html`: one self-contained page, and the paper's tables where they apply."""
+"""Writes a run's `report.html`, one self-contained page.
+
+The paper's tables are written beside it where they apply.
+"""
 
 from __future__ import annotations
 

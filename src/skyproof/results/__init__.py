@@ -1,4 +1,4 @@
-"""What was measured: matched vehicles, rates with intervals, checks, and the one `Results` of a run.
+"""What was measured belongs here: matched vehicles, rates with intervals, and checks.
 
 A score folder holds all that was measured in one go; `Results` reads all score folders of a run.
 """

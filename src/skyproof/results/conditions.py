@@ -1,4 +1,7 @@
-"""Success by condition: sun, tilt, heading, body type, weather; the mean over detectors with its cluster interval."""
+"""Success by condition: sun, tilt, heading, body type and weather.
+
+Each rate is the mean over detectors, with its cluster interval.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ __all__ = ["Bin", "Panel", "condition_panels"]
 
 @dataclass(frozen=True)
 class Bin:
-    """One condition: how many vehicles (each counted once, whatever the number of detectors) and their EASR."""
+    """One condition: how many vehicles met it, and their EASR.
+
+    Each vehicle counts once, whatever the number of detectors.
+    """
 
     label: str
     vehicles: int
@@ -39,7 +45,10 @@ _HEADINGS = ((45, "towards sun\n(0–45°)"), (135, "across\n(45–135°)"), (18
 
 
 def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Generator) -> list[Panel]:
-    """EASR by condition for the outcomes of one camouflage, renderer and match; empty without outcomes."""
+    """Gives EASR by condition for the outcomes of one camouflage, renderer and match.
+
+    Without outcomes the answer is empty.
+    """
     if not outcomes:
         return []
     labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [

@@ -1,4 +1,7 @@
-"""Matched pairs to outcomes: the same scenes, seen by one detector with and without a camouflage."""
+"""Makes outcomes of matched pairs.
+
+A pair is the same scene as one detector sees it with and without a camouflage.
+"""
 
 from __future__ import annotations
 

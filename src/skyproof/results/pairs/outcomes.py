@@ -1,4 +1,7 @@
-"""One row per vehicle: detected in the original image? In the adversarial one? Plain data, no torch."""
+"""One row per vehicle says whether it was detected in the original and in the adversarial image.
+
+The rows are plain data and need no torch.
+"""
 
 from __future__ import annotations
 
@@ -21,21 +24,27 @@ MATCHES: tuple[Literal["centre_1m"], Literal["iou_50"]] = ("centre_1m", "iou_50"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one vehicle under one camouflage, for one detector and one match criterion (section 5.1).
+    """What became of one vehicle under one camouflage (section 5.1).
+
+    It holds for one detector and one match criterion.
 
     Attributes:
         scene, placement: which vehicle: scene id and index in `Scene.placements`.
         vehicle, body_type: fleet id ("saloon-0017") and what stands before its last hyphen.
         background: the scene's background tile: the cluster of the bootstrap.
         camouflage, renderer, detector, match: what was compared; `match` is one of `MATCHES`.
-        detected_original, detected_adversarial: matched by a detection at or above the frozen threshold.
-        score_original, score_adversarial: score of the matched detection, whatever the threshold; 0 where none.
-        distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan where none.
+        detected_original, detected_adversarial: matched by a detection at or above the frozen
+            threshold.
+        score_original, score_adversarial: score of the matched detection, whatever the threshold; 0
+            where none.
+        distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan
+            where none.
         visible_fraction: share of the vehicle inside the image; nan where not known.
         sun_elevation_deg, sun_azimuth_deg: the sun; azimuth from east towards north.
         tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
         heading_deg: of the vehicle, from east towards north, in [0, 360).
-        heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving into the sun.
+        heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving
+            into the sun.
         condition: of the weather ("clear", "haze", ...).
     """
 

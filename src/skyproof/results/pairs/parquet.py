@@ -31,6 +31,7 @@ def read_table(path: Path, schema: pa.Schema) -> pa.Table:
     if not table.schema.equals(schema):
         difference = sorted(set(schema.names) ^ set(table.schema.names)) or "types"
         raise StoredFileError(
-            f"{path} has other columns than this version writes ({difference}); run the evaluation again."
+            f"{path} has other columns than this version writes ({difference}); run the evaluation "
+            "again."
         )
     return table

@@ -1,4 +1,7 @@
-"""What one detector makes of a whole set of images: average precision and false alarms, in memory and on disk."""
+"""What one detector makes of a whole set of images: average precision and false alarms.
+
+The scores are kept in memory and on disk.
+"""
 
 from __future__ import annotations
 
