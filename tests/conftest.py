@@ -1,4 +1,7 @@
-"""Shape annotations are checked at run time in tests; one thread a worker, because two workers share two cores."""
+"""Shape annotations are checked at run time in tests.
+
+Each worker has one thread, because two workers share two cores.
+"""
 
 import os
 

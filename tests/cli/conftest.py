@@ -17,14 +17,17 @@ def flags(text: str) -> list[str]:
     return text.split()
 
 
-# A network that has seen eight images finds next to nothing: rates may be undefined, and nothing may fall over that.
+# A network that has seen eight images finds next to nothing: rates may be undefined, and nothing
+# may fall over that.
 SIZES = flags(
-    "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images 12 "
-    "--sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 --sizes.random-draws 2"
+    "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images "
+    "12 --sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 "
+    "--sizes.random-draws 2"
 )
 STEPS = flags(
-    "--training.steps 4 --training.batch-size 2 --training.validate-every 4 --training.checkpoint-every 2 "
-    "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2"
+    "--training.steps 4 --training.batch-size 2 --training.validate-every 4 "
+    "--training.checkpoint-every 2 --attack.steps 4 --attack.batch-size 2 "
+    "--attack.checkpoint-every 2"
 )
 TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
 
@@ -52,7 +55,10 @@ Skyproof = Callable[..., Answer]
 
 @pytest.fixture
 def skyproof(capfd: pytest.CaptureFixture[str]) -> Skyproof:
-    """Runs the command line; file descriptors are captured, because libraries in C print as well."""
+    """Runs the command line.
+
+    File descriptors are captured, because libraries in C print as well.
+    """
 
     def call(*arguments: object) -> Answer:
         capfd.readouterr()
@@ -107,7 +113,10 @@ RESULTS = (
 
 
 def assert_same_results(folder: Path, reference: Path) -> None:
-    """What a stopped and resumed run leaves equals what an uninterrupted one leaves, and no leftovers lie about."""
+    """What a stopped and resumed run leaves equals what an uninterrupted one leaves.
+
+    No leftovers lie about.
+    """
     for name in RESULTS:
         assert (folder / name).read_bytes() == (reference / name).read_bytes(), name
     assert (folder / "report.html").exists()

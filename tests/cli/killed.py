@@ -1,13 +1,17 @@
-"""Runs the demo in child processes and ends each at a given moment; a script, so that torch is imported once.
+"""Runs the demo in child processes and ends each at a given moment.
 
-Usage: killed.py FOLDER MOMENTS ARGUMENTS..., with MOMENTS as JSON: a list of [how, fragment, nth]. `how` is
+It is a script, so that torch is imported once.
+
+Usage: killed.py FOLDER MOMENTS ARGUMENTS..., with MOMENTS as JSON: a list of [how, fragment, nth].
+`how` is
 
 - "appears": the parent polls the folder and sends SIGKILL when a path with `fragment` lies there;
 - "interrupt": the same with SIGINT;
 - "write": the child kills itself half-way through the n-th write of a path with `fragment`;
 - "rename": the child kills itself just before such a file or folder gets its final name.
 
-Prints one JSON list per child: how it ended, and the paths left below the folder. The last child runs to its end.
+Prints one JSON list per child: how it ended, and the paths left below the folder. The last child
+runs to its end.
 """
 
 import contextlib

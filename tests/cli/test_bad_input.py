@@ -1,4 +1,7 @@
-"""Bad input to the demo: one sentence with the file and the remedy, exit code 2, nothing half-done, nothing lost."""
+"""Bad input to the demo gives one sentence with the file and the remedy, and exit code 2.
+
+Nothing is left half-done, and nothing is lost.
+"""
 
 import json
 import os
@@ -17,8 +20,9 @@ from tests.cli.conftest import STEPS, TINY, Skyproof, bytes_of, flags
 
 SMALL = (
     flags(
-        "--sizes.image-px 128 --sizes.vehicles 2 1 1 1 --sizes.training-images 8 --sizes.validation-images 2 "
-        "--sizes.test-images 2 --sizes.training-vehicles 2 --sizes.random-draws 1 --detectors retinanet --device cpu"
+        "--sizes.image-px 128 --sizes.vehicles 2 1 1 1 --sizes.training-images 8 "
+        "--sizes.validation-images 2 --sizes.test-images 2 --sizes.training-vehicles 2 "
+        "--sizes.random-draws 1 --detectors retinanet --device cpu"
     )
     + STEPS
 )
@@ -222,5 +226,6 @@ def test_installed_entry_point_returns_the_code(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        f"skyproof: {tmp_path / 'run'} is not empty and not a run of skyproof; choose another --out."
+        f"skyproof: {tmp_path / 'run'} is not empty and not a run of skyproof; choose another "
+        "--out."
     ]

@@ -18,8 +18,8 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import TINY, Skyproof, bytes_of
 
 KEYS = {
-    "camouflage", "renderer", "detector", "vehicles", "easr", "easr_low", "easr_high", "net_easr", "net_easr_low",
-    "net_easr_high", "asr", "er", "ap_original", "ap_adversarial", "apd", "match",
+    "camouflage", "renderer", "detector", "vehicles", "easr", "easr_low", "easr_high", "net_easr",
+    "net_easr_low", "net_easr_high", "asr", "er", "ap_original", "ap_adversarial", "apd", "match",
 }  # fmt: skip
 
 
@@ -71,7 +71,10 @@ def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof
 def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
     copied, skyproof: Skyproof
 ) -> None:
-    """A threshold above every score: no vehicle is found before the camouflage, so there is no success rate."""
+    """With a threshold above every score there is no success rate.
+
+    No vehicle is found before the camouflage then.
+    """
     folder = copied("scores", "report.html", "results.json")
     card = folder / "detectors" / "retinanet" / "detector.json"
     good = card.read_text()

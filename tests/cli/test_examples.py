@@ -1,4 +1,7 @@
-"""The examples run on a demo's folder, are short, and are what the README or a page of the docs shows."""
+"""The examples run on a demo's folder and are short.
+
+They are what the README or a page of the docs shows.
+"""
 
 import os
 import subprocess

@@ -14,7 +14,8 @@ from PIL import Image
 
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
-# What is written, which write of it fails, and the file or folder whose presence means that the stage is finished.
+# What is written, which write of it fails, and the file or folder whose presence means that the
+# stage is finished.
 CASES = {
     "tile": ("tiles/", 3, "backgrounds"),
     "tile index": ("index.json", 1, "backgrounds"),
@@ -83,7 +84,10 @@ class FullDisk:
 
 
 def test_full_disk_in_every_stage(tmp_path: Path, finished: Path, skyproof: Skyproof) -> None:
-    """One run, stopped by a full disk at every kind of file it writes; each time it goes on from there."""
+    """One run is stopped by a full disk at every kind of file that it writes.
+
+    Each time it goes on from there.
+    """
     folder = tmp_path / "run"
     for case, (fragment, nth, result) in CASES.items():
         with pytest.MonkeyPatch.context() as monkeypatch:
@@ -116,7 +120,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_really_full_disk(small_disk: Path, finished: Path, skyproof: Skyproof) -> None:
-    """Room is given a little at a time: the run stops at many places and goes on at each of them."""
+    """Room is given a little at a time.
+
+    The run stops at many places and goes on at each of them.
+    """
     filler, stops = small_disk / "filler", 0
     while True:
         room = 2**20 * (1 + 3 * stops)

@@ -1,4 +1,7 @@
-"""A kill or an interrupt in the middle of any stage: the same command goes on, and the results are the same."""
+"""After a kill or an interrupt in the middle of any stage the same command goes on.
+
+The results are the same as without it.
+"""
 
 import json
 import os
@@ -24,7 +27,8 @@ def ended_at(folder: Path, moments: list[list[object]]) -> tuple[list[tuple[int,
 
 
 def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -> None:
-    # How, where, which time; and the name that must not be there yet: the one that means "finished".
+    # How, where, which time; and the name that must not be there yet: the one that means
+    # "finished".
     moments = [
         ("write", "config.json", 1, "config.json"),
         ("rename", "config.json", 1, "config.json"),

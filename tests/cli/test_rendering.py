@@ -151,7 +151,9 @@ def test_killed_in_the_middle(
     # Notes every line that a worker gets: the job and the name of its result.
     listener = tmp_path / "python"
     listener.write_text(
-        f'#!/bin/sh\ncase "$1" in *worker.py) tee -a {asked} | {blender} "$@";; *) exec {blender} "$@";; esac\n'
+        "#!/bin/sh\n"
+        f'case "$1" in *worker.py) tee -a {asked} | {blender} "$@";; '
+        f'*) exec {blender} "$@";; esac\n'
     )
     listener.chmod(0o755)
     some = tmp_path / "some.jsonl"

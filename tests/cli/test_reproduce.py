@@ -1,4 +1,7 @@
-"""`skyproof reproduce`: refusals, dry run, a failing job, interruption; the whole of it is in tests/plans."""
+"""`skyproof reproduce`: refusals, a dry run, a failing job and an interruption.
+
+The whole of it is tested in tests/plans.
+"""
 
 import fcntl
 import json

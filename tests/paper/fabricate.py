@@ -1,4 +1,7 @@
-"""A run folder of `skyproof reproduce`, of made-up counts; `python -m tests.paper.fabricate FOLDER`."""
+"""Writes a run folder of `skyproof reproduce` with made-up counts.
+
+python -m tests.paper.fabricate FOLDER
+"""
 
 import sys
 from pathlib import Path
@@ -21,7 +24,8 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
 
     Args:
         folder: gets tiles.parquet and sets.json.
-        rates: per camouflage the share of vehicles found before that is lost, on every tile alike without `spread`.
+        rates: per camouflage the share of vehicles found before that is lost, on every tile alike
+            without `spread`.
         found: the share of vehicles found before.
         spread: generator that scatters the lost vehicles over the tiles.
         renderer: that drew the images.

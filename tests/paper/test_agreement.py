@@ -13,7 +13,10 @@ PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
 
 
 def counted(lost_of_hundred, rng=None, tiles=40, renderer="torch"):
-    """Per camouflage `tiles` tiles of 100 vehicles that lose so many; with `rng` the tiles differ."""
+    """Makes per camouflage `tiles` tiles of 100 vehicles that lose so many.
+
+    With `rng` the tiles differ.
+    """
     series = {}
     for name, lost in lost_of_hundred.items():
         gone = (

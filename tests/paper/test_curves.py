@@ -11,7 +11,10 @@ from skyproof.results.pairs.tiles import Series, TileCounts
 
 
 def made(lost, tiles=20, found=10):
-    """Counts in which every tile loses about `lost` of `found` vehicles a tile, by (camouflage, detector)."""
+    """Makes counts by (camouflage, detector).
+
+    Every tile loses about `lost` of `found` vehicles.
+    """
     series = {}
     for (camouflage, detector), share in lost.items():
         gone = np.full(tiles, round(share * found))

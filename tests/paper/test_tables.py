@@ -124,8 +124,13 @@ def test_shapes_at_their_best_magnitude(folder):
             (row["attack"], float(row["pm"]), float(row["easr"])) for row in csv.DictReader(file)
         ]
     assert points == [
-        ("S-O", 0, 0), ("S-O", 0.2, 40), ("S-O", 0.4, 80), ("S-O", 1, 100), ("C-Fc-seq", 0, 30), ("C-Fc-seq", 0.2, 80),
-    ]  # fmt: skip
+        ("S-O", 0, 0),
+        ("S-O", 0.2, 40),
+        ("S-O", 0.4, 80),
+        ("S-O", 1, 100),
+        ("C-Fc-seq", 0, 30),
+        ("C-Fc-seq", 0.2, 80),
+    ]
 
 
 def test_ladder_gap_and_signs(folder):
@@ -136,7 +141,8 @@ def test_ladder_gap_and_signs(folder):
         "90",
         "80",
     ]
-    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: from 90 to 80 is no sure fall, 100 to 40 is.
+    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: from 90 to 80 is no sure
+    # fall, 100 to 40 is.
     falls = {name: (row["never_falls"], row["never_surely_falls"]) for name, row in ladder.items()}
     assert falls == {"T-U-0": ("no", "yes"), "T-Fc-0": ("yes", "yes"), "S-O@0.2-0": ("no", "no")}
     assert ladder["T-Fc-0"]["after_10"] == "–"
@@ -163,7 +169,8 @@ def test_order_beside_the_papers(folder):
     write_reproduction(folder)
     agreement = table(folder, "agreement")
     assert "textures" not in agreement  # two are too few
-    # T-U 90, S-O 80, C-Fc-seq 80, T-Fc 30 against 95.77, 89.82, 86.80, 37.22: ranks 4 2.5 2.5 1 and 4 3 2 1.
+    # T-U 90, S-O 80, C-Fc-seq 80, T-Fc 30 against 95.77, 89.82, 86.80, 37.22: ranks 4 2.5 2.5 1 and
+    # 4 3 2 1.
     row = agreement["textures, shape and combinations"]
     assert row["attacks"] == "4"
     close(row["spearman"], 4.5 / (4.5 * 5) ** 0.5)
@@ -299,7 +306,8 @@ def test_the_page_says_what_the_cycles_column_is(folder):
     assert header.count("|") == texture.count("|")
     assert "## On Cycles" in page
     assert "Blender’s path tracer Cycles" in page
-    # Rows without copies and transfer: 4 of textures, S-O at three PM and a control, C-Fc-seq and its; 6 are there.
+    # Rows without copies and transfer: 4 of textures, S-O at three PM and a control, C-Fc-seq and
+    # its; 6 are there.
     assert "Not scored on Cycles yet: 4 of 10 attacks and controls." in page
     assert "repeats of an attack or draws" not in page  # as many on both
     # T-U 37.5, T-Fc 25 and S-O 12.5 above chance, give or take 17.

@@ -1,4 +1,7 @@
-"""A tiny reproduction, killed in the middle of an attack and given again: what was finished stays, the rest is done."""
+"""A tiny reproduction is killed in the middle of an attack and given again.
+
+What was finished stays, and the rest is done.
+"""
 
 import json
 import subprocess

@@ -1,4 +1,7 @@
-"""A small run folder of made-up images and numbers; `python tests/report/fabricate.py FOLDER [--cycles]` writes one."""
+"""Writes a small run folder of made-up images and numbers.
+
+python tests/report/fabricate.py FOLDER [--cycles]
+"""
 
 import dataclasses
 import json
@@ -43,18 +46,30 @@ def fabricate(folder, scenes=40):
                     for match in ("centre_1m", "iou_50"):
                         outcomes.append(
                             Outcome(
-                                scene=scene, placement=place, vehicle=f"{body}-0001", body_type=body,
-                                background=f"tile-{index // 2}", camouflage=camouflage, renderer="torch",
-                                detector=d, match=match, detected_original=bool(before),
-                                detected_adversarial=bool(after), score_original=0.9 if before else 0.0,
+                                scene=scene,
+                                placement=place,
+                                vehicle=f"{body}-0001",
+                                body_type=body,
+                                background=f"tile-{index // 2}",
+                                camouflage=camouflage,
+                                renderer="torch",
+                                detector=d,
+                                match=match,
+                                detected_original=bool(before),
+                                detected_adversarial=bool(after),
+                                score_original=0.9 if before else 0.0,
                                 score_adversarial=0.8 if after else 0.0,
                                 distance_original_m=0.1 if before else float("nan"),
-                                distance_adversarial_m=0.2 if after else float("nan"), visible_fraction=1.0,
-                                sun_elevation_deg=sun, sun_azimuth_deg=120.0, tilt_deg=tilt,
-                                camera_azimuth_deg=30.0, heading_deg=heading,
+                                distance_adversarial_m=0.2 if after else float("nan"),
+                                visible_fraction=1.0,
+                                sun_elevation_deg=sun,
+                                sun_azimuth_deg=120.0,
+                                tilt_deg=tilt,
+                                camera_azimuth_deg=30.0,
+                                heading_deg=heading,
                                 heading_to_sun_deg=abs((heading - 120 + 180) % 360 - 180),
                             )
-                        )  # fmt: skip
+                        )
         for name in names:
             picture = Image.fromarray(ground.clip(0, 255).astype(np.uint8))
             for box in boxes:
@@ -135,7 +150,8 @@ def _write_rest(folder, rng):
             "detector": d, "dataset": dataset, "images": 60, "vehicles": 140, "ap_centre_1m": ap,
             "ap_iou_50": ap - 0.05,
             "precision": 0.9, "recall": ap, "threshold": 0.5, "note": note, "real": real,
-            "ap_centre_1m_low": ap - 0.02, "ap_centre_1m_high": ap + 0.02, "clustered_by": by, "clusters": clusters,
+            "ap_centre_1m_low": ap - 0.02, "ap_centre_1m_high": ap + 0.02,
+            "clustered_by": by, "clusters": clusters,
         }
         for d in DETECTORS
         for dataset, real, ap, by, clusters, note in (

@@ -1,4 +1,7 @@
-"""The report where the same scenes were judged under two renderers, and the comparison between them."""
+"""The report on scenes that were judged under two renderers.
+
+It also compares the two.
+"""
 
 import base64
 import io

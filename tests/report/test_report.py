@@ -1,4 +1,7 @@
-"""The report of a fabricated run folder: its numbers, its honesty, and what it does without optional parts."""
+"""The report of a fabricated run folder is tested.
+
+Its numbers, its honesty, and what it does without optional parts are looked at.
+"""
 
 import re
 import shutil
@@ -79,8 +82,8 @@ def test_synthetic_data_alone_is_said_in_the_first_lines(run_folder):
     page = rebuilt(run_folder)
     told = first_lines(page)
     assert (
-        "Synthetic data only. Ground, vehicles and every image that the detectors were checked on are"
-        in told
+        "Synthetic data only. Ground, vehicles and every image that the detectors were checked on "
+        "are" in told
     )
     assert "They are not evidence about real imagery" in told
     change_checks(run_folder, lambda row: None)
@@ -98,8 +101,8 @@ def test_synthetic_ground_with_a_check_on_real_images(page, run_folder):
     told = first_lines(page)
     assert "Synthetic ground and vehicles; detectors checked on real images." in told
     assert (
-        "an AP of 21 % (RetinaNet, 19 to 23 %) and 21 % (Faster R-CNN, 19 to 23 %) on KIT AIS Munich. "
-        "RetinaNet and Faster R-CNN are below 80 %: what hides vehicles"
+        "an AP of 21 % (RetinaNet, 19 to 23 %) and 21 % (Faster R-CNN, 19 to 23 %) on KIT AIS "
+        "Munich. RetinaNet and Faster R-CNN are below 80 %: what hides vehicles"
     ) in told
     change_checks(
         run_folder,
@@ -132,10 +135,10 @@ def test_what_the_detectors_score_stands_above_the_answer(run_folder, page):
         for row in re.findall(r"<tr><td.*?</tr>", table, re.S)
     ]
     assert rows == [
-        "rendered test (computer-generated) 60 images, 140 vehicles; intervals over 20 background tiles "
-        + " ".join(["97.0 % (95 to 99 %) recall 97 %, precision 90 %"] * 2),
-        "KIT AIS Munich (real) 60 images, 140 vehicles; real frames, resampled to 0.125 m; one place: intervals over "
-        "its 60 images, which is rather too narrow "
+        "rendered test (computer-generated) 60 images, 140 vehicles; intervals over 20 background "
+        "tiles " + " ".join(["97.0 % (95 to 99 %) recall 97 %, precision 90 %"] * 2),
+        "KIT AIS Munich (real) 60 images, 140 vehicles; real frames, resampled to 0.125 m; one "
+        "place: intervals over its 60 images, which is rather too narrow "
         + " ".join(["21.0 % (19 to 23 %) recall 21 %, precision 90 %"] * 2),
     ]
     # A detector may be missing from a set, an interval from a row, and places may be told apart.

@@ -1,4 +1,7 @@
-"""Average precision under resampling: against images really repeated, and whether its intervals hold the truth."""
+"""Average precision under resampling is compared with that of images really repeated.
+
+Simulations say whether its intervals hold the truth.
+"""
 
 import math
 
@@ -15,7 +18,10 @@ from skyproof.results import clean
 
 
 def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):
-    """Random vehicles, some found at random scores, and false alarms; some detections lie in an ignore region."""
+    """Makes random vehicles, some found at random scores, and false alarms.
+
+    Some detections lie in an ignore region.
+    """
     rng = np.random.default_rng(seed)
     detections, boxes = [], []
     for index in range(images):

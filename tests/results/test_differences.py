@@ -1,4 +1,7 @@
-"""Differences of success rates: cases worked out by hand, and how often the interval holds the truth."""
+"""Differences of success rates are compared with cases worked out by hand.
+
+Simulations say how often the interval holds the truth.
+"""
 
 import math
 
@@ -88,7 +91,10 @@ def test_undefined_without_vehicles(weights):
     ("own", "other"), [((0.7, 0.5), (0.9, 0.6)), ((0.7, 0.6, 0.5), (0.999, 0.998, 0.8))]
 )
 def test_holds_the_truth(own, other, weights, rng):
-    """Simulated tiles of unlike difficulty, the same for both; 0.95 is meant, 0.92 allows for 200 runs."""
+    """Simulated tiles are of unlike difficulty, the same for both.
+
+    A share of 0.95 is meant; 0.92 allows for 200 runs.
+    """
     grid = np.linspace(-5, 5, 1001)
     density = np.exp(-(grid**2) / 2)
     density /= density.sum()

@@ -28,16 +28,19 @@ def net(counts):
 
 
 def clustered(rng, clusters, rate, correlation, gained=0.0):
-    """Vehicles of each tile share a rate drawn from a beta distribution of mean `rate`: `[1, C, 3]`."""
+    """Makes counts `[1, C, 3]` of clustered vehicles.
+
+    Vehicles of each tile share a rate drawn from a beta distribution of mean `rate`.
+    """
     return alike(rng, clusters, [rate], correlation, 1.0, gained)
 
 
 def alike(rng, clusters, rates, correlation, shared, gained=0.0):
     """Series of different mean rates on the same tiles: `[S, C, 3]`.
 
-    Nine in ten of 2 to 11 vehicles a tile are found before. A tile's rates have a beta distribution with intra-tile
-    correlation `correlation`; a share `shared` of how a tile differs is common to all series. `gained` of the vehicles
-    missed before are found after.
+    Nine in ten of 2 to 11 vehicles a tile are found before. A tile's rates have a beta distribution
+    with intra-tile correlation `correlation`; a share `shared` of how a tile differs is common to
+    all series. `gained` of the vehicles missed before are found after.
     """
     spread, vehicles, series = (1 - correlation) / correlation, rng.integers(2, 12, clusters), []
     common = rng.normal(size=clusters)
@@ -123,7 +126,8 @@ def test_coverage_of_a_mean_over_repeats_and_detectors(clusters, rate, shared):
 
 
 def test_the_effective_limit_of_independent_vehicles_is_the_exact_binomial_one():
-    # One vehicle a tile, 30 of 400 kept: the effective number of vehicles is the number of vehicles.
+    # One vehicle a tile, 30 of 400 kept: the effective number of vehicles is the number of
+    # vehicles.
     lost = np.array([0] * 30 + [1] * 370)
     counts = np.stack([1 - lost, lost, 0 * lost], axis=1)
     left_one_out = overall_attack_success_rate(counts.sum(axis=0) - counts)

@@ -23,7 +23,10 @@ def easr(counts):
 
 
 def simulate(rng, tiles, vehicles, asr, er, correlation):
-    """`[C, 4]` counts of tiles of `vehicles` each; nine in ten are found before; their fate is alike within a tile."""
+    """Makes counts `[C, 4]` of tiles of `vehicles` each.
+
+    Nine in ten are found before, and their fate is alike within a tile.
+    """
     spread = (1 - correlation) / correlation
     found = rng.binomial(vehicles, 0.9, tiles)
     lost = rng.binomial(
@@ -60,7 +63,8 @@ def test_it_is_the_smallest_such_test():
 
 
 def test_by_hand():
-    # 1.96² · 0.8 · 0.2 · 1.8 / 0.01² independent vehicles, and about 1 % for the limits being exact.
+    # 1.96² · 0.8 · 0.2 · 1.8 / 0.01² independent vehicles, and about 1 % for the limits being
+    # exact.
     assert vehicles_needed(0.01, Assumptions(0.8, design_effect=1.8)).vehicles == pytest.approx(
         11063, rel=0.03
     )
@@ -69,7 +73,8 @@ def test_by_hand():
 
 
 def test_gained_vehicles_count():
-    # One in ten lost and as many gained: per vehicle found before a variance of 0.1 + 0.1, over 500 x 10 of them.
+    # One in ten lost and as many gained: per vehicle found before a variance of 0.1 + 0.1, over 500
+    # x 10 of them.
     assumed = Assumptions(0.0, 0.1, 10.0, 1.0, 1.0)
     assert expected_half_width(500, assumed) == pytest.approx(1.96 * (0.2 / 5000) ** 0.5, rel=0.02)
 

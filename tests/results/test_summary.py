@@ -141,7 +141,8 @@ def test_both_matches_and_the_order_of_keys(rows):
 
 
 def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
-    # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 - 0.025 ** (1 / 20).
+    # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 -
+    # 0.025 ** (1 / 20).
     found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
     found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
     row = next(
@@ -184,7 +185,10 @@ def test_same_seed_same_rows():
 
 @pytest.fixture
 def repeated(rng):
-    """Two seeds of one attack before two detectors; the second seed gains vehicles before yolov5."""
+    """Makes two seeds of one attack before two detectors.
+
+    The second seed gains vehicles before yolov5.
+    """
     seeds = {
         ("T-Pix-0", "retinanet"): [(1, 0)] * 12 + [(1, 1)] * 8,
         ("T-Pix-1", "retinanet"): [(1, 0)] * 8 + [(1, 1)] * 12,

@@ -156,8 +156,11 @@ def test_two_renderers_are_merged(make_folder):
     ]
     precision = {(score.camouflage, score.renderer): score.average_precision for score in sets}
     assert precision == {
-        ("original", "torch"): 0.9, ("T-U-0", "torch"): 0.2, ("original", "cycles"): 0.7, ("T-U-0", "cycles"): 0.2,
-    }  # fmt: skip
+        ("original", "torch"): 0.9,
+        ("T-U-0", "torch"): 0.2,
+        ("original", "cycles"): 0.7,
+        ("T-U-0", "cycles"): 0.2,
+    }
 
 
 def test_contradictions_are_refused(make_folder, tmp_path):
