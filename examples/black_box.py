@@ -1,4 +1,7 @@
-"""A detector that only answers, through any library or over HTTP: threshold frozen, success rates, report."""
+"""A detector that only answers, through any library or over HTTP, is judged like any other.
+
+Its threshold is frozen, its success rates are measured, and a report is written.
+"""
 
 import torch
 

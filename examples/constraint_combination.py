@@ -1,4 +1,7 @@
-"""Blocks of about 15 cm, in five colours of the ground, on painted parts only, against all detectors of the demo."""
+"""Learns blocks of about 15 cm, in five colours of the ground and on painted parts only.
+
+The attack runs against all detectors of the demo.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,7 @@
-"""A checkpoint file of torchvision, made here by a short training, imported, validated and attacked."""
+"""A checkpoint file of torchvision is imported, validated and attacked.
+
+The file is made here by a short training.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,7 @@
-"""A detector of one's own: whatever gives one loss per image, small where it finds nothing, can be attacked."""
+"""A detector of one's own can be attacked.
+
+All it needs is to give one loss per image, which is small where it finds nothing.
+"""
 
 import torch
 from torchvision.models.detection import ssdlite320_mobilenet_v3_large

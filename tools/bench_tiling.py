@@ -1,7 +1,10 @@
-"""Times `tile_imagery` on mosaics it makes itself, and takes its peak memory: python tools/bench_tiling.py FOLDER.
+"""Times `tile_imagery` on mosaics that it makes itself, and takes its peak memory.
 
-One mosaic is 100,000 x 100,000 px (30 GB unpacked) but sparse: a few stretches hold data, so that it fits on any disk.
-The others are 4,096 x 4,096 px and full. Every one is tiled by a process of its own.
+    python tools/bench_tiling.py FOLDER
+
+One mosaic is 100,000 x 100,000 px (30 GB unpacked) but sparse: a few stretches hold data, so that
+it fits on any disk. The others are 4,096 x 4,096 px and full. Every one is tiled by a process of
+its own.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ from skyproof.imagery.settings import TilingSettings
 from skyproof.imagery.tiles.tiling import tile_imagery
 
 BLOCK_PX = 4096
-# Name: side in px, stretches that hold data, metres per pixel, reference system, tiled inside, tile side.
+# Name: side in px, stretches that hold data, metres per pixel, reference system, tiled inside, tile
+# side.
 MOSAICS = {
     "30 GB, sparse": (100_000, 6, 0.125, "EPSG:2193", True, 384),
     "30 GB, sparse, finer": (100_000, 12, 0.05, "EPSG:2193", True, 384),
@@ -39,10 +43,24 @@ def make(path: Path, side_px: int, blocks: int, gsd_m: float, crs: str, tiled: b
     place = (1_550_016.0, 5_190_000.0) if crs == "EPSG:2193" else (19_200_000.0, -5_390_000.0)
     layout = {"tiled": True, "blockxsize": 512, "blockysize": 512} if tiled else {}
     with rasterio.open(
-        path, "w", driver="GTiff", width=side_px, height=side_px, count=3, dtype="uint8", crs=crs, nodata=0,
-        transform=from_origin(*place, gsd_m, gsd_m), sparse_ok=True, bigtiff="YES", compress="deflate",
-        photometric="RGB", interleave="pixel", zlevel=1, **layout,
-    ) as dataset:  # fmt: skip
+        path,
+        "w",
+        driver="GTiff",
+        width=side_px,
+        height=side_px,
+        count=3,
+        dtype="uint8",
+        crs=crs,
+        nodata=0,
+        transform=from_origin(*place, gsd_m, gsd_m),
+        sparse_ok=True,
+        bigtiff="YES",
+        compress="deflate",
+        photometric="RGB",
+        interleave="pixel",
+        zlevel=1,
+        **layout,
+    ) as dataset:
         coarse = np.random.default_rng(0).integers(
             60, 200, (3, BLOCK_PX // 8, BLOCK_PX // 8), dtype=np.uint8
         )

@@ -1,9 +1,12 @@
-"""How close the two renderers are: figures for docs/cycles.md, and their pictures of the same scenes side by side.
+"""Measures how close the two renderers are, for docs/cycles.md.
 
-    python tools/compare_renderers.py --run-folder RUN --cycles RUN/datasets/test-cycles --out docs/results/cycles
+It also draws their pictures of the same scenes side by side.
 
-RUN holds backgrounds/, fleets/test/, detectors/ and datasets/test/ (of the differentiable renderer); --cycles is the
-dataset of the same scenes by `skyproof render --renderer cycles`.
+    python tools/compare_renderers.py --run-folder RUN --cycles RUN/datasets/test-cycles \\
+        --out docs/results/cycles
+
+RUN holds backgrounds/, fleets/test/, detectors/ and datasets/test/ (of the differentiable
+renderer); --cycles is the dataset of the same scenes by `skyproof render --renderer cycles`.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ from skyproof.vehicles.fleet import Fleet
 SCENES = 12
 COLUMNS = 2
 ENLARGED = 2
-# The blur mixes the border of vehicle and shadow with what lies beside them; only pixels this far inside are measured.
+# The blur mixes the border of vehicle and shadow with what lies beside them; only pixels this far
+# inside are measured.
 INSIDE_PX = 3
 
 
@@ -101,7 +105,10 @@ def vehicle_rows(
     torch_image: Tensor,
     cycles_image: Tensor,
 ) -> list[dict[str, Any]]:
-    """Per vehicle: mean linear colour well inside it, and light in its shadow over the photograph's, by both."""
+    """Measures by both renderers, per vehicle, the mean linear colour well inside it.
+
+    The second figure is the light in its shadow over the photograph's.
+    """
     if not scene.placements:
         return []
     settings = RenderSettings()
@@ -183,7 +190,10 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def sheet(pairs: list[tuple[Tensor, Tensor]]) -> Image.Image:
-    """Each scene by the differentiable renderer (left) and by Cycles (right), some scenes in a row."""
+    """Draws each scene by the differentiable renderer (left) and by Cycles (right).
+
+    Some scenes stand in a row.
+    """
     tiles = [torch.cat([*pair], dim=2) for pair in pairs]
     wide = torch.full((3, tiles[0].shape[1], 8), 255, dtype=torch.uint8)
     rows = []

@@ -1,12 +1,14 @@
-"""Draws the pictures of the documentation with skyproof's own renderer: procedural vehicles and ground, nothing else.
+"""Draws the pictures of the documentation with skyproof's own renderer.
+
+They show procedural vehicles and ground, nothing else.
 
     python tools/make_pictures.py
     python tools/make_pictures.py runs/demo
     python tools/make_pictures.py runs/reproduce
 
-The first writes fleet, scenes, weather, sharpness and clearing.png into docs/pictures; the same code gives
-the same pictures. The second writes docs/pictures/demo-result.png from a finished demo on procedural ground, the third
-attacks.png from the camouflages of a reproduction.
+The first writes fleet, scenes, weather, sharpness and clearing.png into docs/pictures; the same
+code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished demo
+on procedural ground, the third attacks.png from the camouflages of a reproduction.
 """
 
 from __future__ import annotations
@@ -70,7 +72,11 @@ def as_image(pixels: torch.Tensor) -> Image.Image:
 
 @torch.no_grad()
 def as_detectors_see(vehicles: VehicleBatch) -> torch.Tensor:
-    """The vehicles at 12.5 cm per pixel with the renderer's default sensor: `[N, 3, 50, 50]` bytes."""
+    """Draws the vehicles at 12.5 cm per pixel with the renderer's default sensor.
+
+    Returns:
+        `[N, 3, 50, 50]` bytes.
+    """
     sun = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
     camera = Camera(0.0, 0.0, GSD_M, CELL_PX[1])
     scenes = [
@@ -125,9 +131,10 @@ def draw_fleet() -> Image.Image:
     sheet = Image.new("RGB", (COLUMNS * (wide + gap) + gap, 2 * block), PAPER)
     pen = ImageDraw.Draw(sheet)
     captions = (
-        f"24 procedural vehicles from above, nose up, {100 * GSD_M / ENLARGE:.1f} cm per pixel, without sensor blur",
-        "The same 24 at 12.5 cm per pixel with the default sensor (blur of 2.4 px, noise), enlarged 8 times: "
-        "what detectors see",
+        f"24 procedural vehicles from above, nose up, {100 * GSD_M / ENLARGE:.1f} cm per pixel, "
+        "without sensor blur",
+        "The same 24 at 12.5 cm per pixel with the default sensor (blur of 2.4 px, noise), "
+        "enlarged 8 times: what detectors see",
     )
     for part, (text, pictures) in enumerate(zip(captions, (fine, coarse), strict=True)):
         top = part * block
@@ -154,7 +161,8 @@ def draw_scenes() -> Image.Image:
         drawn = sample_scenes(
             settings, backgrounds, "test", sizes, 60, generator=torch.Generator().manual_seed(5)
         )
-        # One scene per kind of ground first, then any other tile, so that the sheet shows the variety.
+        # One scene per kind of ground first, then any other tile, so that the sheet shows the
+        # variety.
         chosen: dict[str, Scene] = {}
         for by in (
             lambda scene: backgrounds.tile(scene.background.tile).kind,
@@ -228,7 +236,10 @@ def draw_sharpness_sheet() -> Image.Image:
 
 @torch.no_grad()
 def draw_clearing_sheet() -> Image.Image:
-    """Rendered vehicles on procedural ground, the ground that `skyproof clear` fills in, and the true ground."""
+    """Draws rendered vehicles on procedural ground.
+
+    Beside it stand the ground that `skyproof clear` fills in, and the true ground.
+    """
     size_px, count = 200, 3
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     pictures = []
@@ -318,7 +329,10 @@ def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
 
 
 def draw_attacks(run_folder: Path) -> Image.Image:
-    """One saloon from above in every texture and shape that a reproduction learnt first, each beside its map."""
+    """Draws one saloon from above in every texture and shape that a reproduction learnt first.
+
+    Each stands beside its map.
+    """
     fleet = sample_fleet(
         FleetSettings(count=1, weights={"saloon": 1.0}), generator=torch.Generator().manual_seed(4)
     )

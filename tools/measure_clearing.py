@@ -1,4 +1,6 @@
-"""How close filled ground is to the true ground, and what detectors still find in it: the table of docs/imagery.md.
+"""Measures how close filled ground is to the true ground, and what detectors still find in it.
+
+It makes the table of docs/imagery.md.
 
     python tools/measure_clearing.py --run-folder runs/demo
 
@@ -71,10 +73,12 @@ class MeasureClearing:
             vehicles += len(frames.boxes)
             shown, true, masks = [*shown, image], [*true, empty], [*masks, mask]
         print(
-            f"{vehicles} vehicles; masks cover {sum(covered) / len(covered):.1%} of the changed pixels"
+            f"{vehicles} vehicles; masks cover {sum(covered) / len(covered):.1%} of the changed "
+            "pixels"
         )
         print(
-            f"found with vehicles {_found(judges, shown, masks)}, on the true ground {_found(judges, true, masks)}"
+            f"found with vehicles {_found(judges, shown, masks)}, on the true ground "
+            f"{_found(judges, true, masks)}"
         )
         ways = {
             "Telea": Diffusion("telea"),
@@ -96,8 +100,9 @@ class MeasureClearing:
             absolute = sum(float(each.abs().mean()) for each in errors) / len(errors)
             square = sum(float(each.square().mean()) for each in errors) / len(errors)
             print(
-                f"{name:<14} mean absolute difference {absolute:.1f}, PSNR {10 * math.log10(255**2 / square):.1f} dB, "
-                f"texture {sum(texture) / len(texture):.2f}, found {_found(judges, filled, masks)}"
+                f"{name:<14} mean absolute difference {absolute:.1f}, PSNR "
+                f"{10 * math.log10(255**2 / square):.1f} dB, texture "
+                f"{sum(texture) / len(texture):.2f}, found {_found(judges, filled, masks)}"
             )
 
 

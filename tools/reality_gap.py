@@ -1,11 +1,14 @@
-"""What closes the gap between renders and photographs, measured: the figures of docs/results/reality.
+"""Measures what closes the gap between renders and photographs, for docs/results/reality.
 
-    python tools/reality_gap.py --data DATA --out RUN --stage tune     # a short training per trial, tuning frames
-    python tools/reality_gap.py --data DATA --out RUN --stage final    # the long trainings
-    python tools/reality_gap.py --data DATA --out RUN --stage look     # final detectors on the held-out frames
+    python tools/reality_gap.py --data DATA --out RUN --stage tune
+    python tools/reality_gap.py --data DATA --out RUN --stage final
+    python tools/reality_gap.py --data DATA --out RUN --stage look
 
-DATA holds kit_ais_munich/ and minsk_drone/. What is finished in RUN is kept. Every look at the held-out frames adds a
-line to RUN/looks.jsonl.
+The first trains shortly for every trial and looks at the tuning frames, the second does the long
+trainings, the third looks at the held-out frames with the final detectors.
+
+DATA holds kit_ais_munich/ and minsk_drone/. What is finished in RUN is kept. Every look at the
+held-out frames adds a line to RUN/looks.jsonl.
 """
 
 from __future__ import annotations
@@ -64,9 +67,11 @@ class Trial:
     """One way to render training images, and how long to train on them.
 
     Attributes:
-        ground: folders below RUN; "procedural" and "without-clutter" (no bins, sheds, containers ...) are made there,
-            "cleared" is imagery that was cleared of vehicles and put there before.
-        match_colours: the rendered images' mean and spread per channel become those of the tuning frames.
+        ground: folders below RUN; "procedural" and "without-clutter" (no bins, sheds, containers
+            ...) are made there, "cleared" is imagery that was cleared of vehicles and put there
+            before.
+        match_colours: the rendered images' mean and spread per channel become those of the tuning
+            frames.
         blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
@@ -124,7 +129,8 @@ DETECTORS = ("retinanet", "faster_rcnn", "yolov5")
 PHOTOGRAPHS = "photographs"
 FINAL: dict[str, Trial] = {
     "before": TRIALS["as the demo"],
-    # Both grounds and all weather cost nothing on the tuning frames; other places may need them, and more vehicles.
+    # Both grounds and all weather cost nothing on the tuning frames; other places may need them,
+    # and more vehicles.
     "renders": Trial(
         ground=("procedural", "cleared"),
         conditions=MIXED_WEATHER,
@@ -143,7 +149,8 @@ class RealityGap:
     Attributes:
         data: holds kit_ais_munich and minsk_drone.
         out: folder for everything.
-        stage: tune (every trial, on the tuning frames), final (the long trainings) or look (the held-out frames).
+        stage: tune (every trial, on the tuning frames), final (the long trainings) or look (the
+            held-out frames).
         only: of the trials, these.
     """
 
@@ -196,12 +203,18 @@ class RealityGap:
                 )
 
     def _photographs(self) -> tuple[Dataset, Dataset]:
-        """The tuning frames' tiles (docs/results/reality/README.md): one place, so three splits serve the training."""
+        """Cuts the tuning frames' tiles (docs/results/reality/README.md).
+
+        They show one place, so three splits serve the training.
+        """
         parts = [Dataset.open(self.out / "tiles" / split) for split in ("train", "attack", "test")]
         return Dataset.joined(parts), Dataset.open(self.out / "tiles" / "validation")
 
     def _look(self) -> None:
-        """Every final detector on the held-out frames, and on the rendered test images that are there."""
+        """Checks every final detector on the held-out frames.
+
+        The rendered test images that are there are looked at too.
+        """
         sets = _frames(self.data, HELD_OUT)
         for name, dataset in (("rendered", "test"), ("Cycles", "test-cycles")):
             if (folder := self.out / "datasets" / dataset).exists():
@@ -222,7 +235,8 @@ class RealityGap:
                 row = _check(judge, each, found)
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
-                    f"{folder.parent.name:<12} {judge.name:<12} {each.name:<32} {row['ap_centre_1m']:.3f}",
+                    f"{folder.parent.name:<12} {judge.name:<12} {each.name:<32} "
+                    f"{row['ap_centre_1m']:.3f}",
                     flush=True,
                 )
         write_json(self.out / "final.json", {"looks": len(past) + 1, "rows": rows})
@@ -312,7 +326,10 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
 
 
 def _recoloured(images: Dataset, like: Dataset) -> Dataset:
-    """The images with the mean and the standard deviation that each channel has over all of `like`."""
+    """Gives the images the colours of `like`.
+
+    Each channel gets the mean and the standard deviation that it has over all of `like`.
+    """
     own, wanted = (
         torch.cat([image.flatten(1)[:, ::7].double() for image in each.images(range(len(each)))], 1)
         for each in (images, like)

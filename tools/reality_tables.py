@@ -85,7 +85,8 @@ def _final_table(rows: list[Row]) -> str:
         }
         threshold = next(iter(own.values()))["threshold"]
         lines.append(
-            f"| {detector} | {trained_on} | {threshold:.2f} | {' | '.join(_cell(own[name]) for name in sets)} |"
+            f"| {detector} | {trained_on} | {threshold:.2f} | "
+            f"{' | '.join(_cell(own[name]) for name in sets)} |"
         )
     return "\n".join(lines) + "\n"
 
