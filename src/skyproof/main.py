@@ -135,7 +135,7 @@ def _overview() -> str:
 
 
 def _summary(command: type[Any]) -> str:
-    """The first sentence of a command's docstring."""
+    """Gives the first sentence of a command's docstring."""
     return (command.__doc__ or "").strip().split("\n")[0].rstrip(".")
 
 

@@ -72,7 +72,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
 
 
 def _border_px(given: _Given) -> float:
-    """None in our own datasets: whatever reaches into their images is labelled."""
+    """Gives the unlabelled border: none in our own datasets, where every vehicle is labelled."""
     return (
         0.0 if given.labels is None and (given.folder / "annotations.json").is_file() else BORDER_PX
     )
@@ -105,7 +105,7 @@ def _parse(text: str) -> _Given:
 
 
 def _sources(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Per image its source, where the folder is one split of a tiled set; else nothing."""
+    """Gives per image its source, where the folder is one split of a tiled set; else nothing."""
     if not (folder.parent / "index.json").is_file():
         return []
     tiles = BackgroundSet.open(folder.parent)

@@ -61,7 +61,7 @@ class Table:
         return list(dict.fromkeys(column for row in self.rows for column in row))
 
     def csv(self) -> str:
-        """Comma-separated, numbers to four decimals, "–" where undefined."""
+        """Writes comma-separated values, numbers to four decimals, "–" where undefined."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.columns)
@@ -71,7 +71,7 @@ class Table:
 
 
 def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[str, float]:
-    """An interval's three columns."""
+    """Gives an interval's three columns."""
     return {
         name: scale * interval.estimate,
         f"{name}_low": scale * interval.low,
@@ -80,7 +80,7 @@ def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[st
 
 
 def in_percent(row: Row | None) -> dict[str, Any]:
-    """The numbers of one row of results, in percent and points; None where there is no row."""
+    """Gives a row of results in percent and points; None where there is no row."""
     values = {} if row is None else row.json()
     rates = {name: values.get(name) for name in _RATES}
     return {"repeats": values.get("repeats")} | {
@@ -104,7 +104,7 @@ class Grid:
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The grid in Markdown."""
+        """Writes the grid in Markdown."""
         lines = [self.header, ["---"] * len(self.header), *self.rows]
         cells = [[cell.replace("|", "\\|") for cell in line] for line in lines]
         return "\n".join("| " + " | ".join(line) + " |" for line in cells)
@@ -123,7 +123,7 @@ Block = Heading | Grid | Figure | str
 
 
 def as_markdown(blocks: Sequence[Block]) -> str:
-    """A page of blocks in Markdown."""
+    """Writes a page of blocks in Markdown."""
     parts = []
     for block in blocks:
         if isinstance(block, Heading):
@@ -139,7 +139,7 @@ def as_markdown(blocks: Sequence[Block]) -> str:
 
 
 def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
-    """A value with its interval, which stands in the columns `<key>_low` and `<key>_high`."""
+    """Writes a value with its interval, which is in the columns `<key>_low` and `<key>_high`."""
     low = row.get(f"{key}_low")
     high = row.get(f"{key}_high")
     known = low is not None and high is not None and not (low != low or high != high)
@@ -149,12 +149,12 @@ def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
 
 
 def span(low: float | None, high: float | None) -> str:
-    """From the smallest to the largest."""
+    """Writes a range from the smallest to the largest."""
     return "–" if low is None or high is None else f"{number(low)} to {number(high)}"
 
 
 def number(value: float | int | None, digits: int = 1) -> str:
-    """A number with so many decimals and a true minus; a dash where undefined."""
+    """Writes a number with so many decimals and a true minus; a dash where undefined."""
     if value is None or value != value:
         return "–"
     text = f"{value:.{digits}f}"
@@ -162,12 +162,12 @@ def number(value: float | int | None, digits: int = 1) -> str:
 
 
 def sign(value: int | None) -> str:
-    """A sum of signs."""
+    """Writes a sum of signs."""
     return "–" if value is None else f"{value:+d}".replace("-", "−") if value else "0"
 
 
 def word(value: bool | None) -> str:
-    """Yes or no."""
+    """Writes yes or no."""
     return "–" if value is None else "yes" if value else "no"
 
 

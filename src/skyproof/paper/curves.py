@@ -58,7 +58,7 @@ class Curve:
 def p1_score(
     easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
-    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0.
+    """Gives P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0.
 
     nan stays nan.
     """
@@ -71,7 +71,10 @@ def p1_score(
 
 
 def curve_families(tiles: TileCounts) -> list[str]:
-    """The families that have a curve: names with a magnitude ("S-O@0.4"), no control or variant."""
+    """Lists the families that have a curve: names with a magnitude ("S-O@0.4").
+
+    Controls and variants have none.
+    """
     names = [CamouflageName.read(key.camouflage) for key in tiles.series]
     return list(
         dict.fromkeys(
@@ -91,7 +94,7 @@ def practicality_curve(
     match: str = "centre_1m",
     detector: str | None = None,
 ) -> Curve:
-    """The curve of one family over the magnitudes that were scored.
+    """Gives the curve of one family over the magnitudes that were scored.
 
     Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is
     the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR
@@ -157,7 +160,7 @@ def practicality_curve(
 def _magnitudes(
     tiles: TileCounts, family: str, renderer: str, match: str, detector: str | None
 ) -> Mapping[float, list[tuple[str, Int[np.ndarray, "C 4"]]]]:
-    """By magnitude: detector and counts of every repeat."""
+    """Gathers by magnitude the detector and counts of every repeat."""
     groups: dict[float, list[tuple[str, Int[np.ndarray, "C 4"]]]] = {}
     for key, counts in tiles.series.items():
         if (key.renderer, key.match) != (renderer, match) or detector not in (None, key.detector):
@@ -173,7 +176,7 @@ def _magnitudes(
 
 
 def _texture_of(family: str) -> str | None:
-    """The texture at which the curve of a combination starts: "T-Fc" of "C-Fc-seq"."""
+    """Gives the texture at which the curve of a combination starts: "T-Fc" of "C-Fc-seq"."""
     kind, _, rest = family.partition("-")
     return f"T-{rest.rpartition('-')[0]}" if kind == "C" else None
 

@@ -41,7 +41,7 @@ _KINDS: Mapping[str, Callable[[str], bool]] = {
 
 
 def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
-    """One camouflage's numbers on Cycles and how far its EASR moved, in percent.
+    """Gives one camouflage's numbers on Cycles and how far its EASR moved, in percent.
 
     Empty where nothing is on Cycles.
     """
@@ -66,7 +66,7 @@ def cycles_tables(run: Reproduction) -> list[Table]:
 
 
 def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """What the column is and what it shows; empty without Cycles."""
+    """Says what the column is and what it shows; empty without Cycles."""
     if not run.cycles:
         return []
     parts: list[Block] = [
@@ -87,7 +87,7 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
 
 
 def _names(run: Reproduction) -> list[str]:
-    """What both renderers show."""
+    """Lists what both renderers show."""
     return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
 
 
@@ -128,7 +128,7 @@ def _changes(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _agreements(run: Reproduction) -> list[dict[str, Any]]:
-    """Rank correlations of Cycles with the paper's Blender column, and with our renderer."""
+    """Correlates the ranks on Cycles with the paper's Blender column and with our renderer."""
     blender = {
         name: result.easr_blender
         for name, result in PAPER_RESULTS.items()
@@ -183,7 +183,7 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _missing(run: Reproduction) -> str:
-    """What of the renderer's columns is not on Cycles."""
+    """Says what of the renderer's columns is not on Cycles."""
     wanted = [name for name in run.names if "_" not in name]
     left = [name for name in wanted if run.row(name, renderer=CYCLES) is None]
     parts = (
@@ -263,7 +263,7 @@ def _correlations(table: Table) -> list[Block]:
 
 
 def _originals(run: Reproduction) -> list[Block]:
-    """What the detectors make of the images without camouflage."""
+    """Says what the detectors make of the images without camouflage."""
     rows = []
     for detector in run.detectors:
         precision: list[str] = []

@@ -31,7 +31,7 @@ _SURE = 0.05
 
 
 def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """What is to be said of a reproduction beside the paper, from its tables by name."""
+    """Says what is to be said of a reproduction beside the paper, from its tables by name."""
     detectors = ", ".join(map(detector_name, run.detectors))
     explained = " What stands “on Cycles”, and the paper’s for Blender, is explained below."
     parts: list[Block] = [
@@ -68,14 +68,14 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
 
 
 def texture_table(table: Table) -> Grid:
-    """The paper's first table."""
+    """Gives the paper's first table."""
     header = ["attack", "practicality", *_header(table)]
     rows = [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in table.rows]
     return Grid(header, rows)
 
 
 def shape_table(table: Table) -> Grid:
-    """The paper's second table."""
+    """Gives the paper's second table."""
     first = ["attack", "PM*", "chosen", "Pr*", "P1"]
     rows = []
     for row in table.rows:
@@ -96,7 +96,7 @@ def shape_table(table: Table) -> Grid:
 
 
 def _header(table: Table) -> list[str]:
-    """Of what `_cells` makes of the table's rows."""
+    """Heads what `_cells` makes of the table's rows."""
     ours = ["EASR", "repeats", "random", "net", "APD"]
     if "cycles_easr" in table.columns:
         return [
@@ -131,7 +131,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def standing(run: Reproduction) -> str:
-    """What the detectors score on the images without camouflage, by centres within 1 m."""
+    """Says what the detectors score on the images without camouflage, by centres within 1 m."""
     scores = []
     for detector in run.detectors:
         row = next(
@@ -194,7 +194,7 @@ def _order(run: Reproduction) -> list[Block]:
 
 
 def _tests(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Net of chance, and McNemar with Holm's correction over all rows of the run."""
+    """Says what is left of chance, and McNemar with Holm's correction over all rows of the run."""
     learnt = [row for row in rows if not row["attack"].startswith("R-")]
     tested = [row for row in learnt if row["mcnemar_p_holm"] is not None]
     controlled = [row for row in learnt if row["net_easr_low"] is not None]

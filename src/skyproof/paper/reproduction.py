@@ -52,15 +52,15 @@ class Reproduction:
     def row(
         self, name: str, detector: str | None = None, *, renderer: str = RENDERER
     ) -> Row | None:
-        """The row of a camouflage, of the mean over detectors or of one; None if not scored."""
+        """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
 
     def practicality(self, name: str) -> Mapping[str, Any] | None:
-        """What a camouflage asks of those who would make it; None where not measured."""
+        """Says what a camouflage asks of those who would make it; None where not measured."""
         return self.results.practicality.get(CamouflageName.read(name))
 
     def corrected_p(self, name: str) -> float | None:
-        """The largest Holm-corrected McNemar p over the detectors; None where one is untested."""
+        """Finds the largest Holm-corrected p of the detectors; None where one is untested."""
         tested = []
         for detector in self.detectors:
             row = self.row(name, detector)
@@ -94,7 +94,7 @@ class Reproduction:
 
 
 def point_name(family: str, magnitude: float) -> str:
-    """What stands at one point of a curve; at magnitude 0 it is the texture.
+    """Says what stands at one point of a curve; at magnitude 0 it is the texture.
 
     "S-O@0", the vehicle as it was, is never scored.
     """

@@ -27,7 +27,7 @@ _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
 def reproduction_tables(run: Reproduction) -> dict[str, Table]:
-    """All tables by name."""
+    """Makes all tables by name."""
     made = [
         Table("textures", _textures(run)),
         Table("shape_combined", _shapes(run)),
@@ -44,7 +44,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
 
 
 def comparison(run: Reproduction) -> dict[str, float]:
-    """Our EASR of everything that the paper has too, in percent.
+    """Gives our EASR of everything that the paper has too, in percent.
 
     Textures and controls stand by their names, shapes at their PM*.
     """
@@ -109,7 +109,7 @@ def _shapes(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[str, Any]:
-    """Our Cycles column, and the paper's Blender column beside it."""
+    """Sets the paper's Blender column beside our Cycles column."""
     ours = cycles_columns(run, name)
     if not ours:
         return {}
@@ -158,7 +158,7 @@ def _practicality(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _transfer(run: Reproduction) -> list[dict[str, Any]]:
-    """Attacked on (rows) against judged by (columns)."""
+    """Sets the detectors attacked (rows) against those that judged (columns)."""
     names = run.results.names
     variants = [name for name in names if name.variant.startswith(("on_", "without_"))]
     attacked = {
@@ -183,7 +183,7 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _agreement(run: Reproduction) -> list[dict[str, Any]]:
-    """Rank correlation with the paper over ever more of what both have; shapes at our PM*."""
+    """Correlates ranks with the paper over ever more of what both have; shapes at our PM*."""
     sets = {
         "textures": [name for name in PAPER_RESULTS if name.startswith("T-")],
         "textures, shape and combinations": [
@@ -211,7 +211,7 @@ def _agreement(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _ladder(run: Reproduction) -> list[dict[str, Any]]:
-    """EASR of one repeat after some of its steps, and after all; does it get weaker anywhere?"""
+    """Gives EASR of one repeat after some of its steps and after all; does it get weaker?"""
     rungs: dict[str, dict[int, str]] = {}
     for key in run.results.tiles.series:
         if found := _RUNG.fullmatch(key.camouflage):
@@ -256,7 +256,7 @@ def _signs(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _gap(run: Reproduction) -> list[dict[str, Any]]:
-    """Of attacks on few colours: EASR and losses before the last rounding and after it."""
+    """Gives EASR and losses of attacks on few colours, before the last rounding and after it."""
     rows = []
     for key in dict.fromkeys(key.camouflage for key in run.results.tiles.series):
         if "_relaxed-" not in key:

@@ -41,7 +41,7 @@ def transfer_matrix(
     renderer: str = "torch",
     match: str = MAIN_MATCH,
 ) -> list[list[Cell]]:
-    """The matrix of attacked-on by evaluated-on for one kind of camouflage and its variants.
+    """Gives the matrix of attacked-on by evaluated-on for one kind of camouflage and its variants.
 
     Args:
         rows: of `summarise`.

@@ -111,7 +111,7 @@ class Preset:
 
 
 def read_preset(preset: str) -> tuple[str, Path]:
-    """Name and file of a preset: "quick", "paper", or the path of a JSON file of the same form.
+    """Finds a preset's name and file: "quick", "paper", or the path of a JSON file of their form.
 
     Raises:
         ConfigurationError: neither, or the file is no preset.

@@ -16,7 +16,7 @@ _MUCH_BY_CHANCE = 0.1
 
 
 def advice(headline: Headline) -> list[str]:
-    """What the first camouflage's numbers suggest for the detectors."""
+    """Says what the first camouflage's numbers suggest for the detectors."""
     single = [
         row
         for row in headline.by_detector
@@ -66,7 +66,7 @@ def advice(headline: Headline) -> list[str]:
 
 
 def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
-    """What the numbers do not cover."""
+    """Says what the numbers do not cover."""
     sentences = []
     if results.sources == ["procedural"]:
         sentences.append(
@@ -115,7 +115,7 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
 
 
 def _attacked(results: Results, headline: Headline) -> list[str]:
-    """The detectors that a camouflage was learnt against; empty where it is not recorded."""
+    """Gives the detectors that a camouflage was learnt against; empty where it is not recorded."""
     for name in (str(headline.camouflage), str(headline.camouflage.with_repeat(0))):
         attack = results.records.get(name, {}).get("attack")
         if attack:

@@ -15,7 +15,7 @@ _THIN = "\u202f"
 
 
 def answer(headline: Headline) -> list[str]:
-    """The result in plain sentences, with its uncertainty."""
+    """Gives the result in plain sentences, with its uncertainty."""
     row = headline.row
     several = row.detector == MEAN
     whose = "these detectors" if several else detector_name(row.detector)

@@ -44,7 +44,7 @@ class Standing:
 
 
 def checked_sets(results: Results) -> list[CheckedSet]:
-    """The sets that detectors were checked on, rendered ones first, with an entry per detector."""
+    """Lists the sets that detectors were checked on, rendered ones first, entries by detector."""
     sets = []
     for name in dict.fromkeys(check.dataset for check in results.checks):
         by_detector = {check.detector: check for check in results.checks if check.dataset == name}
@@ -136,7 +136,7 @@ def standing(results: Results) -> Standing:
 
 
 def _scores(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
-    """ "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
+    """Writes "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
     parts = []
     for checked in sets:
         cells = []
@@ -150,7 +150,7 @@ def _scores(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
 
 
 def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
-    """Which detectors stay below `_FEW_FOUND` on a real set."""
+    """Says which detectors stay below `_FEW_FOUND` on a real set."""
     weak = [
         name
         for index, name in enumerate(detectors)

@@ -48,7 +48,7 @@ STYLE: Any = {
 
 
 def forest_figure(headline: Headline) -> str:
-    """Per detector: share hidden (EASR), net of the random control, and the control itself.
+    """Draws per detector the share hidden (EASR), net of the random control, and the control.
 
     Bars are 95 % intervals.
     """
@@ -58,7 +58,7 @@ def forest_figure(headline: Headline) -> str:
 
 
 def many_figure(headlines: Sequence[Headline]) -> str:
-    """Per camouflage the mean over detectors, as `forest_figure` shows it per detector."""
+    """Draws per camouflage the mean over detectors, as `forest_figure` does per detector."""
     rows = [(str(headline.camouflage), headline.row) for headline in headlines]
     controls = [headline.control.get(headline.row.detector) for headline in headlines]
     return _forest(f"many-{headlines[0].renderer}", rows, controls)
@@ -149,7 +149,7 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
 
 
 def condition_figure(panels: Sequence[Panel]) -> str:
-    """Small multiples: share hidden by condition, with intervals, and how many vehicles that is."""
+    """Draws the share hidden by condition, with intervals, and how many vehicles that is."""
     columns = 2
     lines = math.ceil(len(panels) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):

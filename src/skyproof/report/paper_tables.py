@@ -53,7 +53,7 @@ def paper_part(results: Results) -> PaperPart | None:
 
 
 def _preamble(run: Reproduction) -> list[Block]:
-    """What stands above the tables where they are a page of their own."""
+    """Says what stands above the tables where they are a page of their own."""
     title = str(run.results.config.get("title", "The paper’s tables"))
     parts: list[Block] = [Heading(title, 1)]
     scores = standing(run)

@@ -35,7 +35,7 @@ _TEXTURES = {
 
 
 def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
-    """SVG and PNG, by file ending: S-O and combinations with the six textures without mask."""
+    """Draws S-O and combinations with the six textures without mask; SVG or PNG by file ending."""
     with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
         figure, (left, right) = plt.subplots(
             1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained"

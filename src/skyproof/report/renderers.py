@@ -27,7 +27,7 @@ class Compared:
 
 
 def compare_renderers(results: Results, first: Headline, second: Headline) -> list[Compared]:
-    """The detectors that judged both renderers' images, and their mean."""
+    """Gives the detectors that judged both renderers' images, and their mean."""
     others = {row.detector: row for row in second.by_detector}
     return [
         Compared(
@@ -45,7 +45,7 @@ def compare_renderers(results: Results, first: Headline, second: Headline) -> li
 
 
 def survival(first: Headline, second: Headline, gross: Change | None, net: Change | None) -> str:
-    """Whether the second renderer's images hide as many vehicles as the first's.
+    """Says whether the second renderer's images hide as many vehicles as the first's.
 
     Args:
         first, second: one camouflage under both renderers.

@@ -160,7 +160,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _write_tables(folder: Path, paper: PaperPart) -> None:
-    """The paper's tables as files; the page of them comes last."""
+    """Writes the paper's tables as files; the page of them comes last."""
     for name, content in paper.files.items():
         write_bytes(folder / name, content)
 
@@ -202,7 +202,7 @@ def _second(results: Results, first: Headline, headline: Headline) -> _Second:
 
 
 def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Exhibit]:
-    """One entry per family: of shapes in several magnitudes the one that hides most."""
+    """Gives one entry per family: of shapes in several magnitudes the one that hides most."""
     strongest: dict[str, Headline] = {}
     for headlines in every:
         headline = headlines[0]
@@ -220,7 +220,7 @@ def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Ex
 
 
 def _overviews(results: Results) -> list[tuple[str, Markup]]:
-    """Per renderer, all camouflages but variants in one diagram."""
+    """Draws per renderer all camouflages but variants in one diagram."""
     figures = []
     for renderer in results.renderers:
         headlines = [
@@ -234,7 +234,7 @@ def _overviews(results: Results) -> list[tuple[str, Markup]]:
 
 
 def _tested(results: Results, every: Sequence[Sequence[Headline]]) -> str:
-    """What was tested on what, in one sentence."""
+    """Says what was tested on what, in one sentence."""
     if not every:
         return ""
     first = every[0][0]
@@ -281,7 +281,7 @@ def _pairs(results: Results, headline: Headline, count: int | None = None) -> li
 
 
 def _uri(path: Path) -> str:
-    """A JPEG file as a data URI."""
+    """Gives a JPEG file as a data URI."""
     try:
         content = path.read_bytes()
         with Image.open(io.BytesIO(content)) as opened:
@@ -292,7 +292,7 @@ def _uri(path: Path) -> str:
 
 
 def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
-    """A picture as a data URI: PNG where texels matter, else JPEG."""
+    """Gives a picture as a data URI: PNG where texels matter, else JPEG."""
     if path is None:
         return None
     buffer = io.BytesIO()
@@ -331,7 +331,7 @@ def _training(results: Results) -> Markup | None:
 
 
 def _steps(path: Path) -> list[Mapping[str, Any]]:
-    """The log of a training or an attack."""
+    """Reads the log of a training or an attack."""
     rows = read_jsonl(path)
     for row in rows:
         known = isinstance(row, dict) and "step" in row
@@ -343,7 +343,7 @@ def _steps(path: Path) -> list[Mapping[str, Any]]:
 
 
 def _tables(results: Results) -> list[tuple[str, list[Row]]]:
-    """The rows by match criterion and renderer, each with its heading; the main criterion first."""
+    """Groups the rows by match criterion and renderer, with headings; the main criterion first."""
     criteria = {
         MAIN_MATCH: "found = centre within 1.0 m",
         "iou_50": "found = boxes overlap by IoU ≥ 0.5",
@@ -361,7 +361,7 @@ def _tables(results: Results) -> list[tuple[str, list[Row]]]:
 
 
 def _readings(panels: Sequence[Panel]) -> list[str]:
-    """One sentence per panel: whether the intervals of its extremes part company."""
+    """Says in one sentence per panel whether the intervals of its extremes part company."""
     sentences = []
     for panel in panels:
         known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]

@@ -48,7 +48,7 @@ class Check:
     note: str = ""
 
     def json(self) -> dict[str, Any]:
-        """The check as flat JSON values, undefined ones as None."""
+        """Gives the check as flat JSON values, undefined ones as None."""
         values = {
             "detector": self.detector,
             "dataset": self.dataset,

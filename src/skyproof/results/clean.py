@@ -85,7 +85,7 @@ def ap_interval(
     generator: np.random.Generator,
     replicates: int = 1000,
 ) -> Interval:
-    """Average precision with its 95 % interval.
+    """Gives average precision with its 95 % interval.
 
     Images of one place share ground, light and often the very vehicles: places are resampled, not
     images. Limits are those of all our rates (`bootstrap_interval`: BCa widened for few clusters,

@@ -88,7 +88,7 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
 def _numeric(
     title: str, values: Sequence[float], read: Callable[[Outcome], float]
 ) -> tuple[str, Callable[[Outcome], str], list[str]]:
-    """Three bins of about equally many vehicles, cut at whole degrees so that labels are exact."""
+    """Cuts three bins of about equally many vehicles, at whole degrees so that labels are exact."""
     cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])})
     edges = [float(np.floor(min(values))), *map(float, cuts), float(np.ceil(max(values)))]
     labels = [f"{low:.0f}–{high:.0f}°" for low, high in itertools.pairwise(edges)]

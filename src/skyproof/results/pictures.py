@@ -55,7 +55,7 @@ def draw_scene(
     scores: Float[np.ndarray, " K"],
     threshold: float,
 ) -> Image.Image:
-    """One image at twice its size, with what a detector found in it.
+    """Draws one image at twice its size, with what a detector found in it.
 
     Args:
         image: sRGB bytes.
@@ -86,7 +86,7 @@ def _nearest(
     box: Float[np.ndarray, " 4"],
     score: float,
 ) -> int:
-    """Which of the detections is the one that found a vehicle: the same score, then the nearest."""
+    """Finds the detection that found a vehicle: the one of its score, of several the nearest."""
     centre = box.reshape(2, 2).mean(axis=0)
 
     def difference(index: int) -> tuple[float, float]:
@@ -99,7 +99,7 @@ def _nearest(
 def _rectangle(
     canvas: ImageDraw.ImageDraw, box: Float[np.ndarray, " 4"], colour: str, dash_px: int
 ) -> None:
-    """A frame 4 px outside a box of the original image; solid where `dash_px` is 0."""
+    """Draws a frame 4 px outside a box of the original image; solid where `dash_px` is 0."""
     x0, y0, x1, y1 = (
         _ENLARGE * float(value) + outward
         for value, outward in zip(box, (-4, -4, 4, 4), strict=True)

@@ -192,12 +192,12 @@ class Results:
         renderer: str = RENDERER,
         match: str = MAIN_MATCH,
     ) -> Row | None:
-        """The row of a camouflage, of the mean over detectors or of one; None if not scored."""
+        """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         wanted = detector or (MEAN if len(self.judges) > 1 else self.judges[0])
         return self._by_name.get((name, wanted, renderer, match))
 
     def headlines(self) -> list[Headline]:
-        """One entry per camouflage that is no control and renderer, at the main criterion."""
+        """Gives one entry per camouflage that is no control and renderer, at the main criterion."""
         found = []
         rows = [row for row in self.rows if row.match == MAIN_MATCH and not row.camouflage.random]
         for name, renderer in dict.fromkeys((row.camouflage, row.renderer) for row in rows):
@@ -213,7 +213,7 @@ class Results:
         return found
 
     def outcomes(self, name: CamouflageName, renderer: str) -> list[Outcome]:
-        """The outcomes of every repeat of a camouflage, at the main criterion.
+        """Gives the outcomes of every repeat of a camouflage, at the main criterion.
 
         Raises:
             StoredFileError: a table of outcomes is damaged.
@@ -232,7 +232,7 @@ class Results:
         ]
 
     def pairs(self, name: CamouflageName, renderer: str) -> list[tuple[Path, Pair]]:
-        """Pictured scenes of a camouflage, each with the folder that its files lie in."""
+        """Lists the pictured scenes of a camouflage, each with the folder that its files lie in."""
         return [
             (score.path / "pairs", pair)
             for score in self.scores
@@ -242,7 +242,7 @@ class Results:
         ]
 
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
-        """A picture or log of the first repeat of a camouflage; None where there is none."""
+        """Gives a picture or log of the first repeat of a camouflage; None where there is none."""
         for score in self.scores:
             for folder in (str(name), str(name.with_repeat(0))):
                 path = score.path / "patterns" / folder / file
@@ -259,7 +259,7 @@ class Results:
         first: str = RENDERER,
         second: str = CYCLES,
     ) -> Change | None:
-        """How far the mean EASR of some camouflages moves from one renderer to another.
+        """Says how far the mean EASR of some camouflages moves from one renderer to another.
 
         Only repeats that were scored under both count, each paired with itself.
 
@@ -290,7 +290,7 @@ class Results:
         return Change(*rates, difference_interval(plus, minus, self.weights))
 
     def single_easr(self, camouflage: str) -> float | None:
-        """EASR of one single repeat, mean over detectors; None where unknown or undefined."""
+        """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
         counts = self._counts(camouflage)
         if counts is None:
             return None
@@ -298,7 +298,7 @@ class Results:
         return None if np.isnan(value) else value
 
     def difference(self, later: str, earlier: str) -> Interval | None:
-        """EASR of one single repeat minus another's, on the same tiles; None where unknown."""
+        """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
         after = self._counts(later)
         before = self._counts(earlier)
         if after is None or before is None:
@@ -326,7 +326,7 @@ class Results:
     def _shared(
         self, names: set[CamouflageName], detector: str | None, first: str, second: str
     ) -> tuple[Int[np.ndarray, "S C 3"], Int[np.ndarray, "S C 3"]]:
-        """Pair counts under two renderers of every repeat and detector that both have."""
+        """Gathers pair counts under two renderers of every repeat and detector that both have."""
         before: list[np.ndarray] = []
         after: list[np.ndarray] = []
         for key, counts in self.tiles.series.items():
@@ -352,7 +352,7 @@ def _easr(counts: Int[np.ndarray, "S C 3"]) -> float:
 
 
 def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:
-    """Every check once, rendered images first; each score repeats that on the original images."""
+    """Gives every check once, rendered images first: each score repeats that on the originals."""
     checks = [check for score in scores for check in read_checks(score.path / "checks.json")]
     first = {(check.detector, check.dataset): check for check in reversed(checks)}
     kept = [check for check in checks if first[check.detector, check.dataset] is check]

@@ -65,7 +65,7 @@ class Row:
     mcnemar_p_holm: float | None = None
 
     def json(self) -> dict[str, Any]:
-        """The row as flat JSON values, as `results.json` holds them; undefined ones are None."""
+        """Gives flat JSON values, as `results.json` holds them; undefined ones are None."""
         net = self.net_easr or Interval(float("nan"), float("nan"), float("nan"))
         values = {
             "camouflage": str(self.camouflage),

@@ -61,7 +61,7 @@ class Pair:
 
 
 def is_pictured(name: CamouflageName) -> bool:
-    """Whether pairs, portrait and practicality of a camouflage are kept.
+    """Says whether pairs, portrait and practicality of a camouflage are kept.
 
     They are of learnt ones as they finally are, and of the first of several repeats.
     """
@@ -127,7 +127,7 @@ class ScoreFolder:
         return [cls.open(place) for place in places]
 
     def pairs(self) -> list[Pair]:
-        """The pictured scenes; empty where there are none.
+        """Gives the pictured scenes; empty where there are none.
 
         Raises:
             StoredFileError: `pairs.json` is damaged.
@@ -144,7 +144,7 @@ class ScoreFolder:
             ) from error
 
     def practicality(self) -> list[dict[str, Any]]:
-        """What the camouflages ask of those who would make them; empty where not measured.
+        """Says what the camouflages ask of those who would make them; empty where not measured.
 
         Raises:
             StoredFileError: `practicality.json` is damaged.

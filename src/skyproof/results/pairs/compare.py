@@ -96,7 +96,7 @@ def compare(
 
 
 def _judged(matches: MatchTable, threshold: float) -> dict[tuple[int, int], _Judged]:
-    """By image and place in it, in this order."""
+    """Gives what became of every vehicle, by image and place in it, in this order."""
     places = zip(matches.image_of_vehicle.tolist(), matches.index_of_vehicle.tolist(), strict=True)
     columns = zip(
         matches.found_at(threshold).tolist(),

@@ -13,7 +13,7 @@ __all__ = ["read_table"]
 
 
 def read_table(path: Path, schema: pa.Schema) -> pa.Table:
-    """The table at `path`.
+    """Reads the table at `path`.
 
     Raises:
         StoredFileError: the file is missing, not Parquet, or has other columns than `schema`.

@@ -151,6 +151,6 @@ def _column(outcome: Outcome) -> int | None:
 
 
 def _coded(table: pa.Table, name: str) -> tuple[list[str], Int[np.ndarray, " rows"]]:
-    """A column's different strings, and per row the index of its own."""
+    """Gives a column's different strings, and per row the index of its own."""
     coded = table[name].combine_chunks().dictionary_encode()
     return coded.dictionary.to_pylist(), coded.indices.to_numpy()

@@ -23,7 +23,7 @@ def difference_interval(
     minus: Sequence[Int[np.ndarray, "_ C 3"]],
     weights: Int[np.ndarray, "R C"],
 ) -> Interval:
-    """The sum of some groups' mean EASRs minus that of others, paired by tile.
+    """Gives the sum of some groups' mean EASRs minus that of others, paired by tile.
 
     Resampling sees no spread in a series where every tile agrees, such as an attack that hides
     every vehicle. Where a group has such a series, the groups' own exact limits enter by the
@@ -61,7 +61,7 @@ def difference_interval(
 def _difference(
     sizes: Sequence[int], plus: int
 ) -> Callable[[Num[np.ndarray, "*shape S 3"]], Float[np.ndarray, "*shape"]]:
-    """The statistic of stacked groups of these sizes, of which the first `plus` are added."""
+    """Gives the statistic of stacked groups of these sizes, of which the first `plus` are added."""
     ends = np.cumsum(sizes)
 
     def difference(counts: Num[np.ndarray, "*shape S 3"]) -> Float[np.ndarray, "*shape"]:

@@ -157,7 +157,7 @@ def resampled(
 
 
 def _agree(replicates: Float[np.ndarray, " R"]) -> bool:
-    """Whether all replicates that are defined show the same."""
+    """Says whether all replicates that are defined show the same."""
     defined = replicates[~np.isnan(replicates)]
     return len(defined) > 0 and float(np.ptp(defined)) < 1e-12
 

@@ -20,7 +20,7 @@ __all__ = [
 
 
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """ASR = |V_dm| / |V_dd ∪ V_dm|: of the vehicles found before, the share no longer found.
+    """Gives ASR = |V_dm| / |V_dd ∪ V_dm|: of the vehicles found before, the share now missed.
 
     It is nan where none was found before.
     """
@@ -28,7 +28,7 @@ def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray
 
 
 def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """ER = |V_md| / |V_dd ∪ V_dm|: vehicles found only since the attack, over those found before.
+    """Gives ER = |V_md| / |V_dd ∪ V_dm|: vehicles found only since, over those found before.
 
     It may exceed 1.
     """
@@ -36,7 +36,7 @@ def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "
 
 
 def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """EASR = ASR − ER, which equals 1 − TP_adversarial / TP_original at the fixed threshold.
+    """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold.
 
     It is nan where none was found before.
     """
