@@ -118,7 +118,11 @@ def run_side_by_side(
         try:
             while child.poll() is None:
                 time.sleep(_POLL_S)
-                before = _say_finished(run.path, plan, cores, before)
+                finished = _say_finished(run.path, plan, cores, before)
+                if finished != before:
+                    # The report, the last step, says how long all others took.
+                    run.note_times(finished_jobs(run.path))
+                before = finished
         except BaseException:
             _end(child)
             raise
