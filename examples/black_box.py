@@ -10,13 +10,9 @@ import skyproof as sp
 network = sp.load_detector("runs/demo/detectors/retinanet").detector
 
 
-# In place of this ask your library, or a server: requests.post(URL, picture.tobytes()).json().
-def ask(picture):  # [H, W, 3] bytes
+def ask(picture):  # [H, W, 3] bytes; in place of this ask your library, or a server
     found = network.detect(torch.from_numpy(picture).permute(2, 0, 1)[None] / 255)[0]
-    return [
-        [*box, score]
-        for box, score in zip(found.boxes.tolist(), found.scores.tolist(), strict=True)
-    ]
+    return torch.cat([found.boxes, found.scores[:, None]], dim=1).tolist()
 
 
 class BlackBox:
@@ -29,28 +25,18 @@ class BlackBox:
         return [sp.Detections(boxes=row[:, :4], scores=row[:, 4]) for row in rows]
 
 
-data = "runs/demo/datasets"
-validation = sp.Dataset.open(
-    f"{data}/validation"
-)  # any folder with annotations.json, real tiles too
+demo = "runs/demo"
+validation = sp.Dataset.open(f"{demo}/datasets/validation")  # any folder with annotations.json
 threshold = sp.validate(BlackBox(), validation)["threshold"]
-judge = sp.LoadedDetector(
-    BlackBox(), sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
-)
-note = "the images that froze the threshold"
-clean = [sp.CleanSet("validation", validation, real=False, note=note)]  # they are rendered
-original = sp.Dataset.open(f"{data}/test")
-renderer = sp.TorchRenderer(sp.BackgroundSet.open("runs/demo/backgrounds"))
-fleet = sp.Fleet.load("runs/demo/fleets/test")
-worn = {name: f"runs/mine/black_box/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
+card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
+original = sp.Dataset.open(f"{demo}/datasets/test")
+renderer = sp.TorchRenderer(sp.BackgroundSet.open(f"{demo}/backgrounds"))
+fleet = sp.Fleet.load(f"{demo}/fleets/test")
+worn = {name: f"runs/mine/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
 for name, place in worn.items():
-    camouflage = sp.load_camouflage(f"runs/demo/camouflages/{name}")
+    camouflage = sp.load_camouflage(f"{demo}/camouflages/{name}")
     sp.render_dataset(place, original.scenes, fleet, renderer, camouflage=camouflage)
-sp.score_detectors(
-    [judge],
-    "runs/mine/black_box/scores/first",
-    original=f"{data}/test",
-    camouflaged=worn,
-    clean=clean,
-)
+judge = sp.LoadedDetector(BlackBox(), card)
+scores = "runs/mine/black_box/scores/first"
+sp.score_detectors([judge], scores, original=original.folder, camouflaged=worn)
 print(sp.write_report("runs/mine/black_box"))

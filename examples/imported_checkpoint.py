@@ -28,11 +28,8 @@ torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
 checkpoint = sp.Checkpoint(
     Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn"
 )
-print(
-    sp.import_detector(
-        checkpoint, sp.Dataset.open("runs/demo/datasets/validation"), "runs/mine/vehicles"
-    ).validation
-)
+validation = sp.Dataset.open("runs/demo/datasets/validation")
+print(sp.import_detector(checkpoint, validation, "runs/mine/vehicles").validation)
 detector = sp.load_detector("runs/mine/vehicles").detector
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))

@@ -65,7 +65,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if not words or words[0] in ("-h", "--help"):
+        if not words:
+            raise SkyproofError("a command is expected; see skyproof --help.")
+        if words[0] in ("-h", "--help"):
             say(_overview())
         elif words[0] == "--version":
             say(f"skyproof {__version__}")

@@ -77,6 +77,18 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def worn(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The finished run's test scenes in each of its camouflages: test-T-U, test-R-U-0, ..."""
+    folder = tmp_path_factory.mktemp("worn")
+    world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
+    for name in ("T-U", "R-U-0", "R-U-1"):
+        call = ["render", "--scenes", finished / "scenes/test.jsonl", *world, "--device", "cpu"]
+        call += ["--camouflage", finished / "camouflages" / name]
+        assert run(list(map(str, [*call, "--out", folder / f"test-{name}"]))) == 0
+    return folder
+
+
 @pytest.fixture
 def copied(finished: Path, tmp_path: Path) -> Callable[..., Path]:
     """Copies the finished run without some of its results, as if it had been stopped there."""

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Skyproof, bytes_of
+from tests.cli.conftest import Answer, Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
 
 
-def test_render(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+def test_render(finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "drawn"
     call = [
         "render",
@@ -20,12 +20,17 @@ def test_render(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
         "--backgrounds",
         finished / "backgrounds",
     ]
-    worn = ["--camouflage", finished / "camouflages/T-U", *CPU]
-    answer = skyproof(*call, "--fleet", finished / "fleets/test", "--out", out, *worn)
+    call += ["--fleet", finished / "fleets/test", *CPU]
+    answer = skyproof(*call, "--out", out)
     assert answer.code == 0, answer.err
-    assert bytes_of(out) == bytes_of(finished / "datasets/test-T-U")
-    again = skyproof(*call, "--fleet", finished / "fleets/test", "--out", out, *worn)
-    again.refused(str(out), "not overwritten")
+    # A step of the demo drew the same.
+    drawn = bytes_of(out)
+    assert drawn == bytes_of(finished / "datasets/test")
+    skyproof(*call, "--out", out).refused(str(out), "not overwritten")
+    camouflaged = bytes_of(worn / "test-T-U")
+    changed = {name for name in drawn if drawn[name] != camouflaged[name]}
+    assert changed == {name for name in drawn if name.endswith(".png")}
+    call = call[:5]
     missing = tmp_path / "missing"
     for flag, words in (
         ("--scenes", ("missing",)),
@@ -119,68 +124,46 @@ def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
 
 
 def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
-    detector, out = finished / "detectors/retinanet", tmp_path / "texture"
+    detector = finished / "detectors/retinanet"
+    out = tmp_path / "made"
+    texture = out / "T-U"
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/attack"]
-    steps = [
-        "--settings.steps",
-        2,
-        "--settings.batch-size",
-        1,
-        "--settings.balance-batches",
-        1,
-        *CPU,
-    ]
-    answer = skyproof("attack", "--detectors", detector, *world, "--out", out, *steps)
+    steps = ["--settings.steps", 2, "--settings.batch-size", 1, "--settings.balance-batches", 1]
+
+    def attack(*detectors: Path, out: Path = out, more: tuple[object, ...] = ()) -> Answer:
+        return skyproof(
+            *("attack", "T-U", "--detectors", *detectors, *world, "--out", out),
+            *(*steps, *CPU, *more),
+        )
+
+    answer = attack(detector)
     assert answer.code == 0, answer.err
-    stored = bytes_of(out)
-    assert {"camouflage.json", "camouflage.safetensors", "texture.png", "steps.jsonl"} <= set(
-        stored
-    )
-    assert skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).code == 0
-    skyproof(
-        "attack", "--detectors", detector, *world, "--out", out, *steps, "--settings.seed", 3
-    ).refused(str(out))
-    assert bytes_of(out) == stored
-    skyproof(
-        "attack", "--detectors", detector, detector, *world, "--out", tmp_path / "x", *steps
-    ).refused("once")
+    stored = bytes_of(texture)
+    files = {"camouflage.json", "camouflage.safetensors", "texture.png", "steps.jsonl"}
+    assert files <= set(stored)
+    assert attack(detector).code == 0
+    attack(detector, more=("--settings.seed", 3)).refused(str(texture))
+    assert bytes_of(texture) == stored
+    attack(detector, detector, out=tmp_path / "x").refused("once")
     missing = tmp_path / "missing"
-    skyproof("attack", "--detectors", missing, *world, "--out", tmp_path / "x", *steps).refused(
-        str(missing)
-    )
+    attack(missing, out=tmp_path / "x").refused(str(missing))
     mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "texture.png").write_text("precious")
-    skyproof("attack", "--detectors", detector, *world, "--out", mine, *steps).refused(
-        str(mine), "texture.png"
-    )
-    assert bytes_of(mine) == {"texture.png": b"precious"}
-    (out / "camouflage.safetensors").write_text("damaged")
-    skyproof("attack", "--detectors", detector, *world, "--out", out, *steps).refused(
-        str(out), "again"
-    )
-
-
-@pytest.fixture
-def rendered(finished: Path, tmp_path: Path, skyproof: Skyproof) -> Path:
-    """The finished run's test scenes with each of its camouflages."""
-    for name in ("T-U", "R-U-0", "R-U-1"):
-        scenes = ["--scenes", finished / "scenes/test.jsonl", "--fleet", finished / "fleets/test"]
-        world = ["--backgrounds", finished / "backgrounds"]
-        worn = ["--camouflage", finished / "camouflages" / name]
-        out = tmp_path / "datasets" / f"test-{name}"
-        assert skyproof("render", *scenes, *world, *worn, "--out", out, *CPU).code == 0
-    return tmp_path / "datasets"
+    (mine / "T-U").mkdir(parents=True)
+    (mine / "T-U" / "texture.png").write_text("precious")
+    attack(detector, out=mine).refused(str(mine), "texture.png")
+    assert bytes_of(mine) == {"T-U/texture.png": b"precious"}
+    (texture / "camouflage.safetensors").write_text("damaged")
+    attack(detector).refused(str(texture), "again")
 
 
 def test_score_of_ready_datasets(
-    finished: Path, rendered: Path, tmp_path: Path, skyproof: Skyproof
+    finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
     call = [
         *("score", "--detectors", finished / "detectors/retinanet"),
         *("--original", finished / "datasets/test", *CPU),
     ]
-    pairs = [f"{name}={rendered}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
+    pairs = [f"{name}={worn}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
     out = tmp_path / "scores"
     answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
     assert answer.code == 0, answer.err
@@ -198,7 +181,8 @@ def test_score_of_ready_datasets(
         skyproof(*call, "--camouflaged", *bad, "--out", tmp_path / "x").refused(*words)
         assert not (tmp_path / "x").exists()
     # Another run numbers its scenes alike: only their content tells.
-    other = rendered / "test-T-U"
+    other = tmp_path / "test-T-U"
+    shutil.copytree(worn / "test-T-U", other)
     rows = [json.loads(line) for line in (other / "scenes.jsonl").read_text().splitlines()]
     rows[0]["sun"]["azimuth_rad"] += 0.5
     (other / "scenes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))

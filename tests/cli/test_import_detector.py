@@ -30,7 +30,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_imported_detector_is_used_like_any_other(
-    checkpoint: Path, finished: Path, tmp_path: Path, skyproof: Skyproof
+    checkpoint: Path, finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
     out = tmp_path / "mine"
     call = [
@@ -53,9 +53,9 @@ def test_an_imported_detector_is_used_like_any_other(
     record = json.loads((out / "detector.json").read_text())
     (out / "detector.json").write_text(json.dumps({**record, "threshold": 0.01}))
     both = ["--detectors", finished / "detectors/retinanet", out]
-    pair = f"T-U={finished}/datasets/test-T-U"
+    pair = f"T-U={worn}/test-T-U"
     answer = skyproof(
-        "evaluate",
+        "score",
         *both,
         "--original",
         finished / "datasets/test",

@@ -56,7 +56,7 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("write", "R-U-0/texture.png", 1, "camouflages/R-U-0/camouflage.json"),
         ("write", "R-U-1/images/", 2, "scores/test"),
         ("appears", "scores/.test.partial", 1, "scores/test"),
-        ("write", "outcomes.parquet", 1, "scores/test"),
+        ("rename", "outcomes.parquet", 1, "scores/test"),
         ("write", "pairs/T-U/", 1, "scores/test"),
         ("rename", "on_vehicle.png", 1, "scores/test"),
         ("rename", "scores/test", 8, "scores/test"),

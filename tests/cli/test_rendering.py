@@ -58,7 +58,9 @@ def rewritten(folder: Path, renderer: str) -> None:
 
 @pytest.mark.blender
 @pytest.mark.usefixtures("blender")
-def test_the_same_layout_and_labels(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
+def test_the_same_layout_and_labels(
+    finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
     out = tmp_path / "drawn"
     call = [
         "render",
@@ -71,7 +73,7 @@ def test_the_same_layout_and_labels(finished: Path, tmp_path: Path, skyproof: Sk
     ]
     answer = skyproof(*call, "--workers", 2)
     assert answer.code == 0, answer.err
-    drawn, other = bytes_of(out), bytes_of(finished / "datasets/test-T-U")
+    drawn, other = bytes_of(out), bytes_of(worn / "test-T-U")
     assert drawn.keys() == other.keys()
     same = {name for name in drawn if drawn[name] == other[name]}
     assert same == {"scenes.jsonl"}

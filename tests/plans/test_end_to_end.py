@@ -71,8 +71,8 @@ def test_killed_in_an_attack_and_finished(tmp_path):
     run = start(folder)
     said, _ = run.communicate(timeout=400)
     assert run.returncode == 0, said
-    assert "jobs were finished before" in said
-    assert "tables: " in said
+    assert "steps were finished before" in said
+    assert "report: " in said
     # Nothing finished was done again, and the attack went on where it was.
     assert (folder / "detectors" / "retinanet" / "detector.json").stat().st_mtime_ns == trained
     assert "train retinanet" not in said
@@ -91,7 +91,8 @@ def test_killed_in_an_attack_and_finished(tmp_path):
         "R-C-Fc@0.4",
         "C-Fc-par@0.4",
     }
-    assert (folder / "timings.csv").read_text().count("\n") == 1 + 15
+    times = json.loads((folder / "timings.json").read_text())
+    assert len({(row["stage"], row["name"]) for row in times}) == len(times) == 17
     environment = json.loads((folder / "environment.json").read_text())
     assert environment["finished"]
     assert len(environment["commands"]) == 1

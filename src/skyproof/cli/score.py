@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -188,7 +189,10 @@ class Score(Rendering):
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        temporary = TemporaryDirectory(dir=self.out.parent, prefix=f".{self.out.name}.images.")
+        prefix = f".{self.out.name}.images."
+        for left_by_a_kill in self.out.parent.glob(f"{prefix}*"):
+            shutil.rmtree(left_by_a_kill)
+        temporary = TemporaryDirectory(dir=self.out.parent, prefix=prefix)
         with temporary as images, open_renderer(self, backgrounds, self.out) as renderer:
             if self.camouflages and renderer.record() != original.rendering:
                 raise ConfigurationError(

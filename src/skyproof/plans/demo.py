@@ -108,6 +108,7 @@ class Demo:
                 "--blender says which Blender draws for --cycles; give --cycles too."
             )
         device = choose_device(self.device)
+        check_detectors(self.detectors)
         run = RunFolder(self.out, self._config())
         layout = Layout(self.out)
         plan = demo_plan(self, layout)
@@ -117,7 +118,6 @@ class Demo:
         # Mistakes are looked for first: they should show before an hour's work, not after it.
         if self.cycles:
             find_blender(self.blender)
-        check_detectors(self.detectors)
         read_frames(self.frames, self.frame_classes, GSD_M)
         run.start(str(device))
         detectors = ", ".join(self.detectors)

@@ -14,7 +14,7 @@ from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
-from skyproof.files import is_leftover, read_json, write_json
+from skyproof.files import read_json, write_json
 from skyproof.layout import Layout
 
 __all__ = ["Pair", "ScoreFolder", "ScoreRecord", "is_pictured", "write_pairs", "write_record"]
@@ -117,7 +117,8 @@ class ScoreFolder:
         places = sorted(
             path
             for path in Layout(run_folder).scores.glob("*")
-            if path.is_dir() and not is_leftover(path)
+            # What is hidden is being made, or a kill left it.
+            if path.is_dir() and not path.name.startswith(".")
         )
         if not places:
             raise StoredFileError(
