@@ -24,9 +24,9 @@ class Preset:
         seed: of everything; repeat k of an attack takes seed + k.
         detectors: attacked together, judged one by one (section 3.2).
         size: of the detectors, slim or full.
-        world: options of `skyproof world --sizes.*`.
-        training: per detector, options of `skyproof train`.
-        attack: options of `skyproof attack --settings.*`, the same for all.
+        world: how much ground, how many vehicles and scenes: values of `WorldSizes`.
+        training: per detector, what differs from its usual `TrainingSettings`.
+        attack: values of `AttackSettings`, the same for all.
         attack_image_px: image side in attacks.
         attack_steps: by kind: texture, shape, sequential, parallel.
         textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also
@@ -39,10 +39,10 @@ class Preset:
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done.
-        score_batch: camouflages scored in one job.
-        threads: of each job.
-        resources: of each job that renders, trains, attacks or scores, such as gpu, mem_mb, runtime
-            (minutes).
+        score_batch: camouflages scored in one step.
+        threads: CPU threads of each step.
+        resources: what each step that renders, trains, attacks or scores asks of a cluster, such as
+            gpu, mem_mb, runtime (minutes).
     """
 
     seed: int

@@ -1,6 +1,6 @@
 """A run folder tells what was asked and on what machine.
 
-It also tells which stages are finished and how long they took.
+It also tells how long the steps took.
 """
 
 from __future__ import annotations

@@ -1,0 +1,49 @@
+"""Help, the version and a wrong option answer at once: nothing large is imported for them."""
+
+import subprocess
+import sys
+
+import pytest
+
+from skyproof.main import COMMANDS
+
+LARGE = {"torch", "numpy", "scipy", "matplotlib", "pyarrow", "rasterio", "jaxtyping", "geopandas"}
+PROGRAM = """
+import sys
+from skyproof.main import run
+code = run(sys.argv[1:])
+print(code, *sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["--help"], 0),
+        (["--version"], 0),
+        ([], 2),
+        *(([name, "--nonsense"], 2) for group in COMMANDS.values() for name in group),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_nothing_large_is_imported(words, code):
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=True
+    )
+    answer, *modules = done.stdout.splitlines()[-1].split()
+    assert int(answer) == code
+    assert "skyproof" in modules
+    assert not LARGE & set(modules)
+
+
+def test_the_overview_fits_one_screen_and_names_at_most_sixteen_commands():
+    names = [name for group in COMMANDS.values() for name in group]
+    assert len(names) == len(set(names)) <= 16
+    done = subprocess.run(
+        [sys.executable, "-m", "skyproof", "--help"], capture_output=True, text=True, check=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 120
+    for name in names:
+        assert any(line.startswith(f"  {name} ") for line in lines), name
