@@ -19,9 +19,6 @@ def run_serially(plan: Plan, run: RunFolder) -> None:
         left_s = plan.time_left_s(seconds)
         about = "" if left_s is None else f" (about {duration(left_s)} left)"
         say(f"[{number}/{len(plan.steps)}] {step.title}{about}")
-        if step.renewed:
-            for output in step.outputs:
-                output.unlink(missing_ok=True)
         run.timed(step, step.command.run)
 
 
