@@ -1,10 +1,12 @@
 """Tensors in files: what is written comes back, and what is damaged is refused in one sentence."""
 
+import math
+
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from skyproof.errors import StoredFileError
+from skyproof.errors import NotFiniteError, StoredFileError
 from skyproof.storage import read_tensors, write_tensors
 
 TENSORS = {
@@ -46,8 +48,12 @@ def test_a_tensor_in_another_memory_layout_is_stored_plainly(tmp_path):
         (lambda path: path.unlink(), "is missing"),
         (lambda path: path.write_bytes(b""), "is damaged"),
         (lambda path: path.write_bytes(path.read_bytes()[:-4]), "is damaged"),
-        (lambda path: save_file(TENSORS, path, {"record": "{"}), "is damaged"),
-        (lambda path: save_file(TENSORS, path, {"record": "[1]"}), "is damaged"),
+        (lambda path: save_file(TENSORS, path, {"record": "{"}), "has a record that is not JSON"),
+        (
+            lambda path: save_file(TENSORS, path, {"record": "[1]"}),
+            "has a record that cannot be used",
+        ),
+        (lambda path: save_file({"x": torch.tensor([math.nan])}, path), "holds numbers that are"),
     ],
 )
 def test_a_missing_or_damaged_file_is_refused_with_the_remedy(tmp_path, damage, said):
@@ -56,3 +62,14 @@ def test_a_missing_or_damaged_file_is_refused_with_the_remedy(tmp_path, damage, 
     damage(path)
     with pytest.raises(StoredFileError, match=rf"x\.safetensors {said}.*; train it again\.$"):
         read_tensors(path, "train it again")
+
+
+@pytest.mark.parametrize(
+    ("tensors", "record"),
+    [({"x": torch.tensor([1.0, math.inf])}, None), (TENSORS, {"score": math.nan})],
+)
+def test_numbers_that_are_not_finite_are_not_stored(tmp_path, tensors, record):
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(NotFiniteError, match=r"x\.safetensors would hold"):
+        write_tensors(path, tensors, record)
+    assert not path.exists()

@@ -10,7 +10,8 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 # neighbour.
 FLOORS = [
     {"errors"},
-    {"files", "words", "layout", "randomness"},
+    {"ranges", "files", "words", "layout", "randomness", "pictures"},
+    {"documents"},
     {"geometry", "storage"},
     {"loop"},
     {"scenes", "vehicles"},

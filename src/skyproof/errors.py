@@ -3,6 +3,7 @@
 __all__ = [
     "ConfigurationError",
     "ImageryError",
+    "NotFiniteError",
     "RunFolderError",
     "SkyproofError",
     "StoredFileError",
@@ -22,6 +23,10 @@ class ConfigurationError(SkyproofError):
 
 class ImageryError(SkyproofError):
     """An image that is missing, unreadable, without ground resolution, too coarse or too small."""
+
+
+class NotFiniteError(SkyproofError):
+    """Numbers that are not finite (NaN, infinity) where they would be stored, or were read."""
 
 
 class StoredFileError(SkyproofError):

@@ -6,20 +6,27 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skyproof.errors import RunFolderError, StoredFileError
+from filelock import FileLock, Timeout
+
+from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 
 __all__ = [
+    "Hold",
+    "alone",
+    "finished_file",
     "finished_folder",
+    "inside",
     "is_leftover",
-    "read_json",
-    "read_jsonl",
     "refuse_existing",
     "refuse_foreign",
+    "to_json",
     "write_beside",
     "write_bytes",
     "write_json",
@@ -33,7 +40,8 @@ _NEARLY_FULL_BYTES = 2**20
 def write_beside(path: Path) -> Iterator[Path]:
     """Yields a temporary path beside `path`, which becomes `path` when the block ends well.
 
-    When the block ends otherwise, what lies at the temporary path is removed.
+    The file is on the disk before it gets its name, so that not even a power cut leaves an empty
+    one. When the block ends otherwise, what lies at the temporary path is removed.
 
     Raises:
         RunFolderError: the disk is full or not writable; names `path` and the remedy.
@@ -44,7 +52,9 @@ def write_beside(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
+        _settle(temporary)
         os.replace(temporary, path)
+        _settle(path.parent)
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
@@ -53,39 +63,135 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def finished_file(path: Path) -> Iterator[Path]:
+    """Yields a temporary path for a file that a user asked for and that must not exist yet.
+
+    Raises:
+        RunFolderError: `path` exists already, somebody else is writing it, or the disk is full or
+            not writable.
+    """
+    with alone(path):
+        refuse_existing(path)
+        with write_beside(path) as temporary:
+            yield temporary
+
+
+@contextmanager
 def finished_folder(path: Path) -> Iterator[Path]:
     """Yields a fresh folder `.<name>.partial`, which becomes `path` when the block ends well.
 
-    Only a folder under its final name counts as finished. When the block ends otherwise what it
-    wrote is removed, so that a full disk has room again; what a kill left is thrown away by the
-    next try.
+    Only a folder under its final name counts as finished, and by then all of it is on the disk.
+    When the block ends otherwise what it wrote is removed, so that a full disk has room again; what
+    a kill left is thrown away by the next try.
 
     Raises:
-        RunFolderError: `path` exists already, or the disk is full or not writable.
+        RunFolderError: `path` exists already, somebody else is writing it, or the disk is full or
+            not writable.
     """
     path = Path(path)
-    refuse_existing(path)
     # Hidden, so that a folder of the user's is not mistaken for a leftover of ours.
     partial = path.with_name(f".{path.name}.partial")
+    with alone(path):
+        refuse_existing(path)
+        try:
+            if partial.exists():
+                shutil.rmtree(partial)
+            partial.mkdir(parents=True)
+            yield partial
+            for entry in partial.rglob("*"):
+                _settle(entry)
+            _settle(partial)
+            os.replace(partial, path)
+            _settle(path.parent)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def alone(place: Path) -> Iterator[Hold]:
+    """Keeps everybody else from writing a file or folder at the same time.
+
+    The lock is a file `.<name>.lock` beside the place; it says who holds it. The death of its
+    holder gives it back, and what file is left then is no obstacle.
+
+    Raises:
+        RunFolderError: another process, or another part of this one, is writing there.
+    """
+    place = Path(place).resolve()
+    path = place.with_name(f".{place.name}.lock")
+    descriptors: list[int] = []
+    lock = FileLock(path, blocking=False, thread_local=False, on_acquired=descriptors.append)
     try:
-        if partial.exists():
-            shutil.rmtree(partial)
-        partial.mkdir(parents=True)
-        yield partial
-        os.replace(partial, path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise RunFolderError(
+            f"{place} is being written by another process ({_holder(path)}); wait for it, or "
+            "choose another --out."
+        ) from None
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise _unwritable(place, error) from error
+    try:
+        hold = Hold(descriptors[-1])
+        hold.note(f"process {os.getpid()}, {' '.join(['skyproof', *sys.argv[1:]])[:200]}")
+        yield hold
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        # While it is held: afterwards it might be somebody else's.
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A lock that is held.
+
+    Attributes:
+        descriptor: of the lock file; a child process that inherits it holds the lock, too.
+    """
+
+    descriptor: int
+
+    def note(self, text: str) -> None:
+        """Says who holds the lock, for others to read."""
+        with suppress(OSError):
+            os.ftruncate(self.descriptor, 0)
+            os.pwrite(self.descriptor, text.encode(errors="replace"), 0)
+
+
+def _holder(lock: Path) -> str:
+    try:
+        return lock.read_text(encoding="utf-8", errors="replace")[:300] or "it has just started"
+    except OSError:
+        return "it does not say which"
+
+
+def _settle(path: Path) -> None:
+    """Waits until a file, or a folder's list of names, is on the disk."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        # Some systems do not open folders; a library that failed left no file, which shows later.
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        # Some file systems have nothing to wait for.
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def is_leftover(path: Path) -> bool:
     """Whether a kill left this file or folder.
 
-    It was being written then, and never got its final name.
+    It was being written then, and never got its final name; or it is the lock of who wrote.
     """
     return path.name.startswith(".") and (
-        path.name.endswith(".partial") or path.stem.endswith(".partial")
+        path.name.endswith((".partial", ".lock")) or path.stem.endswith(".partial")
     )
 
 
@@ -128,15 +234,39 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
         )
 
 
+def inside(folder: Path, reference: str, document: Path) -> Path:
+    """Gives the file below a folder that a document of somebody else's names.
+
+    Args:
+        folder: the document's.
+        reference: as the document names it, a `skyproof.ranges.FileReference`.
+        document: for the message.
+
+    Raises:
+        StoredFileError: a link leads out of the folder.
+    """
+    path = Path(folder) / reference
+    if not path.resolve().is_relative_to(Path(folder).resolve()):
+        raise StoredFileError(
+            f"{document} names {reference}, which leads out of its folder; put the file itself "
+            "there."
+        )
+    return path
+
+
 def _unwritable(path: Path, error: OSError) -> RunFolderError:
     reason = error.strerror or " ".join(str(error).split())
     if error.errno is None and _is_full(path):
         # Image encoders report a failed write without its cause.
         reason = os.strerror(errno.ENOSPC)
-    return RunFolderError(
-        f"Could not write {path}: {reason}; free space or choose another --out, then run the same "
-        "command again (finished stages are kept)."
+    full = reason in map(os.strerror, (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+    remedy = (
+        "free space or choose another --out, then run the same command again (what is finished is "
+        "kept)"
+        if full
+        else "choose another --out, or make this place writable"
     )
+    return RunFolderError(f"Could not write {path}: {reason}; {remedy}.")
 
 
 def _is_full(path: Path) -> bool:
@@ -153,25 +283,42 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes `value` as indented JSON, whole or not at all."""
-    write_bytes(path, (json.dumps(value, indent=1, ensure_ascii=False) + "\n").encode())
+    """Writes `value` as indented JSON, whole or not at all.
+
+    Raises:
+        NotFiniteError: a number in it is not finite.
+        RunFolderError: the disk is full or not writable.
+    """
+    write_bytes(path, (to_json(path, value, indent=1) + "\n").encode())
 
 
 def write_jsonl(path: Path, rows: Iterable[Any]) -> None:
-    """Writes one JSON value a line, whole or not at all."""
-    write_bytes(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
+    """Writes one JSON value a line, whole or not at all.
+
+    Raises:
+        NotFiniteError: a number in it is not finite.
+        RunFolderError: the disk is full or not writable.
+    """
+    write_bytes(path, "".join(to_json(path, row) + "\n" for row in rows).encode())
+
+
+def to_json(path: Path, value: Any, indent: int | None = None) -> str:
+    """Gives a value as JSON text for a file.
+
+    Raises:
+        NotFiniteError: a number in it is not finite; names the file.
+    """
+    try:
+        return json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False)
+    except ValueError as error:
+        raise NotFiniteError(
+            f"{path} would hold a number that is not finite; nothing was written. Lower the "
+            "learning rate, or look for the input that is out of range."
+        ) from error
 
 
 def read_json(path: Path, *, leave_out: str | None = None) -> Any:
-    """Reads JSON.
-
-    Args:
-        path: the file.
-        leave_out: a field that no object keeps; a large one is given up while the file is read.
-
-    Raises:
-        StoredFileError: the file is missing or not JSON; names it.
-    """
+    """Reads JSON. (Goes: `skyproof.documents` takes its place.)"""
 
     def thinned(mapping: dict[str, Any]) -> dict[str, Any]:
         mapping.pop(str(leave_out), None)
@@ -182,15 +329,11 @@ def read_json(path: Path, *, leave_out: str | None = None) -> Any:
 
 
 def read_jsonl(path: Path) -> list[Any]:
-    """Reads one JSON value a line.
-
-    Raises:
-        StoredFileError: the file is missing or a line is not JSON; names it.
-    """
+    """Reads one JSON value a line. (Goes: `skyproof.documents` takes its place.)"""
     return _read(path, lambda text: [json.loads(line) for line in text.splitlines() if line])
 
 
-def _read(path: Path, parse: Callable[[str], Any]) -> Any:
+def _read(path: Path, parse: Any) -> Any:
     try:
         return parse(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from skyproof.errors import StoredFileError
-from skyproof.files import write_bytes
+from skyproof.documents import parse_document
+from skyproof.errors import NotFiniteError, StoredFileError
+from skyproof.files import to_json, write_bytes
 
 __all__ = ["read_tensors", "write_tensors"]
 
@@ -30,10 +31,17 @@ def write_tensors(
         record: anything that JSON can hold; kept in the file's metadata.
 
     Raises:
+        NotFiniteError: a number in them is not finite; nothing is written.
         RunFolderError: the disk is full or not writable.
     """
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    metadata = None if record is None else {"record": json.dumps(record)}
+    broken = _not_finite(plain)
+    if broken is not None:
+        raise NotFiniteError(
+            f"{path} would hold numbers that are not finite ({broken}); nothing was written. Lower "
+            "the learning rate."
+        )
+    metadata = None if record is None else {"record": to_json(path, record)}
     write_bytes(Path(path), save(plain, metadata=metadata))
 
 
@@ -54,10 +62,22 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
         raise StoredFileError(f"{path} is missing; {remedy}.")
     try:
         with safe_open(path, framework="pt") as file:
-            record = json.loads((file.metadata() or {}).get("record", "{}"))
+            text = (file.metadata() or {}).get("record", "{}")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise StoredFileError(f"{path} is damaged ({error}); {remedy}.") from error
-    if not isinstance(record, dict):
-        raise StoredFileError(f"{path} is damaged (its record is no mapping); {remedy}.")
+    record: dict[str, Any] = parse_document(
+        text.encode(), dict[str, Any], f"{path} has a record that", remedy
+    )
+    broken = _not_finite(tensors)
+    if broken is not None:
+        raise StoredFileError(f"{path} holds numbers that are not finite ({broken}); {remedy}.")
     return tensors, record
+
+
+def _not_finite(tensors: Mapping[str, Tensor]) -> str | None:
+    """Names the first tensor that holds a NaN or an infinity."""
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            return name
+    return None

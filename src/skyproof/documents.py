@@ -1,0 +1,189 @@
+"""One validated read for every stored document: JSON files and files of JSON lines.
+
+The kind of a document is a dataclass or a `msgspec.Struct` whose annotations say types, ranges and
+names (`skyproof.ranges`). msgspec reads it: it checks while it parses, says the place of a mistake,
+takes our dataclasses as they are, skips the fields that nobody asks for without keeping them, and
+needs no other package. pydantic would have kept the whole of a large annotation file in memory
+first, and takes long to import.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin
+
+import msgspec
+
+from skyproof.errors import SkyproofError, StoredFileError
+from skyproof.ranges import WORDS, limits_of
+
+__all__ = ["parse_document", "read_document", "read_lines"]
+
+T = TypeVar("T")
+
+_WHOLE_LIMIT = 2**63
+_TYPES = {
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`str`": "text",
+    "`bool`": "true or false",
+    "`array`": "a list",
+    "`object`": "an object",
+    "`null`": "null",
+}
+
+
+def read_document(
+    path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
+) -> T:
+    """Reads a JSON file as a value of a kind; nothing else gets in.
+
+    Every number is finite, and whole numbers have at most 64 bits. A field that a dataclass does
+    not know is refused, at any depth: it may be misspelt. A Struct says for itself what becomes of
+    those it does not know.
+
+    Args:
+        path: the file.
+        kind: what it must hold, such as a dataclass, or `dict[str, Any]`.
+        remedy: what the error advises, such as "sample the scenes again".
+        error: the class of the error.
+
+    Raises:
+        SkyproofError: the file is missing, no JSON, or of another form; one sentence with the file,
+            the place in it and the remedy.
+    """
+    return parse_document(_content(path, remedy, error), kind, str(path), remedy, error=error)
+
+
+def read_lines(
+    path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
+) -> list[T]:
+    """Reads a file of one JSON value a line, each as `read_document` reads a file.
+
+    Raises:
+        SkyproofError: as `read_document`, with the line.
+    """
+    lines = _content(path, remedy, error).split(b"\n")
+    return [
+        parse_document(line, kind, f"{path} line {number}", remedy, error=error)
+        for number, line in enumerate(lines, 1)
+        if line.strip()
+    ]
+
+
+def parse_document(
+    content: bytes,
+    kind: type[T] | Any,
+    place: str,
+    remedy: str,
+    *,
+    error: type[SkyproofError] = StoredFileError,
+) -> T:
+    """Reads JSON text as `read_document` reads a file; `place` is what the error calls it."""
+    try:
+        if _is_struct(kind):
+            return msgspec.json.decode(content, type=kind)
+        raw = msgspec.json.decode(content)
+        _refuse_strange(raw, kind, "")
+        return msgspec.convert(raw, kind)
+    except RecursionError:
+        said = "is nested too deep"
+    except _Strange as strange:
+        said = str(strange)
+    except SkyproofError as unfit:
+        said = f"does not hold together: {str(unfit).rstrip('.')}"
+    except msgspec.ValidationError as unfit:
+        said = _in_words(str(unfit))
+    except (msgspec.DecodeError, UnicodeDecodeError) as damaged:
+        said = f"is not JSON ({_without_stop(damaged)})"
+    raise error(f"{place}{'' if said.startswith(',') else ' '}{said}; {remedy}.") from None
+
+
+class _Strange(Exception):
+    """What msgspec lets pass and we do not."""
+
+
+def _content(path: Path, remedy: str, error: type[SkyproofError]) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise error(f"{path} is missing; {remedy}.") from None
+    except (OSError, ValueError) as unreadable:
+        reason = getattr(unreadable, "strerror", None) or str(unreadable)
+        raise error(f"{path} cannot be read ({reason}); {remedy}.") from unreadable
+
+
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _refuse_strange(value: Any, hint: Any, place: str) -> None:
+    """Refuses fields that a dataclass does not know, and whole numbers of more than 64 bits."""
+    if isinstance(value, bool):
+        return
+    if isinstance(value, int) and not -_WHOLE_LIMIT <= value < _WHOLE_LIMIT:
+        raise _Strange(f"{_at(place)}expected a whole number of at most 64 bits, got a larger one")
+    if isinstance(value, Mapping):
+        known = _fields_of(hint)
+        if known is not None:
+            for name in value:
+                if name not in known:
+                    raise _Strange(
+                        f"{_at(place)}there is no field {name[:60]!r} (known: {', '.join(known)})"
+                    )
+        for name, below in value.items():
+            inner = known[name] if known is not None else _part_of(hint, -1)
+            _refuse_strange(below, inner, f"{place}.{name}" if place else str(name))
+    elif isinstance(value, list):
+        for index, below in enumerate(value):
+            _refuse_strange(below, _part_of(hint, index), f"{place}[{index}]")
+
+
+def _fields_of(hint: Any) -> Mapping[str, Any] | None:
+    """Gives the annotations of a dataclass, or of the one dataclass among several types."""
+    if isinstance(hint, type) and is_dataclass(hint):
+        return limits_of(hint)
+    parts = map(_fields_of, get_args(hint)) if _is_union(hint) else ()
+    return next((known for known in parts if known is not None), None)
+
+
+def _is_union(hint: Any) -> bool:
+    return get_origin(hint) in (Union, UnionType)
+
+
+def _part_of(hint: Any, index: int) -> Any:
+    """Gives the annotation of a list's items, or of an object's values."""
+    parts = [part for part in get_args(hint) if part is not type(None)]
+    if not parts:
+        return None
+    if _is_union(hint):
+        return _part_of(parts[0], index)
+    if get_origin(hint) is tuple and parts[-1] is not Ellipsis:
+        return parts[index] if index < len(parts) else None
+    # Of an object the values come last; a list, and a tuple of any length, has one kind of item.
+    return parts[-1] if index < 0 else parts[0]
+
+
+def _at(place: str) -> str:
+    return f", {place}: " if place else "cannot be used: "
+
+
+def _in_words(message: str) -> str:
+    """Turns "Expected `float`, got `str` - at `$.a.b`" into ", a.b: expected a number, ..."."""
+    said, _, where = message.partition(" - at ")
+    place = where.strip("`").removeprefix("$").removeprefix(".")
+    for kind, words in _TYPES.items():
+        said = said.replace(kind, words)
+    for pattern, words in WORDS.items():
+        said = said.replace(f"text matching regex {pattern!r}", words)
+    said = re.sub(r"^Object missing required field `(.*)`$", r"the field \1 is missing", said)
+    said = said[:1].lower() + said[1:].replace(" | ", " or ")
+    return f"{_at(place)}{said[:300]}"
+
+
+def _without_stop(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".")[:200]

@@ -1,0 +1,165 @@
+"""What a number, a name or a file reference may be: told on the field, checked in one way.
+
+A setting and a field of a stored document bear the same kinds of annotation. `check_ranges` checks
+settings against them, `skyproof.documents` what is read from files. Imports no torch.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Meta
+
+from skyproof.errors import ConfigurationError
+
+__all__ = [
+    "Coordinate",
+    "Count",
+    "FileReference",
+    "Fraction",
+    "GroundResolution",
+    "ImageSide",
+    "Metres",
+    "Name",
+    "Radians",
+    "Seed",
+    "WholeNumber",
+    "check_ranges",
+    "check_value",
+    "is_name",
+    "limits_of",
+]
+
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+"""How many of something there are, at least one."""
+
+WholeNumber = Annotated[int, Meta(ge=0, le=1_000_000)]
+"""How many of something there are, perhaps none."""
+
+_SIGNED_64_BITS = (-(2**63), 2**63 - 1)
+
+Seed = Annotated[int, Meta(ge=_SIGNED_64_BITS[0], le=_SIGNED_64_BITS[1])]
+"""Any whole number of 64 bits."""
+
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+"""A share of a whole."""
+
+Metres = Annotated[float, Meta(ge=0, le=1e6)]
+"""A length."""
+
+GroundResolution = Annotated[float, Meta(gt=0, le=100)]
+"""Metres per pixel."""
+
+ImageSide = Annotated[int, Meta(ge=1, le=16_384)]
+"""Width or height of an image in pixels."""
+
+Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
+"""A place in an image or a scene, in pixels or metres."""
+
+Radians = Annotated[float, Meta(ge=-1e3, le=1e3)]
+"""An angle."""
+
+# On some systems separators, drives and control characters mean something in a file name.
+_FORBIDDEN = r"\x00-\x1f\x7f/\\:"
+_PART = rf"(?!\.+(?:/|\Z))[^{_FORBIDDEN}]{{1,150}}"
+_NAME = rf"\A{_PART}\Z"
+_REFERENCE = rf"\A{_PART}(?:/{_PART}){{0,7}}\Z"
+
+Name = Annotated[str, Meta(pattern=_NAME)]
+"""What becomes a file or folder name: no separators, no dots alone, at most 150 characters."""
+
+FileReference = Annotated[str, Meta(pattern=_REFERENCE)]
+"""A file below the folder of the document that names it: relative, without "..", with "/"."""
+
+WORDS = {
+    _NAME: "a plain name (at most 150 characters, no separators, not dots alone)",
+    _REFERENCE: "a file inside the same folder (a relative path without '..')",
+}
+"""What a pattern asks for, in words that a message can use."""
+
+
+def is_name(text: str) -> bool:
+    """Says whether a text can be a file's name, as `Name` asks."""
+    return re.search(_NAME, text) is not None
+
+
+def check_ranges(settings: object) -> None:
+    """Checks the fields of a dataclass against what their annotations allow.
+
+    Settings call it in `__post_init__`; nested settings check themselves.
+
+    Raises:
+        ConfigurationError: a value out of its range, or of another type; names the field.
+    """
+    kind: Any = type(settings)
+    for name, hint in _limited(kind).items():
+        value = getattr(settings, name)
+        check_value(name, value, hint)
+
+
+def check_value(name: str, value: Any, hint: Any) -> None:
+    """Checks one value against an annotation.
+
+    Args:
+        name: what an error calls the value.
+        value: a number, a text, or a tuple of such; numbers of NumPy, too.
+        hint: an annotation with limits, such as `Count` or `tuple[Fraction, ...]`.
+
+    Raises:
+        ConfigurationError: the value is out of its range, or of another type.
+    """
+    try:
+        msgspec.convert(_plain(value), hint)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"{name} expects {_expected(hint)}, got {value!r}.") from error
+
+
+@cache
+def limits_of(kind: type) -> Mapping[str, Any]:
+    """Gives the annotations of a dataclass, limits included, by field."""
+    return get_type_hints(kind, include_extras=True)
+
+
+@cache
+def _limited(kind: type) -> Mapping[str, Any]:
+    """Gives the annotations that say a limit, by field."""
+    hints = limits_of(kind)
+    named = {field.name: hints[field.name] for field in fields(kind)}
+    return {name: hint for name, hint in named.items() if any(_metas(hint))}
+
+
+def _metas(hint: Any) -> list[tuple[type, Meta]]:
+    """Gives the limits anywhere in an annotation, each with the type it is for."""
+    if hasattr(hint, "__metadata__"):
+        return [(hint.__origin__, meta) for meta in hint.__metadata__ if isinstance(meta, Meta)]
+    return [pair for part in get_args(hint) for pair in _metas(part)]
+
+
+def _expected(hint: Any) -> str:
+    """Says in words what an annotation allows."""
+    kinds = {int: "a whole number", float: "a number", str: "text"}
+    words = []
+    for kind, meta in _metas(hint):
+        if meta.pattern is not None:
+            words.append(WORDS.get(meta.pattern, f"text like {meta.pattern}"))
+            continue
+        if (meta.ge, meta.le) == _SIGNED_64_BITS:
+            words.append("a whole number of at most 64 bits")
+            continue
+        bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), ("below", meta.lt)]
+        limits = [f"{word} {bound:,}" for word, bound in bounds if bound is not None]
+        words.append(" ".join([kinds.get(kind, "a value"), *limits]))
+    listed = "values, each " if get_origin(hint) is tuple else ""
+    return f"{listed}{' or '.join(dict.fromkeys(words))}"
+
+
+def _plain(value: Any) -> Any:
+    """Gives a value as Python's own type: NumPy's and torch's numbers have `item`."""
+    if isinstance(value, tuple | list):
+        return tuple(map(_plain, value))
+    return value.item() if hasattr(value, "item") else value
