@@ -11,7 +11,8 @@ from typing import Any
 
 from skyproof import __version__
 from skyproof.cli.console import say, say_error
-from skyproof.errors import SkyproofError
+from skyproof.errors import ConfigurationError, SkyproofError
+from skyproof.ranges import check_ranges
 
 __all__ = ["COMMANDS", "load_command", "main", "run"]
 
@@ -115,9 +116,29 @@ def load_command(name: str) -> type[Any]:
 def _parse(words: Sequence[str]) -> Any:
     import tyro
 
-    command = load_command(words[0])
-    # Settings check themselves while they are parsed.
-    return tyro.cli(command, prog=f"skyproof {words[0]}", args=words[1:])
+    kind = load_command(words[0])
+    try:
+        # Nested settings check themselves while they are parsed.
+        command = tyro.cli(kind, prog=f"skyproof {words[0]}", args=words[1:])
+        check_ranges(command)
+    except ConfigurationError as error:
+        raise ConfigurationError(_as_typed(str(error), words)) from error
+    return command
+
+
+def _as_typed(message: str, words: Sequence[str]) -> str:
+    """Names the option that a message begins with as the user wrote it.
+
+    So "learning_rate expects ..." becomes "--settings.learning-rate expects ...".
+    """
+    field, space, rest = message.partition(" ")
+    options = [word.partition("=")[0] for word in words[1:] if word.startswith("--")]
+    typed = [
+        option
+        for option in options
+        if option.lstrip("-").rpartition(".")[2].replace("-", "_") == field
+    ]
+    return f"{typed[-1]}{space}{rest}" if typed else message
 
 
 def _overview() -> str:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
 import msgspec
 from msgspec import Meta
@@ -91,7 +91,8 @@ def is_name(text: str) -> bool:
 def check_ranges(settings: object) -> None:
     """Checks the fields of a dataclass against what their annotations allow.
 
-    Settings call it in `__post_init__`; nested settings check themselves.
+    Settings call it in `__post_init__`; nested settings check themselves, but for typed
+    dictionaries, whose values are checked here. The command line does it for every command.
 
     Raises:
         ConfigurationError: a value out of its range, or of another type; names the field.
@@ -99,7 +100,12 @@ def check_ranges(settings: object) -> None:
     kind: Any = type(settings)
     for name, hint in _limited(kind).items():
         value = getattr(settings, name)
-        check_value(name, value, hint)
+        if not is_typeddict(hint):
+            check_value(name, value, hint)
+            continue
+        known = limits_of(hint)
+        for changed, inner in value.items():
+            check_value(changed, inner, known[changed])
 
 
 def check_value(name: str, value: Any, hint: Any) -> None:
@@ -121,7 +127,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
 @cache
 def limits_of(kind: type) -> Mapping[str, Any]:
-    """Gives the annotations of a dataclass, limits included, by field."""
+    """Gives the annotations of a dataclass or typed dictionary, limits included, by field."""
     return get_type_hints(kind, include_extras=True)
 
 
@@ -130,7 +136,7 @@ def _limited(kind: type) -> Mapping[str, Any]:
     """Gives the annotations that say a limit, by field."""
     hints = limits_of(kind)
     named = {field.name: hints[field.name] for field in fields(kind)}
-    return {name: hint for name, hint in named.items() if any(_metas(hint))}
+    return {name: hint for name, hint in named.items() if is_typeddict(hint) or any(_metas(hint))}
 
 
 def _metas(hint: Any) -> list[tuple[type, Meta]]:
@@ -151,7 +157,8 @@ def _expected(hint: Any) -> str:
         if (meta.ge, meta.le) == _SIGNED_64_BITS:
             words.append("a whole number of at most 64 bits")
             continue
-        bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), ("below", meta.lt)]
+        below = "below" if meta.ge is None and meta.gt is None else "to below"
+        bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), (below, meta.lt)]
         limits = [f"{word} {bound:,}" for word, bound in bounds if bound is not None]
         words.append(" ".join([kinds.get(kind, "a value"), *limits]))
     listed = "values, each " if get_origin(hint) is tuple else ""

@@ -5,6 +5,9 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
@@ -30,9 +33,9 @@ class Bench(Rendering):
     """
 
     json: Path | None = None
-    image_px: int = 384
-    batch_size: int = 8
-    repeats: int = 7
+    image_px: Annotated[int, Meta(ge=64, le=4096)] = 384
+    batch_size: Annotated[int, Meta(ge=1, le=10_000)] = 8
+    repeats: Annotated[int, Meta(ge=1, le=10_000)] = 7
     detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
     device: str = "auto"
 

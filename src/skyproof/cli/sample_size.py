@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta
 
 from skyproof.cli.console import say
-from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction
 
 if TYPE_CHECKING:
     from skyproof.results.statistics.planning import Assumptions
@@ -36,12 +38,12 @@ class SampleSize:
             pilot's, or 0.1, where not given.
     """
 
-    half_width: float = 0.05
+    half_width: Annotated[float, Meta(ge=0.001, lt=1)] = 0.05
     pilot: Path | None = None
-    easr: float | None = None
-    enhancement_rate: float | None = None
-    vehicles_per_tile: float | None = None
-    intra_tile_correlation: float | None = None
+    easr: Annotated[float, Meta(ge=-1, le=1)] | None = None
+    enhancement_rate: Fraction | None = None
+    vehicles_per_tile: Annotated[float, Meta(gt=0, le=10_000)] | None = None
+    intra_tile_correlation: Fraction | None = None
 
     def run(self) -> None:
         """Prints the answer and what other half-widths would need."""
@@ -71,10 +73,6 @@ class SampleSize:
 
     def _assumptions(self) -> tuple[Assumptions, str]:
         correlation = self.intra_tile_correlation
-        if correlation is not None and not 0 <= correlation <= 1:
-            raise ConfigurationError(
-                f"--intra-tile-correlation expects a number from 0 to 1, got {correlation:g}."
-            )
         start, source = self._start()
         if self.pilot is None and correlation is None:
             correlation = _CORRELATION

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Seed
 
 if TYPE_CHECKING:
     import torch
@@ -60,7 +61,7 @@ class Score(Rendering):
     fleet: Path | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
-    seed: int = 0
+    seed: Seed = 0
     device: str = "auto"
 
     def run(self) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.console import say
@@ -22,6 +25,7 @@ from skyproof.plans.steps import (
     train_step,
 )
 from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
+from skyproof.ranges import GroundResolution, Seed
 
 __all__ = ["Demo", "check_detectors", "demo_plan"]
 
@@ -34,12 +38,7 @@ class DemoSizes(WorldSizes):
         random_draws: random controls to compare with.
     """
 
-    random_draws: int = 3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.random_draws < 0:
-            raise ConfigurationError(f"--sizes expects at least 0 random draws, but got {self}.")
+    random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
 
 
 def _training() -> TrainingSettings:
@@ -82,12 +81,12 @@ class Demo:
 
     out: Path = Path("runs/demo")
     imagery: tuple[Path, ...] = ()
-    gsd: float | None = None
-    blur_sigma_px: float | None = None
+    gsd: GroundResolution | None = None
+    blur_sigma_px: Annotated[float, Meta(ge=0, le=50)] | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
     detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
-    seed: int = 0
+    seed: Seed = 0
     device: str = "auto"
     sizes: DemoSizes = field(default_factory=DemoSizes)
     training: TrainingSettings = field(default_factory=_training)

@@ -10,6 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
@@ -47,7 +50,7 @@ class Reproduce:
 
     preset: str = "quick"
     out: Path = Path("runs/reproduce")
-    cores: int | None = None
+    cores: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     device: str = "auto"
     cycles: bool = False
     blender: Path | None = None
@@ -68,8 +71,6 @@ class Reproduce:
         values = read_json(path)
         preset = Preset.parse(values)
         cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
-        if cores < 1:
-            raise ConfigurationError(f"--cores expects at least 1, got {self.cores}.")
         if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
             raise ConfigurationError(
                 "skyproof reproduce on several cores needs Snakemake; run pip install "

@@ -12,10 +12,10 @@ from skyproof.cli.render import Render
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.scenes import Scenes
 from skyproof.cli.vehicles import Vehicles
-from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
+from skyproof.ranges import Count, Fraction, ImageSide, check_ranges
 from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
@@ -47,22 +47,20 @@ class WorldSizes:
         parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
     """
 
-    image_px: int = 192
-    tiles: tuple[int, int, int, int] = (64, 12, 24, 40)
-    vehicles: tuple[int, int, int, int] = (64, 16, 32, 32)
-    training_images: int = 2000
-    validation_images: int = 120
-    test_images: int = 120
-    training_vehicles: int = 7
-    parked_share: float = 0.0
+    image_px: ImageSide = 192
+    tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
+    vehicles: tuple[Count, Count, Count, Count] = (64, 16, 32, 32)
+    training_images: Count = 2000
+    validation_images: Count = 120
+    test_images: Count = 120
+    training_vehicles: Count = 7
+    parked_share: Fraction = 0.0
 
     def __post_init__(self) -> None:
-        images = (self.training_images, self.validation_images, self.test_images)
-        counts = (*images, self.training_vehicles, *self.tiles, *self.vehicles)
-        if min(self.image_px, *counts) < 1:
-            raise ConfigurationError(f"--sizes expects counts of at least 1, but got {self}.")
-        # Refuses an image that no vehicle fits into, before anything is made.
-        self.scenes("test").half_m(GSD_M)
+        check_ranges(self)
+        # Refuses an image that no vehicle fits into, and more vehicles than a scene may have.
+        for split in ("train", "test"):
+            self.scenes(split).half_m(GSD_M)
 
     def scenes(self, split: str) -> SceneSettings:
         """Returns how the scenes of a split are drawn; one vehicle an image in an attack."""

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Int
+from msgspec import Meta
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import check_ranges
 from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
 
@@ -34,31 +37,19 @@ class Assumptions:
             least 1. It is 1 + (m − 1)ρ for m found vehicles a tile with intra-tile correlation ρ.
     """
 
-    easr: float
-    enhancement_rate: float = 0.0
-    vehicles_per_tile: float = 9.0
-    found_before: float = 1.0
-    design_effect: float = 1.8
+    easr: Annotated[float, Meta(ge=-1, le=1)]
+    enhancement_rate: Annotated[float, Meta(ge=0, le=2)] = 0.0
+    vehicles_per_tile: Annotated[float, Meta(gt=0, le=1e6)] = 9.0
+    found_before: Annotated[float, Meta(gt=0, le=1)] = 1.0
+    design_effect: Annotated[float, Meta(ge=1, le=1e6)] = 1.8
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         rate = self.easr + self.enhancement_rate
-        if not (-1 <= self.easr <= 1 and self.enhancement_rate >= 0 and -1e-9 <= rate <= 1 + 1e-9):
+        if not -1e-9 <= rate <= 1 + 1e-9:
             raise ConfigurationError(
                 "EASR expects a fraction of at most 1 whose sum with ER (the attack success rate) "
                 f"lies between 0 and 1, got EASR {self.easr:g} and ER {self.enhancement_rate:g}."
-            )
-        if not (
-            math.isfinite(self.vehicles_per_tile)
-            and self.vehicles_per_tile > 0
-            and 0 < self.found_before <= 1
-        ):
-            raise ConfigurationError(
-                "Planning expects vehicles on a tile, and some found before (a fraction of at most "
-                f"1), got {self.vehicles_per_tile:g} and {self.found_before:g}."
-            )
-        if not (math.isfinite(self.design_effect) and self.design_effect >= 1):
-            raise ConfigurationError(
-                f"The design effect expects a number of at least 1, got {self.design_effect:g}."
             )
 
 
