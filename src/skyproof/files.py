@@ -51,6 +51,8 @@ def write_beside(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # What a kill left; or a link, which would be written through.
+        temporary.unlink(missing_ok=True)
         yield temporary
         _settle(temporary)
         os.replace(temporary, path)
@@ -58,7 +60,7 @@ def write_beside(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
-        if temporary.exists():
+        if temporary.is_file() or temporary.is_symlink():
             temporary.unlink()
 
 
@@ -201,7 +203,8 @@ def refuse_existing(path: Path) -> None:
     Raises:
         RunFolderError: `path` exists.
     """
-    if path.exists():
+    # A link that leads nowhere is the user's, too.
+    if os.path.lexists(path):
         raise RunFolderError(
             f"{path} exists already and is not overwritten; choose another --out or remove it "
             "first."
@@ -246,7 +249,12 @@ def inside(folder: Path, reference: str, document: Path) -> Path:
         StoredFileError: a link leads out of the folder.
     """
     path = Path(folder) / reference
-    if not path.resolve().is_relative_to(Path(folder).resolve()):
+    try:
+        leads_out = not path.resolve().is_relative_to(Path(folder).resolve())
+    except (OSError, RuntimeError, ValueError):
+        # A link that leads to itself, or no name at all.
+        leads_out = True
+    if leads_out:
         raise StoredFileError(
             f"{document} names {reference}, which leads out of its folder; put the file itself "
             "there."

@@ -18,8 +18,9 @@ LARGEST_PX = 178_956_970
 at most. A header that claims more is refused before memory is asked for; imagery that is cut into
 tiles is read window by window, and may be larger."""
 
-# Others of Pillow's readers start programs (EPS runs Ghostscript) or are rarely looked after.
-_FORMATS = ("PNG", "JPEG", "MPO", "TIFF", "JPEG2000", "BMP", "WEBP")
+# Others of Pillow's readers start programs (EPS runs Ghostscript) or are rarely looked after. What
+# reads JPEG also reads the pictures in pairs (MPO) of some cameras.
+_FORMATS = ("PNG", "JPEG", "TIFF", "JPEG2000", "BMP", "WEBP")
 
 
 def open_picture(
@@ -38,8 +39,9 @@ def open_picture(
     """
     try:
         with warnings.catch_warnings():
-            # Aerial pictures are large; only what Pillow refuses is too large.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            # Aerial pictures are large; only what Pillow refuses is too large. Nor are notes on
+            # damaged metadata for the user: pixels are all that is taken.
+            warnings.simplefilter("ignore")
             picture = Image.open(path, formats=_FORMATS)
     except FileNotFoundError:
         raise error(f"{path} is missing; {remedy}.") from None
@@ -89,7 +91,9 @@ def read_pixels(
                 f"{remedy}."
             )
         try:
-            return np.array(picture.convert("RGB"))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return np.array(picture.convert("RGB"))
         except Exception as damage:
             # As above.
             raise error(

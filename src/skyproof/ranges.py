@@ -122,7 +122,9 @@ def check_value(name: str, value: Any, hint: Any) -> None:
     try:
         msgspec.convert(_plain(value), hint)
     except msgspec.ValidationError as error:
-        raise ConfigurationError(f"{name} expects {_expected(hint)}, got {value!r}.") from error
+        raise ConfigurationError(
+            f"{name} expects {_expected(hint)}, got {_shown(value)}."
+        ) from error
 
 
 @cache
@@ -163,6 +165,15 @@ def _expected(hint: Any) -> str:
         words.append(" ".join([kinds.get(kind, "a value"), *limits]))
     listed = "values, each " if get_origin(hint) is tuple else ""
     return f"{listed}{' or '.join(dict.fromkeys(words))}"
+
+
+def _shown(value: Any) -> str:
+    """Gives the beginning of a value; Python does not write out whole numbers of any length."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:100]}..."
 
 
 def _plain(value: Any) -> Any:

@@ -20,8 +20,9 @@ def say(message: str) -> None:
 
 def say_error(message: str) -> None:
     """Prints one line to standard error."""
-    # Messages of libraries may hold line breaks.
-    print(f"skyproof: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    # Messages of libraries may hold line breaks, names in files what moves a terminal's cursor.
+    line = "".join(sign if sign.isprintable() else "?" for sign in " ".join(message.split()))
+    print(f"skyproof: {line}", file=sys.stderr, flush=True)
 
 
 @contextmanager
