@@ -1,17 +1,25 @@
 """Whole or not at all."""
 
 import errno
+import math
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from skyproof.errors import RunFolderError, StoredFileError
+from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 from skyproof.files import (
+    alone,
+    finished_file,
     finished_folder,
+    inside,
     is_leftover,
     read_json,
     read_jsonl,
+    refuse_existing,
     refuse_foreign,
     write_beside,
     write_json,
@@ -143,3 +151,159 @@ def test_unwritable_place_is_named(tmp_path: Path) -> None:
         finished_folder(tmp_path / "file" / "tiles"),
     ):
         pytest.fail("the block must not run")
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from skyproof.files import alone
+with alone(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def holder(place: Path) -> subprocess.Popen[str]:
+    """Another process that holds a place."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(place)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    return process
+
+
+def test_the_second_process_is_told_who_holds_a_place(tmp_path: Path) -> None:
+    place = tmp_path / "run"
+    other = holder(place)
+    try:
+        for _ in range(2):
+            with pytest.raises(RunFolderError) as caught, alone(place):
+                pytest.fail("the block must not run")
+            for word in (str(place), f"process {other.pid}", "skyproof", "another --out"):
+                assert word in str(caught.value)
+            assert "\n" not in str(caught.value)
+        with pytest.raises(RunFolderError, match=f"process {other.pid}"), finished_folder(place):
+            pytest.fail("the block must not run")
+        with pytest.raises(RunFolderError, match=f"process {other.pid}"), finished_file(place):
+            pytest.fail("the block must not run")
+    finally:
+        other.send_signal(signal.SIGKILL)
+        other.wait()
+    # What its death left is no obstacle.
+    assert is_leftover(tmp_path / ".run.lock")
+    assert (tmp_path / ".run.lock").exists()
+    with alone(place):
+        (tmp_path / "seen").touch()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["seen"]
+
+
+def test_a_lock_is_free_after_an_error_and_its_file_gone(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), alone(tmp_path / "run"):
+        raise KeyError
+    assert list(tmp_path.iterdir()) == []
+    with alone(tmp_path / "run") as hold:
+        hold.note("the steps of a plan")
+        with pytest.raises(RunFolderError, match="the steps of a plan"), alone(tmp_path / "run"):
+            pytest.fail("the block must not run")
+        with alone(tmp_path / "other"):
+            (tmp_path / "mine").touch()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_lock_is_of_the_place_and_not_of_its_spelling(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path)
+    with alone(tmp_path / "run"):
+        for spelling in (tmp_path / "link" / "run", tmp_path / "x" / ".." / "run"):
+            with pytest.raises(RunFolderError), alone(spelling):
+                pytest.fail("the block must not run")
+
+
+def test_a_lock_never_writes_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("precious")
+    (tmp_path / ".run.lock").symlink_to(tmp_path / "victim")
+    with pytest.raises(RunFolderError, match="run"), alone(tmp_path / "run"):
+        pytest.fail("the block must not run")
+    assert (tmp_path / "victim").read_text() == "precious"
+
+
+def test_finished_file_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "palette.json"
+    with finished_file(path) as temporary:
+        temporary.write_text("first")
+        with pytest.raises(RunFolderError, match="another process"), finished_file(path):
+            pytest.fail("the block must not run")
+    assert path.read_text() == "first"
+    with pytest.raises(RunFolderError, match="not overwritten"), finished_file(path):
+        pytest.fail("the block must not run")
+    assert path.read_text() == "first"
+    assert [entry.name for entry in path.parent.iterdir()] == ["palette.json"]
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(RunFolderError, match="not overwritten"):
+        refuse_existing(tmp_path / "link")
+
+
+def test_a_link_in_place_of_a_leftover_is_not_written_through(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".a.partial.json").symlink_to(victim)
+    write_json(out / "a.json", 1)
+    assert (out / "a.json").read_text() == "1\n"
+    (out / ".tiles.partial").symlink_to(tmp_path, target_is_directory=True)
+    with pytest.raises(RunFolderError, match="tiles"), finished_folder(out / "tiles"):
+        pytest.fail("the block must not run")
+    assert victim.read_text() == "precious"
+
+
+def test_references_stay_inside_their_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    (folder / "images").mkdir(parents=True)
+    (tmp_path / "secret.png").touch()
+    (folder / "images" / "out.png").symlink_to(tmp_path / "secret.png")
+    (folder / "images" / "in.png").symlink_to(folder / "images" / "a.png")
+    (folder / "images" / "round.png").symlink_to(folder / "images" / "round.png")
+    (folder / "up").symlink_to(tmp_path)
+    document = folder / "annotations.json"
+    for good in ("images/a.png", "images/in.png", "missing.png"):
+        assert inside(folder, good, document) == folder / good
+    bad = ["images/out.png", "up/secret.png", "images/round.png", "../secret.png", "a\0b"]
+    for reference in [*bad, str(tmp_path / "secret.png")]:
+        with pytest.raises(StoredFileError, match="leads out of its folder") as caught:
+            inside(folder, reference, document)
+        assert str(caught.value).startswith(f"{document} names ")
+    # A link to the folder itself is the user's own choice.
+    (tmp_path / "link").symlink_to(folder)
+    assert inside(tmp_path / "link", "images/a.png", document)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_nothing_that_is_not_finite_is_written(tmp_path: Path, bad: float) -> None:
+    write_json(tmp_path / "a.json", 1)
+    for write, value in ((write_json, {"a": [bad]}), (write_jsonl, [{"a": 1}, {"b": bad}])):
+        with pytest.raises(NotFiniteError, match=r"a\.json would hold a number that is not finite"):
+            write(tmp_path / "a.json", value)
+    assert (tmp_path / "a.json").read_text() == "1\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_read_only_disk_is_no_full_one(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="make this place writable") as caught:
+        write_half(tmp_path / "a", OSError(errno.EROFS, os.strerror(errno.EROFS)))
+    assert "free space" not in str(caught.value)
+
+
+def test_file_systems_without_fsync_are_no_obstacle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("skyproof.files.os.fsync", fsync)
+    for number in (errno.EINVAL, errno.ENOTSUP):
+        write_json(tmp_path / f"{number}.json", 1)
+    number = errno.EIO
+    with pytest.raises(RunFolderError, match="Input/output error"):
+        write_json(tmp_path / "a.json", 1)
+    assert not (tmp_path / "a.json").exists()
