@@ -1,6 +1,6 @@
 """Success by condition: which panels there are, and how vehicles are divided among them."""
 
-import dataclasses
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from skyproof.results.pairs.outcomes import Outcome
 def outcomes(conditions):
     """One vehicle per condition and tile, found before; those in haze are lost."""
     blank = {
-        f.name: {"str": "", "int": 0, "bool": True, "float": 30.0}[f.type]
-        for f in dataclasses.fields(Outcome)
+        name: {str: "", int: 0, bool: True, float: 30.0}[kind]
+        for name, kind in get_type_hints(Outcome).items()
     }
     return [
         Outcome(

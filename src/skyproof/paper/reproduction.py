@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from skyproof.paper.curves import Curve, curve_families, practicality_curve
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.stored import AttackRecord, Practicality
 
 __all__ = ["Reproduction", "point_name"]
 
@@ -41,7 +41,7 @@ class Reproduction:
         self.detectors = results.judges
         self.cycles = CYCLES in results.renderers
         self.names = [str(name) for name in results.names]
-        self.records: Mapping[str, Mapping[str, Any]] = results.records
+        self.records: Mapping[str, AttackRecord] = results.records
 
     @property
     def comparable(self) -> bool:
@@ -55,7 +55,7 @@ class Reproduction:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
 
-    def practicality(self, name: str) -> Mapping[str, Any] | None:
+    def practicality(self, name: str) -> Practicality | None:
         """Says what a camouflage asks of those who would make it; None where not measured."""
         return self.results.practicality.get(CamouflageName.read(name))
 
@@ -89,7 +89,7 @@ class Reproduction:
     @property
     def hours(self) -> float | None:
         """The hours that all stages took together; None where not known."""
-        seconds = [float(row["seconds"]) for row in self.results.timings]
+        seconds = [row.seconds for row in self.results.timings]
         return sum(seconds) / 3600 if seconds else None
 
 

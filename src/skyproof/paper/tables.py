@@ -19,6 +19,7 @@ from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
+from skyproof.results.stored import Discretisation
 
 __all__ = ["comparison", "reproduction_tables"]
 
@@ -64,11 +65,11 @@ def _textures(run: Reproduction) -> list[dict[str, Any]]:
         filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
     ):
         paper = PAPER_RESULTS.get(name)
-        measured = (run.practicality(name) or {}).get("score", {})
+        measured = run.practicality(name)
         rows.append(
             {
                 "attack": name,
-                "practicality": measured.get("total"),
+                "practicality": None if measured is None else measured.score.total,
                 **in_percent(run.row(name)),
                 "mcnemar_p_holm": run.corrected_p(name),
                 "paper_easr": paper.easr if paper else None,
@@ -142,18 +143,16 @@ def _curves(run: Reproduction) -> list[dict[str, Any]]:
 def _practicality(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for name, measured in run.results.practicality.items():
-        score = measured["score"]
+        score = measured.score
+        signs = {"texture": score.texture, "shape": score.shape}
+        quantities = {"texture": measured.texture or {}, "shape": measured.shape or {}}
         flat = {
-            f"{side}_{sign}": value
-            for side in ("texture", "shape")
-            for sign, value in score[side].items()
+            f"{side}_{what}": value
+            for told in (signs, quantities)
+            for side, values in told.items()
+            for what, value in values.items()
         }
-        quantities: dict[str, Any] = {}
-        for side in ("texture", "shape"):
-            quantities |= {
-                f"{side}_{what}": value for what, value in (measured[side] or {}).items()
-            }
-        rows.append({"attack": str(name), "practicality": score["total"], **flat, **quantities})
+        rows.append({"attack": str(name), "practicality": score.total, **flat})
     return rows
 
 
@@ -162,9 +161,9 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
     names = run.results.names
     variants = [name for name in names if name.variant.startswith(("on_", "without_"))]
     attacked = {
-        CamouflageName.read(name): tuple(record["attack"]["detectors"])
+        CamouflageName.read(name): tuple(record.attack.detectors)
         for name, record in run.records.items()
-        if "attack" in record
+        if record.attack is not None
     }
     rows = []
     for base in dict.fromkeys(name.base for name in variants):
@@ -251,7 +250,7 @@ def _signs(run: Reproduction) -> list[dict[str, Any]]:
     return [
         {"attack": name, "detector": detector, **found}
         for name, record in run.records.items()
-        for detector, found in (record.get("sign_test") or {}).items()
+        for detector, found in (record.sign_test or {}).items()
     ]
 
 
@@ -269,10 +268,9 @@ def _gap(run: Reproduction) -> list[dict[str, Any]]:
             "easr_before": None if before is None else 100 * before,
             "easr_after": None if after is None else 100 * after,
         }
-        losses = run.records.get(name, {}).get("discretisation", {})
-        for when in ("before", "after"):
-            row |= {
-                f"loss_{detector}_{when}": value for detector, value in losses.get(when, {}).items()
-            }
+        record = run.records.get(name)
+        losses = record.discretisation if record else Discretisation()
+        for when, means in (("before", losses.before), ("after", losses.after)):
+            row |= {f"loss_{detector}_{when}": value for detector, value in means.items()}
         rows.append(row)
     return rows

@@ -100,9 +100,7 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
                 "fewer vehicles; that is not measured here."
             )
     slim = [
-        words.detector_name(name)
-        for name, card in results.detectors.items()
-        if card.get("size") == "slim"
+        words.detector_name(name) for name, card in results.detectors.items() if card.size == "slim"
     ]
     if slim:
         sentences.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
@@ -117,7 +115,7 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
 def _attacked(results: Results, headline: Headline) -> list[str]:
     """Gives the detectors that a camouflage was learnt against; empty where it is not recorded."""
     for name in (str(headline.camouflage), str(headline.camouflage.with_repeat(0))):
-        attack = results.records.get(name, {}).get("attack")
-        if attack:
-            return [words.detector_name(detector) for detector in attack.get("detectors", {})]
+        record = results.records.get(name)
+        if record is not None and record.attack is not None:
+            return [words.detector_name(detector) for detector in record.attack.detectors]
     return []

@@ -54,7 +54,7 @@ def paper_part(results: Results) -> PaperPart | None:
 
 def _preamble(run: Reproduction) -> list[Block]:
     """Says what stands above the tables where they are a page of their own."""
-    title = str(run.results.config.get("title", "The paper’s tables"))
+    title = run.results.config.title or "The paper’s tables"
     parts: list[Block] = [Heading(title, 1)]
     scores = standing(run)
     checked = f" (AP with centres within 1 m: {scores})" if scores else ""

@@ -20,8 +20,9 @@ from PIL import Image
 
 from skyproof import words
 from skyproof.errors import StoredFileError
-from skyproof.files import read_jsonl, write_bytes
+from skyproof.files import inside, write_bytes
 from skyproof.layout import Layout
+from skyproof.pictures import open_picture, read_pixels
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
@@ -31,6 +32,7 @@ from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Headline, Results
 from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.stored import read_log
 
 __all__ = ["write_report"]
 
@@ -113,9 +115,7 @@ def write_report(run_folder: str | Path) -> Path:
         .get_template("report.html.j2")
         .render(
             results=results,
-            title=results.config.get(
-                "title", "Camouflage robustness of overhead vehicle detectors"
-            ),
+            title=results.config.title or "Camouflage robustness of overhead vehicle detectors",
             sections=sections,
             exhibits=[] if few else _exhibits(results, every),
             overviews=[] if few else _overviews(results),
@@ -128,7 +128,7 @@ def write_report(run_folder: str | Path) -> Path:
             training=_training(results),
             advice=advice(every[0][0]) if every else [],
             limits=limits(results, every),
-            settings=list(_flat(results.config)),
+            settings=list(_flat(results.config.every)),
         )
     )
     path = Layout(results.folder).report
@@ -274,21 +274,20 @@ def _pairs(results: Results, headline: Headline, count: int | None = None) -> li
             f"{pair.why}. {pair.found_before} of {pair.vehicles} vehicles found before, "
             f"{pair.found_after} after."
         )
-        original = _uri(folder / pair.original)
-        adversarial = _uri(folder / pair.adversarial)
+        document = folder / "pairs.json"
+        original = _uri(inside(folder, pair.original, document))
+        adversarial = _uri(inside(folder, pair.adversarial, document))
         pictures.append(_Picture(pair.scene, original, adversarial, caption))
     return pictures
 
 
 def _uri(path: Path) -> str:
     """Gives a JPEG file as a data URI."""
-    try:
-        content = path.read_bytes()
-        with Image.open(io.BytesIO(content)) as opened:
-            opened.verify()
-    except OSError as error:
-        raise StoredFileError(f"{path} is not a readable image ({error}); score again.") from error
-    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+    picture = open_picture(path, "score again")
+    with picture:
+        if picture.format != "JPEG":
+            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; score again.")
+    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
@@ -296,11 +295,7 @@ def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
     if path is None:
         return None
     buffer = io.BytesIO()
-    try:
-        with Image.open(path) as opened:
-            picture = opened.convert("RGB")
-    except OSError as error:
-        raise StoredFileError(f"{path} is not a readable image ({error}); score again.") from error
+    picture = Image.fromarray(read_pixels(path, "score again"))
     if lossless:
         picture.save(buffer, "PNG", optimize=True)
     else:
@@ -312,9 +307,10 @@ def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
 def _attack_loss(results: Results, headline: Headline) -> Markup | None:
     path = results.pattern(headline.camouflage, "steps.jsonl")
     curves: dict[str, list[tuple[float, float]]] = {}
-    for row in [] if path is None else _steps(path):
-        for detector, loss in (row.get("losses") or {"all": row["loss"]}).items():
-            curves.setdefault(detector, []).append((float(row["step"]), float(loss)))
+    for row in [] if path is None else read_log(path):
+        losses = row.losses or ({} if row.loss is None else {"all": row.loss})
+        for detector, loss in losses.items():
+            curves.setdefault(detector, []).append((float(row.step), loss))
     title = f"Attack {headline.camouflage}: loss per detector"
     return Markup(loss_figure(title, curves)) if curves else None
 
@@ -324,22 +320,11 @@ def _training(results: Results) -> Markup | None:
     for name in results.detectors:
         path = Layout(results.folder).detector(name) / "steps.jsonl"
         # The log holds validations too, which have no loss.
-        rows = [row for row in (_steps(path) if path.exists() else []) if "loss" in row]
-        if rows:
-            curves[name] = [(float(row["step"]), float(row["loss"])) for row in rows]
+        rows = read_log(path) if path.exists() else []
+        points = [(float(row.step), row.loss) for row in rows if row.loss is not None]
+        if points:
+            curves[name] = points
     return Markup(loss_figure("Training of the detectors", curves)) if curves else None
-
-
-def _steps(path: Path) -> list[Mapping[str, Any]]:
-    """Reads the log of a training or an attack."""
-    rows = read_jsonl(path)
-    for row in rows:
-        known = isinstance(row, dict) and "step" in row
-        if not known or not (row.get("kind") == "validation" or row.keys() & {"loss", "losses"}):
-            raise StoredFileError(
-                f"{path} is not of the form that this version writes; run its stage again."
-            )
-    return rows
 
 
 def _tables(results: Results) -> list[tuple[str, list[Row]]]:

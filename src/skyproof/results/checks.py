@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from msgspec import Meta
+
+from skyproof.files import write_json
+from skyproof.ranges import Fraction, Name, WholeNumber
+from skyproof.results.rows_file import nulls_for_undefined, read_rows
 from skyproof.results.statistics.intervals import Interval
 
 __all__ = ["Check", "read_checks", "write_checks"]
@@ -66,7 +68,7 @@ class Check:
             "threshold": self.threshold,
             "note": self.note,
         }
-        return {key: None if value != value else value for key, value in values.items()}
+        return nulls_for_undefined(values)
 
 
 def write_checks(path: Path, checks: Sequence[Check]) -> None:
@@ -80,19 +82,43 @@ def read_checks(path: Path) -> list[Check]:
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    content = read_json(path)
-    try:
-        return [_check(row) for row in content["rows"]]
-    except (TypeError, KeyError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} is not of the form this version writes; score again."
-        ) from error
+    rows: list[_Stored] = read_rows(path, _Stored, "score again")
+    return [
+        Check(
+            detector=row.detector,
+            dataset=row.dataset,
+            images=row.images,
+            vehicles=row.vehicles,
+            real=row.real,
+            ap_centre_1m=Interval(row.ap_centre_1m, row.ap_centre_1m_low, row.ap_centre_1m_high),
+            clustered_by=row.clustered_by,
+            clusters=row.clusters,
+            ap_iou_50=row.ap_iou_50,
+            precision=row.precision,
+            recall=row.recall,
+            threshold=row.threshold,
+            note=row.note,
+        )
+        for row in rows
+    ]
 
 
-def _check(row: dict[str, Any]) -> Check:
-    values: dict[str, Any] = {
-        key: math.nan if value is None else value for key, value in row.items()
-    }
-    name = "ap_centre_1m"
-    ap = Interval(values.pop(name), values.pop(f"{name}_low"), values.pop(f"{name}_high"))
-    return Check(ap_centre_1m=ap, **values)
+@dataclass(frozen=True)
+class _Stored:
+    """A check as `Check.json` gives it."""
+
+    detector: Name
+    dataset: Annotated[str, Meta(min_length=1, max_length=300)]
+    images: WholeNumber
+    vehicles: Annotated[int, Meta(ge=0, le=10**9)]
+    real: bool
+    ap_centre_1m: Fraction
+    ap_centre_1m_low: Fraction
+    ap_centre_1m_high: Fraction
+    clustered_by: Annotated[str, Meta(min_length=1, max_length=50)]
+    clusters: WholeNumber
+    ap_iou_50: Fraction
+    precision: Fraction
+    recall: Fraction
+    threshold: Annotated[float, Meta(ge=-1e6, le=1e6)]
+    note: Annotated[str, Meta(max_length=10_000)] = ""

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import inside, write_json
 from skyproof.layout import Layout
+from skyproof.randomness import numpy_generator
 from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
@@ -24,6 +24,19 @@ from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.differences import difference_interval
 from skyproof.results.statistics.intervals import Interval, resample
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.stored import (
+    AttackRecord,
+    DetectorFacts,
+    Practicality,
+    RunConfig,
+    Timing,
+    read_config,
+    read_detectors,
+    read_environment,
+    read_records,
+    read_sources,
+    read_timings,
+)
 from skyproof.results.summary import summarise
 
 __all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
@@ -94,12 +107,12 @@ class Results:
     rows: Sequence[Row]
     tiles: TileCounts
     checks: Sequence[Check]
-    config: Mapping[str, Any]
+    config: RunConfig
     environment: Mapping[str, Any]
-    timings: Sequence[Mapping[str, Any]]
-    detectors: Mapping[str, Mapping[str, Any]]
-    records: Mapping[str, Mapping[str, Any]]
-    practicality: Mapping[CamouflageName, Mapping[str, Any]]
+    timings: Sequence[Timing]
+    detectors: Mapping[str, DetectorFacts]
+    records: Mapping[str, AttackRecord]
+    practicality: Mapping[CamouflageName, Practicality]
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Results:
@@ -113,7 +126,7 @@ class Results:
         layout = Layout(folder)
         scores = ScoreFolder.all_of(folder)
         tiles, sets = merge_counts([score.path for score in scores])
-        config = _mapping(layout.config)
+        config = read_config(layout.config)
         rows: list[Row] = []
         for renderer in dict.fromkeys(key.renderer for key in tiles.series):
             # One by one, Holm's correction too: a renderer's numbers stay as they are when another
@@ -121,8 +134,8 @@ class Results:
             series = {
                 key: counts for key, counts in tiles.series.items() if key.renderer == renderer
             }
-            seed = config.get("seed", scores[0].record.seed)
-            generator = np.random.default_rng(seed)
+            seed = scores[0].record.seed if config.seed is None else config.seed
+            generator = numpy_generator(seed)
             rows += summarise(TileCounts(tiles.tiles, series), sets, generator=generator)
         return cls(
             folder=folder,
@@ -131,13 +144,10 @@ class Results:
             tiles=tiles,
             checks=_merged_checks(scores),
             config=config,
-            environment=_mapping(layout.environment),
-            timings=_timings(layout.timings),
-            detectors=_folders(layout.detectors, "detector.json"),
-            records={
-                name: content.get("record") or {}
-                for name, content in _folders(layout.camouflages, "camouflage.json").items()
-            },
+            environment=read_environment(layout.environment),
+            timings=read_timings(layout.timings),
+            detectors=read_detectors(layout.detectors),
+            records=read_records(layout.camouflages),
             practicality=_practicality(scores),
         )
 
@@ -171,13 +181,13 @@ class Results:
     @cached_property
     def sources(self) -> list[str]:
         """What the ground was cut from, or ["procedural"]; empty where it is not recorded."""
-        imagery = self.config.get("imagery")
+        imagery = self.config.imagery
         if imagery:
-            return [imagery] if isinstance(imagery, str) else [str(name) for name in imagery]
-        index = _mapping(Layout(self.folder).backgrounds / "index.json")
-        tiles = [tile.get("source") for tile in index.get("tiles", []) if isinstance(tile, dict)]
+            return [imagery] if isinstance(imagery, str) else imagery
+        index = Layout(self.folder).backgrounds / "index.json"
+        tiles = read_sources(index) if index.exists() else []
         recorded = [source for score in self.scores for source in score.record.sources]
-        return [str(source) for source in dict.fromkeys([*tiles, *recorded]) if source]
+        return [source for source in dict.fromkeys([*tiles, *recorded]) if source]
 
     @cached_property
     def weights(self) -> Int[np.ndarray, "R C"]:
@@ -247,7 +257,7 @@ class Results:
             for folder in (str(name), str(name.with_repeat(0))):
                 path = score.path / "patterns" / folder / file
                 if path.exists():
-                    return path
+                    return inside(score.path, f"patterns/{folder}/{file}", score.path)
         return None
 
     def change(
@@ -360,37 +370,9 @@ def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:
     return sorted(kept, key=lambda check: order.index(check.detector))
 
 
-def _practicality(scores: Sequence[ScoreFolder]) -> dict[CamouflageName, Mapping[str, Any]]:
-    rows: dict[CamouflageName, Mapping[str, Any]] = {}
+def _practicality(scores: Sequence[ScoreFolder]) -> dict[CamouflageName, Practicality]:
+    rows: dict[CamouflageName, Practicality] = {}
     for score in scores:
         for row in score.practicality():
-            rows.setdefault(CamouflageName.read(str(row["name"])).pooled, row)
+            rows.setdefault(CamouflageName.read(row.name).pooled, row)
     return rows
-
-
-def _mapping(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        return {}
-    value = read_json(path)
-    if not isinstance(value, dict):
-        raise _other_form(path)
-    return value
-
-
-def _timings(path: Path) -> list[Mapping[str, Any]]:
-    if not path.exists():
-        return []
-    rows = read_json(path)
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise _other_form(path)
-    return rows
-
-
-def _folders(parent: Path, file: str) -> dict[str, Mapping[str, Any]]:
-    return {path.parent.name: _mapping(path) for path in sorted(parent.glob(f"*/{file}"))}
-
-
-def _other_form(path: Path) -> StoredFileError:
-    return StoredFileError(
-        f"{path} is not of the form that this version writes; run its stage again."
-    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
 __all__ = ["MAIN_MATCH", "MEAN", "Row"]
@@ -100,4 +101,4 @@ class Row:
             "mcnemar_p": self.mcnemar_p,
             "mcnemar_p_holm": self.mcnemar_p_holm,
         }
-        return {key: None if value != value else value for key, value in values.items()}
+        return nulls_for_undefined(values)

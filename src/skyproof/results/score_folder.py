@@ -10,12 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import write_json
 from skyproof.layout import Layout
+from skyproof.ranges import FileReference, Name, Seed, WholeNumber
+from skyproof.results.stored import Label, Practicality, Text
 
 __all__ = ["Pair", "ScoreFolder", "ScoreRecord", "is_pictured", "write_pairs", "write_record"]
 
@@ -32,10 +37,10 @@ class ScoreRecord:
             is not known.
     """
 
-    thresholds: Mapping[str, float]
-    seed: int = 0
-    renderer: str | None = None
-    sources: Sequence[str] = ()
+    thresholds: Mapping[Name, Annotated[float, Meta(ge=-1e6, le=1e6)]]
+    seed: Seed = 0
+    renderer: Name | None = None
+    sources: Sequence[Text] = ()
 
 
 @dataclass(frozen=True)
@@ -49,15 +54,26 @@ class Pair:
         original, adversarial: files, relative to the folder's `pairs`.
     """
 
-    camouflage: str
-    detector: str
-    scene: str
-    why: str
-    vehicles: int
-    found_before: int
-    found_after: int
-    original: str
-    adversarial: str
+    camouflage: Name
+    detector: Name
+    scene: Name
+    why: Label
+    vehicles: WholeNumber
+    found_before: WholeNumber
+    found_after: WholeNumber
+    original: FileReference
+    adversarial: FileReference
+
+
+class _Pairs(Struct, frozen=True):
+    rows: list[Pair]
+
+
+class _Account(Struct, frozen=True):
+    rows: list[Practicality]
+
+
+_REMEDY = "score again"
 
 
 def is_pictured(name: CamouflageName) -> bool:
@@ -97,13 +113,7 @@ class ScoreFolder:
         Raises:
             StoredFileError: `score.json` is missing or damaged.
         """
-        content = read_json(path / "score.json")
-        try:
-            return cls(path, ScoreRecord(**content))
-        except TypeError as error:
-            raise StoredFileError(
-                f"{path / 'score.json'} is not of the form this version writes; score again."
-            ) from error
+        return cls(path, read_document(path / "score.json", ScoreRecord, _REMEDY))
 
     @classmethod
     def all_of(cls, run_folder: Path) -> list[ScoreFolder]:
@@ -136,15 +146,9 @@ class ScoreFolder:
         path = self.path / "pairs" / "pairs.json"
         if not path.exists():
             return []
-        content = read_json(path)
-        try:
-            return [Pair(**row) for row in content["rows"]]
-        except (TypeError, KeyError) as error:
-            raise StoredFileError(
-                f"{path} is not of the form this version writes; score again."
-            ) from error
+        return read_document(path, _Pairs, _REMEDY).rows
 
-    def practicality(self) -> list[dict[str, Any]]:
+    def practicality(self) -> list[Practicality]:
         """Says what the camouflages ask of those who would make them; empty where not measured.
 
         Raises:
@@ -153,7 +157,4 @@ class ScoreFolder:
         path = self.path / "practicality.json"
         if not path.exists():
             return []
-        content = read_json(path)
-        if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
-            raise StoredFileError(f"{path} is not of the form this version writes; score again.")
-        return list(content["rows"])
+        return read_document(path, _Account, _REMEDY).rows

@@ -5,21 +5,28 @@ The rows are plain data and need no torch.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, get_type_hints
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from msgspec import Meta
 
 from skyproof.files import write_beside
+from skyproof.ranges import Fraction, Metres, Name, WholeNumber, limits_of
 from skyproof.results.pairs.parquet import read_table
 
-__all__ = ["MATCHES", "Outcome", "read_outcomes", "write_outcomes"]
+__all__ = ["MATCHES", "Match", "Outcome", "read_outcomes", "write_outcomes"]
 
 MATCHES: tuple[Literal["centre_1m"], Literal["iou_50"]] = ("centre_1m", "iou_50")
+
+Match = Literal["centre_1m", "iou_50"]
+"""How a detection and a vehicle are paired; one of `MATCHES`."""
+
+_Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
 
 
 @dataclass(frozen=True)
@@ -48,35 +55,35 @@ class Outcome:
         condition: of the weather ("clear", "haze", ...).
     """
 
-    scene: str
-    placement: int
-    vehicle: str
-    body_type: str
-    background: str
-    camouflage: str
-    renderer: str
-    detector: str
+    scene: Name
+    placement: WholeNumber
+    vehicle: Name
+    body_type: Name
+    background: Name
+    camouflage: Name
+    renderer: Name
+    detector: Name
     match: str
     detected_original: bool
     detected_adversarial: bool
-    score_original: float
-    score_adversarial: float
-    distance_original_m: float
-    distance_adversarial_m: float
-    visible_fraction: float
-    sun_elevation_deg: float
-    sun_azimuth_deg: float
-    tilt_deg: float
-    camera_azimuth_deg: float
-    heading_deg: float
-    heading_to_sun_deg: float
-    condition: str = "clear"
+    score_original: _Score
+    score_adversarial: _Score
+    distance_original_m: Metres
+    distance_adversarial_m: Metres
+    visible_fraction: Fraction
+    sun_elevation_deg: _Degrees
+    sun_azimuth_deg: _Degrees
+    tilt_deg: _Degrees
+    camera_azimuth_deg: _Degrees
+    heading_deg: _Degrees
+    heading_to_sun_deg: _Degrees
+    condition: Name = "clear"
 
 
-_ARROW_TYPES = {"str": pa.string(), "int": pa.int32(), "bool": pa.bool_(), "float": pa.float64()}
-_SCHEMA = pa.schema(
-    [(field.name, _ARROW_TYPES[str(field.type)]) for field in dataclasses.fields(Outcome)]
-)
+_UNDEFINED = ("distance_original_m", "distance_adversarial_m", "visible_fraction")
+_ARROW_TYPES = {str: pa.string(), int: pa.int32(), bool: pa.bool_(), float: pa.float64()}
+_HINTS = {**limits_of(Outcome), "match": Match}
+_SCHEMA = pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in get_type_hints(Outcome).items()])
 
 
 def write_outcomes(path: Path, outcomes: Iterable[Outcome]) -> None:
@@ -91,6 +98,8 @@ def read_outcomes(path: Path) -> list[Outcome]:
     """Reads what `write_outcomes` wrote.
 
     Raises:
-        StoredFileError: the file is missing, not Parquet, or has other columns.
+        StoredFileError: the file is missing, not Parquet, or has other columns or values that
+            cannot be.
     """
-    return [Outcome(**row) for row in read_table(path, _SCHEMA).to_pylist()]
+    table = read_table(path, _SCHEMA, _HINTS, undefined=_UNDEFINED)
+    return [Outcome(**row) for row in table.to_pylist()]

@@ -1,37 +1,92 @@
-"""Reading Parquet tables that this package wrote."""
+"""Reading Parquet tables that this package wrote; nothing else gets in."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from skyproof.errors import StoredFileError
 
 __all__ = ["read_table"]
 
+_MOST_ROWS = 10_000_000
+_LARGEST_BYTES = 2**32
 
-def read_table(path: Path, schema: pa.Schema) -> pa.Table:
+
+def read_table(
+    path: Path, schema: pa.Schema, hints: Mapping[str, Any], *, undefined: Collection[str] = ()
+) -> pa.Table:
     """Reads the table at `path`.
 
+    Args:
+        path: the file.
+        schema: the columns that it must have.
+        hints: by column an annotation with the limits of its values.
+        undefined: columns whose numbers may be nan.
+
     Raises:
-        StoredFileError: the file is missing, not Parquet, or has other columns than `schema`.
+        StoredFileError: the file is missing, not Parquet, too large, has other columns than
+            `schema`, or values that are missing or out of their limits.
     """
+    if not path.exists():
+        raise StoredFileError(f"{path} is missing; score again, or give another run folder.")
     try:
-        table = pq.read_table(path)
-    except FileNotFoundError as error:
-        raise StoredFileError(
-            f"{path} is missing; run the evaluation, or give another run folder."
-        ) from error
-    except (pa.ArrowException, OSError) as error:
-        raise StoredFileError(
-            f"{path} is not a readable Parquet file ({error}); run the evaluation again."
-        ) from error
-    if not table.schema.equals(schema):
-        difference = sorted(set(schema.names) ^ set(table.schema.names)) or "types"
-        raise StoredFileError(
-            f"{path} has other columns than this version writes ({difference}); run the evaluation "
-            "again."
+        table = _read(path, schema)
+        for name in schema.names:
+            _check(table[name], hints.get(name), name in undefined)
+        return table.cast(schema)
+    except _Unfit as unfit:
+        said = str(unfit)
+    except msgspec.ValidationError as error:
+        said = f"has values in its column {name} that cannot be ({error})"
+    except Exception as error:
+        # The readers of Parquet meet damage with many exceptions.
+        said = f"is not a readable Parquet file ({' '.join(str(error).split())[:200]})"
+    raise StoredFileError(f"{path} {said.rstrip('.')}; score again.")
+
+
+class _Unfit(Exception):
+    """What is wrong with a table."""
+
+
+def _read(path: Path, schema: pa.Schema) -> pa.Table:
+    """Reads a table whose texts are kept as dictionaries: a long one is in memory once."""
+    texts = [field.name for field in schema if field.type == pa.string()]
+    with pq.ParquetFile(path, read_dictionary=texts, memory_map=False) as file:
+        metadata = file.metadata
+        # Texts may come as dictionaries or large strings; the names of the columns tell most.
+        stored = metadata.schema.to_arrow_schema()
+        if not stored.equals(schema):
+            difference = sorted(set(schema.names) ^ set(stored.names)) or "types"
+            raise _Unfit(f"has other columns than this version writes ({difference})")
+        size = sum(
+            metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)
         )
-    return table
+        if metadata.num_rows > _MOST_ROWS or size > _LARGEST_BYTES:
+            raise _Unfit(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
+        return file.read()
+
+
+def _check(column: pa.ChunkedArray, hint: Any, may_be_undefined: bool) -> None:
+    if column.null_count:
+        raise _Unfit("has empty cells")
+    if hint is None or not len(column):
+        return
+    if pa.types.is_dictionary(column.type):
+        for chunk in column.chunks:
+            msgspec.convert(chunk.dictionary.to_pylist(), list[hint])
+        return
+    if pa.types.is_floating(column.type):
+        column = column.filter(pc.invert(pc.is_nan(column))) if may_be_undefined else column
+        if not len(column):
+            return
+        if pc.any(pc.is_nan(column)).as_py():
+            raise _Unfit("holds numbers that are not finite")
+    ends = pc.min_max(column).as_py()
+    msgspec.convert([ends["min"], ends["max"]], list[hint])

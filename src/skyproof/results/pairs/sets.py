@@ -5,15 +5,15 @@ The scores are kept in memory and on disk.
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from msgspec import Meta
+
+from skyproof.ranges import Fraction, Name
+from skyproof.results.rows_file import read_rows, write_rows
 
 __all__ = ["ORIGINAL", "SetScore", "read_sets", "write_sets"]
 
@@ -31,26 +31,17 @@ class SetScore:
         false_alarms_per_km2: at the frozen threshold; nan where undefined.
     """
 
-    camouflage: str
-    renderer: str
-    detector: str
+    camouflage: Name
+    renderer: Name
+    detector: Name
     match: str
-    average_precision: float
-    false_alarms_per_km2: float
+    average_precision: Fraction
+    false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)]
 
 
 def write_sets(path: Path, sets: Sequence[SetScore]) -> None:
     """Writes the scores as JSON; undefined ones become null."""
-    rows = [dataclasses.asdict(score) for score in sets]
-    write_json(
-        path,
-        {
-            "rows": [
-                {key: None if value != value else value for key, value in row.items()}
-                for row in rows
-            ]
-        },
-    )
+    write_rows(path, sets)
 
 
 def read_sets(path: Path) -> list[SetScore]:
@@ -59,17 +50,4 @@ def read_sets(path: Path) -> list[SetScore]:
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    content = read_json(path)
-
-    def score(row: dict[str, Any]) -> SetScore:
-        values: dict[str, Any] = {
-            key: math.nan if value is None else value for key, value in row.items()
-        }
-        return SetScore(**values)
-
-    try:
-        return [score(row) for row in content["rows"]]
-    except (TypeError, KeyError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} is not of the form this version writes; run the evaluation again."
-        ) from error
+    return read_rows(path, SetScore, "score again")

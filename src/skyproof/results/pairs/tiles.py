@@ -8,16 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Int
+from msgspec import Meta
 
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.ranges import Name
+from skyproof.results.pairs.outcomes import Match, Outcome
 from skyproof.results.pairs.parquet import read_table
 
 __all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
@@ -38,6 +40,10 @@ class Series(NamedTuple):
 
 
 _NAMES = (*Series._fields, "background")
+_Vehicles = Annotated[int, Meta(ge=0, le=10**9)]
+_HINTS = {**dict.fromkeys(_NAMES, Name), "match": Match, **dict.fromkeys(_COUNTS, _Vehicles)}
+_MOST_TILES = 50_000
+_MOST_COUNTS = 30_000_000
 _SCHEMA = pa.schema(
     [(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS]
 )
@@ -119,7 +125,7 @@ def read_tiles(path: Path) -> TileCounts:
         StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot
             be.
     """
-    table = read_table(path, _SCHEMA)
+    table = read_table(path, _SCHEMA, _HINTS)
     names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
     counts = np.stack([table[name].to_numpy() for name in _COUNTS], axis=1)
     keys, first, which = np.unique(
@@ -127,12 +133,16 @@ def read_tiles(path: Path) -> TileCounts:
     )
     which = which.reshape(-1)
     tiles = sorted(names[4])
-    place = np.array([tiles.index(name) for name in names[4]], dtype=np.int64)[codes[4]]
-    repeated = len(np.unique(which * len(tiles) + place)) < len(which)
-    if repeated or (counts < 0).any() or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
+    if len(tiles) > _MOST_TILES or len(tiles) * len(keys) > _MOST_COUNTS:
         raise StoredFileError(
-            f"{path} holds counts that contradict each other; run the evaluation again."
+            f"{path} counts {len(keys):,} series on {len(tiles):,} tiles, more than the "
+            f"{_MOST_COUNTS:,} counts on {_MOST_TILES:,} tiles that are read; score fewer at once."
         )
+    index_of = {name: index for index, name in enumerate(tiles)}
+    place = np.array([index_of[name] for name in names[4]], dtype=np.int64)[codes[4]]
+    repeated = len(np.unique(which * len(tiles) + place)) < len(which)
+    if repeated or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
+        raise StoredFileError(f"{path} holds counts that contradict each other; score again.")
     dense = np.zeros((len(keys), len(tiles), 4), dtype=np.int64)
     dense[which, place] = counts
     order = np.argsort(first)

@@ -1,0 +1,243 @@
+"""What a report reads of a run folder beside its scores, checked as it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from skyproof.documents import read_document, read_lines
+from skyproof.errors import StoredFileError
+from skyproof.ranges import Fraction, Name, Seed
+
+__all__ = [
+    "AttackRecord",
+    "DetectorFacts",
+    "Discretisation",
+    "Finite",
+    "Label",
+    "LogRow",
+    "Practicality",
+    "RunConfig",
+    "Text",
+    "Timing",
+    "read_config",
+    "read_detectors",
+    "read_environment",
+    "read_log",
+    "read_records",
+    "read_sources",
+    "read_timings",
+]
+
+Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""Any number that a table can show."""
+
+Number = Annotated[int, Meta(ge=-(10**15), le=10**15)] | Finite
+"""A number that stays whole where it is."""
+
+Label = Annotated[str, Meta(min_length=1, max_length=300)]
+"""A few words."""
+
+Text = Annotated[str, Meta(max_length=10_000)]
+"""Some sentences, or a command."""
+
+_REMEDY = "restore the file that skyproof wrote, or remove it"
+
+
+class RunConfig(Struct, frozen=True):
+    """What the results and the report need of a run's `config.json`.
+
+    Attributes:
+        title: of the report; None where it is not given.
+        seed: of the bootstrap; None where it is not given.
+        imagery: what the ground was cut from.
+        every: all settings as plain values, to be shown.
+    """
+
+    title: Label | None = None
+    seed: Seed | None = None
+    imagery: Text | list[Text] = ""
+    every: Mapping[str, Any] = {}
+
+
+class _Commands(Struct, frozen=True):
+    commands: list[Text] = []
+
+
+class Timing(Struct, frozen=True):
+    """One row of `timings.json`: how long a step took, and what memory it held."""
+
+    stage: Label
+    seconds: Annotated[float, Meta(ge=0, le=1e9)]
+    name: Label | None = None
+    largest_memory_mb: Annotated[float, Meta(ge=0, le=1e9)] | None = None
+
+
+class Validation(Struct, frozen=True):
+    """What a detector reached on its validation images."""
+
+    ap_centre_1m: Fraction | None = None
+    ap_iou_50: Fraction | None = None
+    f1: Fraction | None = None
+
+
+class DetectorFacts(Struct, frozen=True):
+    """What the page shows of a `detector.json`."""
+
+    size: Annotated[str, Meta(max_length=300)] = "–"
+    parameters: Annotated[int, Meta(ge=0, le=10**12)] | None = None
+    threshold: Finite | None = None
+    validation: Validation = Validation()
+    trained_on: Text = ""
+
+
+class _Attack(Struct, frozen=True):
+    detectors: dict[Label, Text] = {}
+
+
+class Discretisation(Struct, frozen=True):
+    """Every detector's loss before and after the last rounding."""
+
+    before: dict[Label, Finite] = {}
+    after: dict[Label, Finite] = {}
+
+
+class AttackRecord(Struct, frozen=True):
+    """What the tables need of what was recorded while a camouflage was made.
+
+    Attributes:
+        attack: which detectors it was learnt against; None of one that was drawn.
+        discretisation: every detector's loss before and after the last rounding.
+        sign_test: by detector, what a few vehicles painted at random showed.
+    """
+
+    attack: _Attack | None = None
+    discretisation: Discretisation = Discretisation()
+    sign_test: dict[Label, dict[Label, Number | bool | Text | None]] | None = None
+
+
+class _Camouflage(Struct, frozen=True):
+    record: AttackRecord | None = None
+
+
+class _Signs(Struct, frozen=True):
+    texture: dict[Label, Number | bool | None]
+    shape: dict[Label, Number | bool | None]
+    total: Number
+
+
+class Practicality(Struct, frozen=True):
+    """One row of `practicality.json`: what a camouflage asks of those who would make it.
+
+    Attributes:
+        name: the camouflage's.
+        score: the signs of texture and shape, and their total.
+        texture, shape: measured quantities; None for a side left alone.
+    """
+
+    name: Name
+    score: _Signs
+    texture: dict[Label, Number | bool | None] | None = None
+    shape: dict[Label, Number | bool | None] | None = None
+
+
+class _Tile(Struct, frozen=True):
+    source: Text = ""
+
+
+class _Index(Struct, frozen=True):
+    tiles: list[_Tile] = []
+
+
+class LogRow(Struct, frozen=True):
+    """One row of a `steps.jsonl`: a step of training or attack, or a validation without loss."""
+
+    step: Annotated[int, Meta(ge=0, le=10**9)]
+    kind: Label | None = None
+    loss: Finite | None = None
+    losses: dict[Label, Finite] | None = None
+
+
+def read_config(path: Path) -> RunConfig:
+    """Reads a run's `config.json`; all defaults where it is missing.
+
+    Raises:
+        StoredFileError: the file is of another form.
+    """
+    if not path.exists():
+        return RunConfig()
+    config: RunConfig = read_document(path, RunConfig, _REMEDY)
+    every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+    return RunConfig(config.title, config.seed, config.imagery, every)
+
+
+def read_environment(path: Path) -> Mapping[str, Any]:
+    """Reads what `environment.json` says of the machine and the versions; empty where missing.
+
+    Raises:
+        StoredFileError: the file is of another form.
+    """
+    if not path.exists():
+        return {}
+    read_document(path, _Commands, _REMEDY)
+    known: Any = dict[Label, Text | int | float | bool | list[Text] | None]
+    return read_document(path, known, _REMEDY)
+
+
+def read_timings(path: Path) -> list[Timing]:
+    """Reads how long the steps of a run took; empty where missing.
+
+    Raises:
+        StoredFileError: the file is of another form.
+    """
+    return read_document(path, list[Timing], _REMEDY) if path.exists() else []
+
+
+def read_detectors(folder: Path) -> dict[str, DetectorFacts]:
+    """Reads what is recorded of the detectors of a run, by folder.
+
+    Raises:
+        StoredFileError: a file is of another form.
+    """
+    return {
+        path.parent.name: read_document(path, DetectorFacts, _REMEDY)
+        for path in sorted(folder.glob("*/detector.json"))
+    }
+
+
+def read_records(folder: Path) -> dict[str, AttackRecord]:
+    """Reads what was recorded while the camouflages of a run were made, by folder.
+
+    Raises:
+        StoredFileError: a file is of another form.
+    """
+    return {
+        path.parent.name: read_document(path, _Camouflage, _REMEDY).record or AttackRecord()
+        for path in sorted(folder.glob("*/camouflage.json"))
+    }
+
+
+def read_sources(path: Path) -> list[str]:
+    """Reads what the tiles of a background set were cut from, from its `index.json`.
+
+    Raises:
+        StoredFileError: the file is of another form.
+    """
+    index: _Index = read_document(path, _Index, _REMEDY)
+    return [tile.source for tile in index.tiles]
+
+
+def read_log(path: Path) -> list[LogRow]:
+    """Reads the log of a training or an attack.
+
+    Raises:
+        StoredFileError: the file is of another form.
+    """
+    rows: list[LogRow] = read_lines(path, LogRow, _REMEDY)
+    for row in rows:
+        if row.kind != "validation" and row.loss is None and row.losses is None:
+            raise StoredFileError(f"{path} has a row without a loss; {_REMEDY}.")
+    return rows
