@@ -1,7 +1,7 @@
 """Outcomes on disk."""
 
-import dataclasses
 import math
+from typing import get_type_hints
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -13,10 +13,10 @@ from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcom
 
 def outcome(**changes):
     values = {
-        field.name: {"str": "x", "int": 3, "bool": True, "float": 0.1}[field.type]
-        for field in dataclasses.fields(Outcome)
+        name: {str: "x", int: 3, bool: True, float: 0.1}[kind]
+        for name, kind in get_type_hints(Outcome).items()
     }
-    return Outcome(**(values | changes))
+    return Outcome(**(values | {"match": "centre_1m"} | changes))
 
 
 def test_round_trip(tmp_path):
@@ -46,4 +46,37 @@ def test_bad_files_are_named(tmp_path):
         read_outcomes(path)
     pq.write_table(pa.table({"scene": ["a"]}), path)
     with pytest.raises(StoredFileError, match="other columns"):
+        read_outcomes(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"camouflage": "../../elsewhere"},
+        {"detector": "a\0b"},
+        {"scene": "x" * 100_000},
+        {"match": "luck"},
+        {"placement": -1},
+        {"score_original": math.inf},
+        {"distance_original_m": -1.0},
+        {"distance_original_m": math.inf},
+        {"tilt_deg": math.nan},
+        {"visible_fraction": 1.5},
+    ],
+)
+def test_a_table_of_values_that_cannot_be_is_refused(tmp_path, changes):
+    path = tmp_path / "outcomes.parquet"
+    write_outcomes(path, [outcome(), outcome(**changes)])
+    with pytest.raises(StoredFileError, match=r"outcomes\.parquet .*; score again\.") as refused:
+        read_outcomes(path)
+    assert len(str(refused.value)) < 600
+
+
+def test_empty_cells_are_refused(tmp_path):
+    path = tmp_path / "outcomes.parquet"
+    write_outcomes(path, [outcome()])
+    table = pq.read_table(path)
+    empty = table.set_column(0, "scene", pa.array([None], pa.string()))
+    pq.write_table(empty.cast(table.schema), path)
+    with pytest.raises(StoredFileError, match="empty cells"):
         read_outcomes(path)

@@ -1,7 +1,7 @@
 """Success rates on hand-counted pairs."""
 
-import dataclasses
 import math
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from skyproof.results.statistics import rates
 def pair_counts(original, adversarial):
     """Counts vehicles by (both, lost, gained), on one tile."""
     blank = {
-        field.name: {"str": "", "int": 0, "bool": False, "float": 0.0}[field.type]
-        for field in dataclasses.fields(Outcome)
+        name: {str: "", int: 0, bool: False, float: 0.0}[kind]
+        for name, kind in get_type_hints(Outcome).items()
     }
     pairs = zip(original.tolist(), adversarial.tolist(), strict=True)
     outcomes = [

@@ -1,7 +1,7 @@
 """The table of results, counted by hand."""
 
-import dataclasses
 import json
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -40,8 +40,8 @@ def summarise(tiles, sets, *, generator):
 def outcomes(camouflage, detector, detected, match="centre_1m"):
     """Vehicles as (original, adversarial), two on each tile."""
     blank = {
-        field.name: {"str": "", "int": 0, "bool": False, "float": 0.0}[field.type]
-        for field in dataclasses.fields(Outcome)
+        name: {str: "", int: 0, bool: False, float: 0.0}[kind]
+        for name, kind in get_type_hints(Outcome).items()
     }
     return [
         Outcome(

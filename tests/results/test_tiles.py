@@ -1,6 +1,7 @@
 """Counts per tile, on disk and merged."""
 
 import dataclasses
+from typing import get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -17,8 +18,8 @@ from skyproof.results.score_folder import ScoreRecord, write_record
 
 def outcome(tile, camouflage, before, after, detector="yolov5"):
     blank = {
-        f.name: {"str": "x", "int": 0, "bool": False, "float": 0.0}[f.type]
-        for f in dataclasses.fields(Outcome)
+        name: {str: "x", int: 0, bool: False, float: 0.0}[kind]
+        for name, kind in get_type_hints(Outcome).items()
     }
     blank |= {
         "background": tile,
@@ -100,7 +101,7 @@ def test_set_scores_round_trip(tmp_path):
     assert first == written[0]
     assert second.average_precision != second.average_precision
     (tmp_path / "sets.json").write_text('{"rows": [{"camouflage": "x"}]}')
-    with pytest.raises(StoredFileError, match=r"sets\.json is not of the form"):
+    with pytest.raises(StoredFileError, match=r"sets\.json, rows\[0\]: the field renderer is"):
         read_sets(tmp_path / "sets.json")
 
 

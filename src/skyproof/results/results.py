@@ -14,7 +14,6 @@ from jaxtyping import Int
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
-from skyproof.randomness import numpy_generator
 from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
@@ -38,6 +37,7 @@ from skyproof.results.stored import (
     read_timings,
 )
 from skyproof.results.summary import summarise
+from skyproof.seeds import numpy_generator
 
 __all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
 

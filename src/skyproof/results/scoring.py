@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
@@ -33,6 +31,7 @@ from skyproof.results.score_folder import (
     write_record,
 )
 from skyproof.results.statistics.rates import false_alarms_per_km2
+from skyproof.seeds import numpy_generator
 
 __all__ = ["score_detectors"]
 
@@ -226,7 +225,7 @@ class _Scored:
         return _Seen(found, matches)
 
     def _check(self, judge: Judge, clean: CleanSet, seen: _Seen) -> Check:
-        generator = np.random.default_rng(self.seed)
+        generator = numpy_generator(self.seed)
         centre, overlap = (seen.matches[match] for match in MATCHES)
         return check_clean(judge, clean, centre, overlap, generator=generator)
 

@@ -44,7 +44,8 @@ def read_table(
     except _Unfit as unfit:
         said = str(unfit)
     except msgspec.ValidationError as error:
-        said = f"has values in its column {name} that cannot be ({error})"
+        reason = str(error).partition(" - at ")[0]
+        said = f"has a value in its column {name} that cannot be ({reason})"
     except Exception as error:
         # The readers of Parquet meet damage with many exceptions.
         said = f"is not a readable Parquet file ({' '.join(str(error).split())[:200]})"
@@ -57,19 +58,18 @@ class _Unfit(Exception):
 
 def _read(path: Path, schema: pa.Schema) -> pa.Table:
     """Reads a table whose texts are kept as dictionaries: a long one is in memory once."""
+    metadata = pq.read_metadata(path)
+    stored = metadata.schema.to_arrow_schema()
+    if not stored.equals(schema):
+        difference = sorted(set(schema.names) ^ set(stored.names)) or "types"
+        raise _Unfit(f"has other columns than this version writes ({difference})")
+    size = sum(
+        metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)
+    )
+    if metadata.num_rows > _MOST_ROWS or size > _LARGEST_BYTES:
+        raise _Unfit(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
     texts = [field.name for field in schema if field.type == pa.string()]
-    with pq.ParquetFile(path, read_dictionary=texts, memory_map=False) as file:
-        metadata = file.metadata
-        # Texts may come as dictionaries or large strings; the names of the columns tell most.
-        stored = metadata.schema.to_arrow_schema()
-        if not stored.equals(schema):
-            difference = sorted(set(schema.names) ^ set(stored.names)) or "types"
-            raise _Unfit(f"has other columns than this version writes ({difference})")
-        size = sum(
-            metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)
-        )
-        if metadata.num_rows > _MOST_ROWS or size > _LARGEST_BYTES:
-            raise _Unfit(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
+    with pq.ParquetFile(path, read_dictionary=texts) as file:
         return file.read()
 
 

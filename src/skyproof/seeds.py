@@ -1,0 +1,22 @@
+"""Seeds of 64 bits, negative ones included, without torch; see also `skyproof.randomness`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["next_seed", "numpy_generator"]
+
+
+def numpy_generator(seed: int) -> np.random.Generator:
+    """Returns NumPy's generator for a seed; NumPy itself takes no negative ones."""
+    return np.random.default_rng(seed % 2**64)
+
+
+def next_seed(seed: int, number: int) -> int:
+    """Returns the seed of the repeat of that number; after the largest of 64 bits comes the least.
+
+    Args:
+        seed: the run's.
+        number: added to it.
+    """
+    return (seed + number + 2**63) % 2**64 - 2**63
