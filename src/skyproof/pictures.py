@@ -93,7 +93,9 @@ def read_pixels(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                return np.array(picture.convert("RGB"))
+                picture.load()
+                # A conversion copies even where there is nothing to convert.
+                return np.array(picture if picture.mode == "RGB" else picture.convert("RGB"))
         except Exception as damage:
             # As above.
             raise error(

@@ -52,8 +52,8 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 Metres = Annotated[float, Meta(ge=0, le=1e6)]
 """A length."""
 
-GroundResolution = Annotated[float, Meta(gt=0, le=100)]
-"""Metres per pixel."""
+GroundResolution = Annotated[float, Meta(ge=0.001, le=100)]
+"""Metres per pixel; finer than a millimetre one vehicle alone would fill the memory."""
 
 ImageSide = Annotated[int, Meta(ge=1, le=16_384)]
 """Width or height of an image in pixels."""
@@ -161,7 +161,7 @@ def _expected(hint: Any) -> str:
             continue
         below = "below" if meta.ge is None and meta.gt is None else "to below"
         bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), (below, meta.lt)]
-        limits = [f"{word} {bound:,}" for word, bound in bounds if bound is not None]
+        limits = [f"{word} {_number(bound)}" for word, bound in bounds if bound is not None]
         words.append(" ".join([kinds.get(kind, "a value"), *limits]))
     listed = "values, each " if get_origin(hint) is tuple else ""
     return f"{listed}{' or '.join(dict.fromkeys(words))}"
@@ -174,6 +174,10 @@ def _shown(value: Any) -> str:
     except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= 100 else f"{text[:100]}..."
+
+
+def _number(bound: int | float) -> str:
+    return f"{bound:,}" if isinstance(bound, int) else f"{bound:g}"
 
 
 def _plain(value: Any) -> Any:

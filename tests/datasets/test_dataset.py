@@ -58,7 +58,7 @@ def test_damage_raises(tmp_path):
     with pytest.raises(StoredFileError, match=r"scene-b\.png"):
         data.images([0, 1])
     Image.new("RGB", (16, 16)).save(tmp_path / "images" / "scene-b.png")
-    with pytest.raises(StoredFileError, match=r"16 x 16 px but annotations\.json says 16 x 24"):
+    with pytest.raises(StoredFileError, match=r"16 x 16 px, expected are 16 x 24"):
         data.image(1)
     path = tmp_path / "annotations.json"
     path.write_text(path.read_text().replace("gsd_m", "other"))

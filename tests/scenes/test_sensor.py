@@ -51,7 +51,7 @@ def test_rendering_and_attacks_use_it(folder, tmp_path):
 
 @pytest.mark.parametrize("values", [(-1.0, 0.0), (float("nan"), 0.0), (1.0, 2.0)])
 def test_refuses_impossible_values(values):
-    with pytest.raises(ConfigurationError, match="blur of 0 to 10 px"):
+    with pytest.raises(ConfigurationError, match="expects a number from 0 up to"):
         Sensor(*values)
 
 
@@ -59,5 +59,5 @@ def test_a_damaged_sensor_is_one_sentence(folder):
     index = json.loads((folder / "index.json").read_text())
     for damaged in ({"blur_sigma_px": -3}, {"sharpness": 1}, [1]):
         (folder / "index.json").write_text(json.dumps({**index, "sensor": damaged}))
-        with pytest.raises(StoredFileError, match="not a background index"):
+        with pytest.raises(StoredFileError, match=r"index\.json, sensor"):
             BackgroundSet.open(folder)

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
+from skyproof.scenes.sensor import Blur, Noise
 
 __all__ = ["Adjust"]
 
@@ -32,8 +33,8 @@ class Adjust:
     folder: Positional[Path]
     drop: tuple[str, ...] = ()
     measure_sensor: bool = False
-    blur_sigma_px: float | None = None
-    noise: float | None = None
+    blur_sigma_px: Blur | None = None
+    noise: Noise | None = None
 
     def __post_init__(self) -> None:
         if not (self.drop or self.measure_sensor or self._given()):

@@ -13,6 +13,8 @@ from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
+from skyproof.ranges import Count, Seed
+from skyproof.scenes.sensor import Blur
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -47,16 +49,14 @@ class Ground:
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
-    tiles: tuple[int, int, int, int] = (64, 12, 24, 40)
-    blur_sigma_px: float | None = None
-    seed: int = 0
+    tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
+    blur_sigma_px: Blur | None = None
+    seed: Seed = 0
     tiling: TilingSettings = field(default_factory=TilingSettings)
     source: SourceSettings = field(default_factory=SourceSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
 
     def __post_init__(self) -> None:
-        if min(self.tiles) < 1:
-            raise ConfigurationError(f"--tiles expects counts of at least 1, got {self.tiles}.")
         about_imagery = (self.labels.path, self.tiling.like, self.source.gsd_m, self.source.crs)
         if not self.sources and any(value is not None for value in about_imagery):
             raise ConfigurationError(

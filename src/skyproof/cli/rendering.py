@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from skyproof.cycles.settings import CyclesSettings
 
@@ -26,5 +28,5 @@ class Rendering:
 
     renderer: Literal["torch", "cycles"] = "torch"
     blender: Path | None = None
-    workers: int | None = None
+    workers: Annotated[int, Meta(ge=1, le=1000)] | None = None
     cycles: CyclesSettings = field(default_factory=CyclesSettings)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from skyproof.cli.console import say
-from skyproof.errors import ConfigurationError
-from skyproof.files import refuse_existing
+from skyproof.files import finished_file
+from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["Scenes"]
@@ -36,9 +36,9 @@ class Scenes:
     fleet: Path
     out: Path
     split: Literal["train", "validation", "attack", "test"] = "test"
-    count: int = 120
+    count: Count = 120
     settings: SceneSettings = field(default_factory=_usual_settings)
-    seed: int = 0
+    seed: Seed = 0
 
     def run(self) -> None:
         """Samples the scenes and writes them."""
@@ -48,17 +48,15 @@ class Scenes:
         from skyproof.scenes.scene import write_scenes
         from skyproof.vehicles.fleet import Fleet
 
-        if self.count < 1:
-            raise ConfigurationError(f"--count expects at least 1 scene, got {self.count}.")
-        refuse_existing(self.out)
-        scenes = sample_scenes(
-            self.settings,
-            BackgroundSet.open(self.backgrounds),
-            self.split,
-            Fleet.load(self.fleet).sizes_m,
-            self.count,
-            generator=generator_of(self.seed, "scenes", self.split),
-            prefix=self.split,
-        )
-        write_scenes(self.out, scenes)
+        with finished_file(self.out) as path:
+            scenes = sample_scenes(
+                self.settings,
+                BackgroundSet.open(self.backgrounds),
+                self.split,
+                Fleet.load(self.fleet).sizes_m,
+                self.count,
+                generator=generator_of(self.seed, "scenes", self.split),
+                prefix=self.split,
+            )
+            write_scenes(path, scenes)
         say(f"Scenes: {self.out.resolve()}")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,15 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from skyproof.datasets.annotations import (
+    AnnotationFile,
+    AnnotationRow,
+    Information,
+    read_annotations,
+)
 from skyproof.datasets.coco import DESCRIPTION
 from skyproof.datasets.pictures import Picture, PictureFile, PictureInMemory
 from skyproof.errors import StoredFileError
-from skyproof.files import read_json
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 
@@ -41,7 +46,7 @@ class Dataset:
         visible_fractions: per image `[n]` the fraction of each vehicle's pixels that are inside
             the image; nan where not known.
         folder: where the images lie; None where they are of several places or in memory.
-        info: what the annotation file says of the whole set.
+        info: what the annotation file says of the whole set; None where there is none.
     """
 
     pictures: Sequence[Picture]
@@ -51,7 +56,7 @@ class Dataset:
     gsd_m: float
     visible_fractions: Sequence[Float[Tensor, " _n"]]
     folder: Path | None = None
-    info: Mapping[str, Any] = field(default_factory=dict)
+    info: Information | None = None
 
     @classmethod
     def open(cls, folder: str | Path) -> Dataset:
@@ -60,47 +65,29 @@ class Dataset:
         Annotations with iscrowd become ignore regions.
 
         Raises:
-            StoredFileError: `annotations.json` is missing, damaged or without our resolution.
+            StoredFileError: `annotations.json` is missing, damaged or of another form, or names an
+                image outside the folder.
         """
         folder = Path(folder)
-        path = folder / "annotations.json"
-        # Outlines of vehicles are most of the file, and nobody here needs them.
-        document = read_json(path, leave_out="segmentation")
-        try:
-            info = dict(document["info"])
-            gsd_m = float(info["gsd_m"])
-            dict(info.get("rendering", {}))
-            rows: dict[int, list[dict[str, Any]]] = {
-                image["id"]: [] for image in document["images"]
-            }
-            for annotation in document["annotations"]:
-                rows[annotation["image_id"]].append(annotation)
-            vehicles = [
-                [row for row in of_image if not row["iscrowd"]] for of_image in rows.values()
-            ]
-            crowds = [[row for row in of_image if row["iscrowd"]] for of_image in rows.values()]
-            return cls(
-                pictures=[
-                    PictureFile(
-                        folder / image["file_name"], (int(image["width"]), int(image["height"]))
-                    )
-                    for image in document["images"]
-                ],
-                boxes=[_boxes(of_image) for of_image in vehicles],
-                ignore=[_boxes(of_image) for of_image in crowds],
-                ids=[str(image["scene_id"]) for image in document["images"]],
-                gsd_m=gsd_m,
-                visible_fractions=[
-                    torch.tensor([float(row.get("visible_fraction", math.nan)) for row in of_image])
-                    for of_image in vehicles
-                ],
-                folder=folder,
-                info=info,
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise StoredFileError(
-                f"{path} is not a dataset of ours ({error!r}); write the dataset again."
-            ) from error
+        document, files = read_annotations(folder, AnnotationFile)
+        rows: dict[int, list[AnnotationRow]] = {image.id: [] for image in document.images}
+        for annotation in document.annotations:
+            rows[annotation.image_id].append(annotation)
+        vehicles = [[row for row in of_image if not row.iscrowd] for of_image in rows.values()]
+        crowds = [[row for row in of_image if row.iscrowd] for of_image in rows.values()]
+        return cls(
+            pictures=[
+                PictureFile(file, (image.width, image.height))
+                for file, image in zip(files, document.images, strict=True)
+            ],
+            boxes=[_boxes(of_image) for of_image in vehicles],
+            ignore=[_boxes(of_image) for of_image in crowds],
+            ids=[image.scene_id for image in document.images],
+            gsd_m=document.info.gsd_m,
+            visible_fractions=[_visible_fractions(of_image) for of_image in vehicles],
+            folder=folder,
+            info=document.info,
+        )
 
     @classmethod
     def of_images(
@@ -182,13 +169,15 @@ class Dataset:
     def renderer(self) -> str:
         """Who rendered the images: "torch" or "cycles"; empty where nobody did."""
         # Datasets of before there was a choice of renderer say only that they are scenes.
-        default = "torch" if self.info.get("description") == DESCRIPTION else ""
-        return str(self.info.get("renderer", default))
+        if self.info is None:
+            return ""
+        default = "torch" if self.info.description == DESCRIPTION else ""
+        return default if self.info.renderer is None else self.info.renderer
 
     @property
     def rendering(self) -> dict[str, Any]:
         """The settings that the images were rendered with; empty where they are not known."""
-        return dict(self.info.get("rendering", {}))
+        return {} if self.info is None else dict(self.info.rendering)
 
     @property
     def origin(self) -> str:
@@ -199,11 +188,11 @@ class Dataset:
         Raises:
             StoredFileError: the index of the tiled folder that the set lies in is damaged.
         """
-        if self.folder is None:
+        if self.folder is None or self.info is None:
             return ""
         name = self.folder.resolve().name
         above = self.folder.resolve().parent
-        if "renderer" not in self.info and (above / "index.json").exists():
+        if self.info.renderer is None and (above / "index.json").exists():
             # A split of a tiled folder.
             tiles = BackgroundSet.open(above).tiles(name)
             sources = list(dict.fromkeys(tile.source for tile in tiles))
@@ -222,6 +211,11 @@ def _decoders() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="decoder")
 
 
-def _boxes(rows: Sequence[Mapping[str, Any]]) -> Tensor:
-    boxes = torch.tensor([row["bbox"] for row in rows], dtype=torch.float32).reshape(-1, 4)
+def _boxes(rows: Sequence[AnnotationRow]) -> Tensor:
+    boxes = torch.tensor([row.bbox for row in rows], dtype=torch.float32).reshape(-1, 4)
     return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
+
+
+def _visible_fractions(rows: Sequence[AnnotationRow]) -> Tensor:
+    known = [math.nan if row.visible_fraction is None else row.visible_fraction for row in rows]
+    return torch.tensor(known, dtype=torch.float32)

@@ -13,7 +13,8 @@ from jaxtyping import UInt8
 from PIL import Image
 from torch import Tensor
 
-from skyproof.errors import StoredFileError
+from skyproof.datasets.annotations import REMEDY
+from skyproof.pictures import read_pixels
 
 __all__ = ["Picture", "PictureFile", "PictureInMemory", "Window", "tensor_of"]
 
@@ -88,20 +89,7 @@ class PictureFile:
         Raises:
             StoredFileError: the file is missing, damaged or of another size than was stated.
         """
-        try:
-            with Image.open(self.path) as image:
-                pixels = tensor_of(image.convert("RGB"))
-        except (OSError, SyntaxError, ValueError) as error:
-            raise StoredFileError(
-                f"{self.path} cannot be read ({error}); write the dataset again."
-            ) from error
-        height, width = pixels.shape[1:]
-        if (width, height) != self.size_px:
-            raise StoredFileError(
-                f"{self.path} has {width} x {height} px but annotations.json says "
-                f"{self.size_px[0]} x {self.size_px[1]}; write the dataset again."
-            )
-        return pixels
+        return tensor_of(read_pixels(self.path, REMEDY, size_px=self.size_px))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
         """Decodes the file and yields its windows.
@@ -112,6 +100,6 @@ class PictureFile:
         return PictureInMemory(self.read()).windows(windows)
 
 
-def tensor_of(image: Image.Image) -> UInt8[Tensor, "3 H W"]:
-    """Turns a decoded RGB picture into a tensor of its bytes, channels first."""
-    return torch.from_numpy(np.array(image)).permute(2, 0, 1).contiguous()
+def tensor_of(image: Image.Image | UInt8[np.ndarray, "H W 3"]) -> UInt8[Tensor, "3 H W"]:
+    """Turns a decoded RGB picture into a tensor of its bytes, channels first, by one copy."""
+    return torch.from_numpy(np.array(np.asarray(image).transpose(2, 0, 1), order="C"))

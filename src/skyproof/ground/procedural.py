@@ -10,14 +10,9 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
-from skyproof.scenes.backgrounds import (
-    SPLITS,
-    BackgroundSet,
-    BackgroundTile,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.sensor import Sensor
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["write_procedural_backgrounds"]
 
@@ -57,7 +52,7 @@ def write_procedural_backgrounds(
     tiles = []
     for split in SPLITS:
         for number in range(counts.get(split, 0)):
-            state = np.random.SeedSequence([seed, SPLITS.index(split), number]).generate_state(
+            state = np.random.SeedSequence([seed % 2**64, SPLITS.index(split), number]).generate_state(
                 1, np.uint64
             )
             generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))

@@ -5,13 +5,19 @@ Imports no torch, so that the command line answers at once.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import GroundResolution, check_ranges
 
 __all__ = ["ClearSettings", "LabelSettings", "SourceSettings", "TilingSettings"]
+
+_TileSide = Annotated[int, Meta(ge=1, le=8192)]
+_Score = Annotated[float, Meta(gt=0, le=1)]
 
 
 @dataclass(frozen=True)
@@ -30,22 +36,14 @@ class TilingSettings:
             sources.
     """
 
-    gsd_m: float = 0.125
-    size_px: int = 384
-    minimum_px: int | None = None
-    block_m: float | None = None
+    gsd_m: GroundResolution = 0.125
+    size_px: _TileSide = 384
+    minimum_px: _TileSide | None = None
+    block_m: Annotated[float, Meta(ge=0.1, le=1e6)] | None = None
     like: Path | None = None
 
     def __post_init__(self) -> None:
-        if (
-            not 0 < self.gsd_m < math.inf
-            or self.size_px < 1
-            or not 0 < (self.block_m or 1) < math.inf
-        ):
-            raise ConfigurationError(
-                "--tiling.gsd-m and --tiling.block-m expect metres above 0 and --tiling.size-px at "
-                f"least 1 px, got {self.gsd_m}, {self.block_m} and {self.size_px}."
-            )
+        check_ranges(self)
 
 
 @dataclass(frozen=True)
@@ -59,16 +57,12 @@ class SourceSettings:
         licence: licence of images that state none (TIFFTAG_COPYRIGHT).
     """
 
-    gsd_m: float | None = None
+    gsd_m: GroundResolution | None = None
     crs: str | None = None
     licence: str | None = None
 
     def __post_init__(self) -> None:
-        if self.gsd_m is not None and not 0 < self.gsd_m < math.inf:
-            raise ConfigurationError(
-                "The sources' metres per pixel (--source.gsd-m; --gsd of `demo`) must be above 0, "
-                f"got {self.gsd_m}."
-            )
+        check_ranges(self)
         if self.crs is not None:
             # Loaded only where a system is named: it takes a second.
             from rasterio.crs import CRS
@@ -98,15 +92,11 @@ class LabelSettings:
 
     path: Path | None = None
     classes: tuple[str, ...] = ()
-    border_px: float = 0.0
-    point_box_m: float = 4.0
+    border_px: Annotated[float, Meta(ge=0, le=100_000)] = 0.0
+    point_box_m: Annotated[float, Meta(ge=0.01, le=100)] = 4.0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.border_px < math.inf and 0 < self.point_box_m < math.inf):
-            raise ConfigurationError(
-                "--labels.border-px expects a number of at least 0 and --labels.point-box-m one "
-                f"above 0, got {self.border_px} and {self.point_box_m}."
-            )
+        check_ranges(self)
 
 
 @dataclass(frozen=True)
@@ -123,15 +113,10 @@ class ClearSettings:
         rounds: how often a tile is repaired in which the check still finds something.
     """
 
-    finding_score: float = 0.1
-    margin_m: float = 0.4
-    largest_masked_share: float = 0.35
-    rounds: int = 2
+    finding_score: _Score = 0.1
+    margin_m: Annotated[float, Meta(ge=0, le=100)] = 0.4
+    largest_masked_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
+    rounds: Annotated[int, Meta(ge=0, le=100)] = 2
 
     def __post_init__(self) -> None:
-        shares = 0 < self.finding_score <= 1 and 0 < self.largest_masked_share < 1
-        if not shares or self.margin_m < 0 or self.rounds < 0:
-            raise ConfigurationError(
-                "Clearing expects a score and a masked share between 0 and 1, and a margin and a "
-                f"number of rounds of at least 0, but got {self}."
-            )
+        check_ranges(self)

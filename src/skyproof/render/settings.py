@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
-from skyproof.scenes.sensor import Sensor
+from msgspec import Meta
+
+from skyproof.ranges import Fraction, check_ranges
+from skyproof.scenes.sensor import Blur, Noise, Sensor
 
 __all__ = ["RenderSettings"]
+
+_Samples = Annotated[int, Meta(ge=1, le=32)]
+_SHARPEST_PX = 0.01
 
 
 @dataclass(frozen=True)
@@ -31,15 +38,18 @@ class RenderSettings:
         glint_exponent: sharpness of the sun's glint (normalised Blinn-Phong).
     """
 
-    supersampling: int = 4
-    shadow_supersampling: int = 2
-    blur_sigma_px: float = Sensor.blur_sigma_px
-    noise: float = Sensor.noise
-    sky_share: float = 0.25
-    shadow_light: tuple[float, float, float] = (0.13, 0.156, 0.217)
-    ground_reflectance: float = 0.15
-    reflectance: float = 0.04
-    glint_exponent: float = 40.0
+    supersampling: _Samples = 4
+    shadow_supersampling: _Samples = 2
+    blur_sigma_px: Blur = Sensor.blur_sigma_px
+    noise: Noise = Sensor.noise
+    sky_share: Fraction = 0.25
+    shadow_light: tuple[Fraction, Fraction, Fraction] = (0.13, 0.156, 0.217)
+    ground_reflectance: Fraction = 0.15
+    reflectance: Fraction = 0.04
+    glint_exponent: Annotated[float, Meta(ge=1, le=10_000)] = 40.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
     @classmethod
     def of(cls, sensor: Sensor) -> RenderSettings:
@@ -49,4 +59,6 @@ class RenderSettings:
     @property
     def blur_radius_px(self) -> int:
         """Half of the paper's kernel size k = 6 * ceil(sigma) - 1, less the middle pixel."""
-        return 3 * math.ceil(self.blur_sigma_px) - 1 if self.blur_sigma_px > 0 else 0
+        # A narrower kernel is one pixel, and would divide by nearly nothing.
+        sharp = self.blur_sigma_px < _SHARPEST_PX
+        return 0 if sharp else 3 * math.ceil(self.blur_sigma_px) - 1

@@ -9,19 +9,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
+from typing import Annotated, Literal
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, UInt8
+from msgspec import Meta
 from PIL import Image
 from torch import Tensor
 
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json, write_beside, write_json
+from skyproof.files import inside, write_beside, write_json
+from skyproof.pictures import read_pixels
+from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name, Radians
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
-from skyproof.scenes.splits import SPLITS
+from skyproof.scenes.splits import Split
 
 __all__ = [
     "BackgroundSet",
@@ -32,8 +36,12 @@ __all__ = [
 ]
 
 
-FORMAT_VERSION = 1
+FORMAT_VERSION: Literal[1] = 1
 CACHE_BYTES = 256 * 2**20
+
+_INDEX = "index.json"
+_REMEDY = "prepare the backgrounds again"
+_Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,7 @@ class BackgroundTile:
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
         file: path inside the folder.
-        split: one of `SPLITS`.
+        split: what it is for.
         width_px, height_px: its size.
         source: the image it was cut from, or "procedural".
         offset_px: its left and top edge in the grid it was cut on, in pixels of the set's
@@ -54,17 +62,36 @@ class BackgroundTile:
         sun_elevation_rad: its height above the horizon.
     """
 
-    id: str
-    file: str
-    split: str
-    width_px: int
-    height_px: int
+    id: Name
+    file: FileReference
+    split: Split
+    width_px: ImageSide
+    height_px: ImageSide
     source: str
-    offset_px: tuple[int, int] = (0, 0)
+    offset_px: tuple[_Offset, _Offset] = (0, 0)
     kind: str | None = None
     licence: str | None = None
-    sun_azimuth_rad: float | None = None
-    sun_elevation_rad: float | None = None
+    sun_azimuth_rad: Radians | None = None
+    sun_elevation_rad: Radians | None = None
+
+
+@dataclass(frozen=True)
+class _Index:
+    """The content of `index.json`; sets of before there was a choice of sensor name none."""
+
+    format_version: Literal[1]
+    gsd_m: GroundResolution
+    tiles: Annotated[tuple[BackgroundTile, ...], Meta(min_length=1)]
+    sensor: Sensor = Sensor()  # noqa: RUF009 (frozen)
+
+    def __post_init__(self) -> None:
+        ids: set[str] = set()
+        files: set[str] = set()
+        for tile in self.tiles:
+            if tile.id in ids or tile.file in files:
+                raise StoredFileError(f"two tiles are called {tile.id} or share {tile.file}")
+            ids.add(tile.id)
+            files.add(tile.file)
 
 
 class BackgroundSet:
@@ -96,29 +123,15 @@ class BackgroundSet:
         """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote.
 
         Raises:
-            StoredFileError: the index is missing, damaged or of another version.
+            StoredFileError: the index is missing, damaged or of another version, two tiles share
+                an id or a file, or a tile lies outside the folder.
         """
-        path = Path(folder) / "index.json"
-        index = read_json(path)
-        try:
-            if index["format_version"] != FORMAT_VERSION:
-                raise ValueError(
-                    f"format version {index['format_version']}, expected {FORMAT_VERSION}"
-                )
-            tiles = [
-                BackgroundTile(**{**row, "offset_px": tuple(row["offset_px"])})
-                for row in index["tiles"]
-            ]
-            if not tiles or any(tile.split not in SPLITS for tile in tiles):
-                raise ValueError("no tiles, or a split of another name")
-            # Sets of before there was a choice do not name it.
-            sensor = Sensor(**index.get("sensor", {}))
-            return cls(Path(folder), float(index["gsd_m"]), tiles, sensor)
-        except (KeyError, TypeError, ValueError, AttributeError, ConfigurationError) as error:
-            raise StoredFileError(
-                f"{path} is not a background index of this version ({error}); "
-                "prepare the backgrounds again."
-            ) from error
+        folder = Path(folder)
+        path = folder / _INDEX
+        index: _Index = read_document(path, _Index, _REMEDY)
+        for tile in index.tiles:
+            inside(folder, tile.file, path)
+        return cls(folder, index.gsd_m, index.tiles, index.sensor)
 
     def tiles(self, split: str) -> list[BackgroundTile]:
         """The tiles of one split, in the order of the index."""
@@ -158,18 +171,9 @@ class BackgroundSet:
         return pixels
 
     def _decode(self, tile: BackgroundTile) -> UInt8[Tensor, "3 H W"]:
-        path = self.folder / tile.file
-        try:
-            with Image.open(path) as image:
-                array = np.array(image.convert("RGB"))
-        except (OSError, SyntaxError, ValueError) as error:
-            raise StoredFileError(
-                f"Tile {path} cannot be read ({error}); prepare the backgrounds again."
-            ) from error
-        if array.shape[:2] != (tile.height_px, tile.width_px):
-            raise StoredFileError(
-                f"Tile {path} has another size than the index says; prepare the backgrounds again."
-            )
+        array = read_pixels(
+            self.folder / tile.file, _REMEDY, size_px=(tile.width_px, tile.height_px)
+        )
         return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
@@ -303,10 +307,10 @@ def write_index(
         "sensor": dataclasses.asdict(sensor or Sensor()),
         "tiles": [dataclasses.asdict(tile) for tile in tiles],
     }
-    write_json(Path(folder) / "index.json", index)
+    write_json(Path(folder) / _INDEX, index)
 
 
 def write_sensor(folder: Path, sensor: Sensor) -> None:
     """Gives a background set another sensor; everything else in its index stays."""
-    path = Path(folder) / "index.json"
-    write_json(path, {**read_json(path), "sensor": dataclasses.asdict(sensor)})
+    index: _Index = read_document(Path(folder) / _INDEX, _Index, _REMEDY)
+    write_index(folder, index.gsd_m, index.tiles, sensor)

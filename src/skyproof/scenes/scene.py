@@ -7,13 +7,39 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_jsonl, write_jsonl
+from msgspec import Meta
+
+from skyproof.documents import read_lines
+from skyproof.errors import StoredFileError
+from skyproof.files import write_jsonl
+from skyproof.ranges import Coordinate, GroundResolution, ImageSide, Name, Radians, Seed
 from skyproof.scenes.weather import CLEAR, Weather
 
-__all__ = ["BackgroundWindow", "Camera", "Placement", "Scene", "Sun", "read_scenes", "write_scenes"]
+__all__ = [
+    "MOST_PLACEMENTS",
+    "BackgroundWindow",
+    "Camera",
+    "Placement",
+    "Scene",
+    "Sun",
+    "SunElevation",
+    "Tilt",
+    "read_scenes",
+    "write_scenes",
+]
+
+MOST_PLACEMENTS = 1000
+"""Vehicles in one scene."""
+
+Tilt = Annotated[float, Meta(ge=0, le=1.5)]
+"""Radians off the vertical; near the horizon a vehicle would reach endlessly far."""
+
+SunElevation = Annotated[float, Meta(ge=0.01, le=math.pi / 2)]
+"""Radians above the horizon; nearer to it a shadow would reach endlessly far."""
+
+_Place = Annotated[float, Meta(ge=-1e5, le=1e5)]
 
 
 @dataclass(frozen=True)
@@ -28,10 +54,10 @@ class BackgroundWindow:
             screen.
     """
 
-    tile: str
-    centre_x_px: float
-    centre_y_px: float
-    rotation_rad: float
+    tile: Name
+    centre_x_px: Coordinate
+    centre_y_px: Coordinate
+    rotation_rad: Radians
 
 
 @dataclass(frozen=True)
@@ -50,10 +76,10 @@ class Camera:
             up.
     """
 
-    tilt_rad: float
-    azimuth_rad: float
-    gsd_m: float
-    size_px: int
+    tilt_rad: Tilt
+    azimuth_rad: Radians
+    gsd_m: GroundResolution
+    size_px: ImageSide
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -70,8 +96,8 @@ class Sun:
         elevation_rad: above the horizon.
     """
 
-    azimuth_rad: float
-    elevation_rad: float
+    azimuth_rad: Radians
+    elevation_rad: SunElevation
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -90,10 +116,10 @@ class Placement:
         heading_rad: which way it points, from x towards y.
     """
 
-    vehicle: str
-    x_m: float
-    y_m: float
-    heading_rad: float
+    vehicle: Name
+    x_m: _Place
+    y_m: _Place
+    heading_rad: Radians
 
 
 @dataclass(frozen=True)
@@ -101,17 +127,17 @@ class Scene:
     """All that is needed to draw one image again, but for the fleet and the background set.
 
     Attributes:
-        id: unique within its set.
+        id: unique within its set; names its picture.
         seed: of everything drawn while rendering (sensor noise).
         weather: clear where not given.
     """
 
-    id: str
+    id: Name
     background: BackgroundWindow
     camera: Camera
     sun: Sun
-    placements: tuple[Placement, ...]
-    seed: int
+    placements: Annotated[tuple[Placement, ...], Meta(max_length=MOST_PLACEMENTS)]
+    seed: Seed
     weather: Weather = CLEAR
 
 
@@ -124,17 +150,24 @@ def read_scenes(path: Path) -> list[Scene]:
     """Reads what `write_scenes` wrote.
 
     Raises:
-        StoredFileError: the file is missing, not JSON lines, or of another form.
+        StoredFileError: the file is missing, not JSON lines, of another form or out of range; two
+            scenes share an id; or they differ in image size or resolution.
     """
-    try:
-        scenes = [_scene(row) for row in read_jsonl(path)]
-    except (KeyError, TypeError, ConfigurationError) as error:
-        message = (
-            f"{path} is not a scene file of this version ({error!r}); sample the scenes again."
-        )
-        raise StoredFileError(message) from error
+    remedy = "sample the scenes again"
+    scenes: list[Scene] = read_lines(path, Scene, remedy)
     if not scenes:
-        raise StoredFileError(f"{path} holds no scene; sample the scenes again.")
+        raise StoredFileError(f"{path} holds no scene; {remedy}.")
+    ids: set[str] = set()
+    for scene in scenes:
+        if scene.id in ids:
+            raise StoredFileError(f"{path} holds two scenes called {scene.id!r}; {remedy}.")
+        ids.add(scene.id)
+        own = (scene.camera.size_px, scene.camera.gsd_m)
+        if own != (scenes[0].camera.size_px, scenes[0].camera.gsd_m):
+            raise StoredFileError(
+                f"{path} holds scenes of several image sizes or resolutions ({scene.id} differs "
+                f"from {scenes[0].id}); {remedy}."
+            )
     return scenes
 
 
@@ -144,18 +177,6 @@ def _row(scene: Scene) -> dict[str, Any]:
     if scene.weather == CLEAR:
         del row["weather"]
     return row
-
-
-def _scene(row: dict[str, Any]) -> Scene:
-    return Scene(
-        id=row["id"],
-        background=BackgroundWindow(**row["background"]),
-        camera=Camera(**row["camera"]),
-        sun=Sun(**row["sun"]),
-        placements=tuple(Placement(**placement) for placement in row["placements"]),
-        seed=row["seed"],
-        weather=Weather(**row.get("weather", {})),
-    )
 
 
 def _direction(azimuth_rad: float, elevation_rad: float) -> tuple[float, float, float]:

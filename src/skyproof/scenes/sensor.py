@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Annotated
 
-from skyproof.errors import ConfigurationError
+from msgspec import Meta
 
-__all__ = ["Sensor"]
+from skyproof.ranges import check_ranges
+
+__all__ = ["Blur", "Noise", "Sensor"]
+
+Blur = Annotated[float, Meta(ge=0, le=10)]
+Noise = Annotated[float, Meta(ge=0, le=0.5)]
 
 
 @dataclass(frozen=True)
@@ -17,20 +22,12 @@ class Sensor:
     The defaults are the paper's blur and a quiet sensor.
 
     Attributes:
-        blur_sigma_px: standard deviation of the Gaussian blur.
-        noise: standard deviation of the noise, sRGB units in [0, 1].
+        blur_sigma_px: standard deviation of the Gaussian blur, 0 to 10.
+        noise: standard deviation of the noise, sRGB units, 0 to 0.5.
     """
 
-    blur_sigma_px: float = 2.4
-    noise: float = 0.006
+    blur_sigma_px: Blur = 2.4
+    noise: Noise = 0.006
 
     def __post_init__(self) -> None:
-        if (
-            not 0 <= self.blur_sigma_px <= 10
-            or not math.isfinite(self.noise)
-            or not 0 <= self.noise <= 0.5
-        ):
-            raise ConfigurationError(
-                f"A sensor expects a blur of 0 to 10 px and noise of 0 to 0.5, "
-                f"got {self.blur_sigma_px} and {self.noise}."
-            )
+        check_ranges(self)

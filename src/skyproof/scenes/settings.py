@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction, ImageSide, check_ranges
+from skyproof.scenes.scene import MOST_PLACEMENTS, SunElevation, Tilt
 from skyproof.scenes.weather import CONDITIONS
 
 __all__ = ["SceneSettings"]
+
+_Vehicles = Annotated[int, Meta(ge=0, le=MOST_PLACEMENTS)]
+_Clearance = Annotated[float, Meta(ge=0, le=1000)]
 
 
 @dataclass(frozen=True)
@@ -34,35 +42,28 @@ class SceneSettings:
             every choice of conditions, but for the weather and the elevation of a low sun.
     """
 
-    size_px: int = 384
-    vehicles_minimum: int = 1
-    vehicles_maximum: int = 5
-    tilt_maximum_rad: float = math.radians(20)
-    sun_elevation_minimum_rad: float = math.radians(25)
-    sun_elevation_maximum_rad: float = math.radians(65)
-    gap_m: float = 0.4
-    margin_m: float = 2.0
-    parked_share: float = 0.0
+    size_px: ImageSide = 384
+    vehicles_minimum: _Vehicles = 1
+    vehicles_maximum: _Vehicles = 5
+    tilt_maximum_rad: Tilt = math.radians(20)
+    sun_elevation_minimum_rad: SunElevation = math.radians(25)
+    sun_elevation_maximum_rad: SunElevation = math.radians(65)
+    gap_m: _Clearance = 0.4
+    margin_m: _Clearance = 2.0
+    parked_share: Fraction = 0.0
     conditions: tuple[str, ...] = ("clear",)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.vehicles_minimum <= self.vehicles_maximum:
+        check_ranges(self)
+        if self.vehicles_minimum > self.vehicles_maximum:
             raise ConfigurationError(
                 f"vehicles_minimum {self.vehicles_minimum} and vehicles_maximum "
                 f"{self.vehicles_maximum} do not fit; give 0 <= minimum <= maximum."
             )
-        if not 0 <= self.tilt_maximum_rad < math.pi / 2:
+        if self.sun_elevation_minimum_rad > self.sun_elevation_maximum_rad:
             raise ConfigurationError(
-                f"tilt_maximum_rad is {self.tilt_maximum_rad}; give 0 to below half of pi."
-            )
-        if not 0 < self.sun_elevation_minimum_rad <= self.sun_elevation_maximum_rad <= math.pi / 2:
-            raise ConfigurationError(
-                "The sun's elevation must satisfy 0 < minimum <= maximum <= half of pi; "
-                "change them."
-            )
-        if not 0 <= self.parked_share <= 1:
-            raise ConfigurationError(
-                f"parked_share is {self.parked_share}; give a share from 0 to 1."
+                f"sun_elevation_minimum_rad {self.sun_elevation_minimum_rad} is above "
+                f"sun_elevation_maximum_rad {self.sun_elevation_maximum_rad}; change them."
             )
         unknown = sorted(set(self.conditions) - set(CONDITIONS))
         if unknown or not self.conditions:

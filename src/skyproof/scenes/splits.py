@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-__all__ = ["SPLITS"]
+from typing import Literal, get_args
 
+__all__ = ["SPLITS", "Split"]
 
-SPLITS = ("train", "validation", "attack", "test")
+Split = Literal["train", "validation", "attack", "test"]
+
+SPLITS: tuple[Split, ...] = get_args(Split)
 """Disjoint in place: two are for training detectors and choosing thresholds, two for attacks."""

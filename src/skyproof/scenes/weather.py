@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction, Name, check_ranges
 
 __all__ = ["CLEAR", "CONDITIONS", "LOW_SUN_ELEVATION_RAD", "Weather", "draw_weather"]
 
@@ -23,34 +27,21 @@ class Weather:
         haze: share of every pixel's light that is airlight instead, 0 to 1.
         wetness: share of the ground that is wet, and so darker, 0 to 1; vehicles stay as they are.
         overcast: share of the sun's direct light that comes from the whole sky instead, 0 to 1.
-        exposure_stops: the picture is 2^stops as bright, then clipped.
+        exposure_stops: the picture is 2^stops as bright, then clipped; -16 to 16.
         noise: standard deviation on the whole picture, sRGB units.
         jpeg_quality: of a JPEG that the picture goes through, 1 to 95; None is no JPEG.
     """
 
-    condition: str = "clear"
-    haze: float = 0.0
-    wetness: float = 0.0
-    overcast: float = 0.0
-    exposure_stops: float = 0.0
-    noise: float = 0.0
-    jpeg_quality: int | None = None
+    condition: Name = "clear"
+    haze: Fraction = 0.0
+    wetness: Fraction = 0.0
+    overcast: Fraction = 0.0
+    exposure_stops: Annotated[float, Meta(ge=-16, le=16)] = 0.0
+    noise: Fraction = 0.0
+    jpeg_quality: Annotated[int, Meta(ge=1, le=95)] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("haze", "wetness", "overcast"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigurationError(
-                    f"The weather's {name} is {getattr(self, name)}; give a share from 0 to 1."
-                )
-        if not self.noise >= 0 or not math.isfinite(self.exposure_stops):
-            raise ConfigurationError(
-                f"The weather's noise is {self.noise} and its exposure_stops "
-                f"{self.exposure_stops}; give noise of 0 or more and finite stops."
-            )
-        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 95:
-            raise ConfigurationError(
-                f"The weather's jpeg_quality is {self.jpeg_quality}; give 1 to 95, or none."
-            )
+        check_ranges(self)
 
 
 CLEAR = Weather()

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from scipy import fft, ndimage, sparse
 from scipy.sparse.linalg import splu
+
+from skyproof.ranges import Fraction, check_ranges
 
 __all__ = ["ExemplarSettings", "fill_by_exemplar"]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shift = tuple[int, int]
+
+_Reach = Annotated[int, Meta(ge=1, le=4096)]
+_Weight = Annotated[float, Meta(ge=0, le=1000)]
 
 SEEN_SHARE = 0.6
 """Of a shifted ring, how much must lie on ground that may be compared."""
@@ -40,13 +46,16 @@ class ExemplarSettings:
             because it is levelled.
     """
 
-    search_px: int = 112
-    ring_px: int = 7
-    piece_px: int = 72
-    shifts: int = 4
-    plainness: float = 0.3
-    hold: float = 0.02
-    brightness_freedom: float = 0.7
+    search_px: _Reach = 112
+    ring_px: _Reach = 7
+    piece_px: _Reach = 72
+    shifts: Annotated[int, Meta(ge=1, le=100)] = 4
+    plainness: _Weight = 0.3
+    hold: _Weight = 0.02
+    brightness_freedom: Fraction = 0.7
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,17 @@ import logging
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
+from msgspec import Meta
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.clearing.exemplar import ExemplarSettings, fill_by_exemplar
+from skyproof.ranges import check_ranges
 
 __all__ = [
     "Diffusion",
@@ -95,7 +97,10 @@ class Diffusion:
     """
 
     method: Literal["telea", "navier-stokes"] = "telea"
-    radius_px: float = 5.0
+    radius_px: Annotated[float, Meta(ge=1, le=100)] = 5.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
     def __call__(
         self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]

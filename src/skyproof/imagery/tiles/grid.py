@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from skyproof.errors import ImageryError
 from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
 from skyproof.imagery.tiles.sources import Source
-from skyproof.scenes.splits import SPLITS
+from skyproof.scenes.splits import SPLITS, Split
 
 __all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
 
@@ -51,7 +51,7 @@ class Cell:
     sources: tuple[int, ...]
     offset_px: tuple[int, int] = (0, 0)
     block: tuple[str, int, int] | None = None
-    split: str | None = None
+    split: Split | None = None
 
     @property
     def extent(self) -> Extent:

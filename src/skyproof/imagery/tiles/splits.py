@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from skyproof.imagery.tiles.grid import Cell
-from skyproof.scenes.splits import SPLITS
+from skyproof.scenes.splits import SPLITS, Split
 
 __all__ = ["SPLIT_SHARES", "assign_splits"]
 
-SPLIT_SHARES: Mapping[str, float] = {"train": 0.5, "validation": 0.15, "attack": 0.15, "test": 0.2}
+SPLIT_SHARES: Mapping[Split, float] = {"train": 0.5, "validation": 0.15, "attack": 0.15, "test": 0.2}
 WANTED_BLOCKS = 24
 DEFAULT_BLOCK_M = 400.0
 
@@ -21,7 +21,7 @@ BlockKey = tuple[str, int, int]
 
 def assign_splits(
     cells: Sequence[Cell], *, block_m: float | None, generator: torch.Generator
-) -> tuple[dict[str, str], dict[str, float]]:
+) -> tuple[dict[str, Split], dict[str, float]]:
     """Divides cells among the splits by `SPLIT_SHARES`, in square blocks of neighbours.
 
     The grid is cut into blocks of k x k cells, k so that a block is about `block_m` wide. A block
@@ -54,7 +54,7 @@ def assign_splits(
     keys = list(sizes)
     order = torch.randperm(len(keys), generator=generator).tolist()
     given = dict.fromkeys(SPLITS, 0)
-    split_of: dict[BlockKey, str] = {}
+    split_of: dict[BlockKey, Split] = {}
     for key in sorted((keys[i] for i in order), key=lambda key: -sizes[key]):
         split = min(SPLITS, key=lambda name: (given[name] > 0, given[name] / SPLIT_SHARES[name]))
         split_of[key] = split

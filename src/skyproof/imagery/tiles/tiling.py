@@ -34,7 +34,7 @@ from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.sensor import Sensor
-from skyproof.scenes.splits import SPLITS
+from skyproof.scenes.splits import SPLITS, Split
 
 __all__ = ["TilingRecord", "tile_imagery"]
 
@@ -225,7 +225,8 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
     return BackgroundTile(
         id=cell.id,
         file=f"{_WAITING}/{cell.id}.png",
-        split=_WAITING,
+        # Which one it really is shows when all cells have been read.
+        split=SPLITS[0],
         width_px=cell.size_px,
         height_px=cell.size_px,
         source=" + ".join(source.path.name for source in shown),
@@ -238,15 +239,15 @@ def _splits(
     kept: Sequence[tuple[Cell, BackgroundTile]],
     settings: TilingSettings,
     generator: torch.Generator,
-) -> tuple[dict[str, str], dict[str, float]]:
+) -> tuple[dict[str, Split], dict[str, float]]:
     cells = [cell for cell, _ in kept]
     if settings.like is not None:
-        return {cell.id: str(cell.split) for cell in cells}, {}
+        return {cell.id: cell.split for cell in cells if cell.split is not None}, {}
     return assign_splits(cells, block_m=settings.block_m, generator=generator)
 
 
 def _sort_into_splits(
-    folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, str]
+    folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, Split]
 ) -> list[BackgroundTile]:
     """Moves the pictures, whose splits are known only when all cells have been read."""
     for split in SPLITS:
@@ -282,7 +283,9 @@ def _write_datasets(
 def _counts(
     tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]]
 ) -> dict[str, dict[str, int]]:
-    counts = {split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS}
+    counts: dict[str, dict[str, int]] = {
+        split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS
+    }
     for tile in tiles:
         rows = annotations.get(tile.id, [])
         counts[tile.split]["tiles"] += 1

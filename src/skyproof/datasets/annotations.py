@@ -1,0 +1,132 @@
+"""The annotation file of a dataset of ours, read whole and checked: COCO with our additions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from skyproof.documents import read_document
+from skyproof.errors import StoredFileError
+from skyproof.files import inside
+from skyproof.ranges import (
+    Coordinate,
+    FileReference,
+    Fraction,
+    GroundResolution,
+    ImageSide,
+    Name,
+    Seed,
+)
+
+__all__ = [
+    "ANNOTATIONS",
+    "REMEDY",
+    "AnnotationFile",
+    "AnnotationRow",
+    "CategoryRow",
+    "ImageRow",
+    "Information",
+    "read_annotations",
+]
+
+ANNOTATIONS = "annotations.json"
+REMEDY = "write the dataset again"
+
+_Length = Annotated[float, Meta(ge=0, le=1e9)]
+
+
+class Information(msgspec.Struct, frozen=True):
+    """What the file says of the whole set.
+
+    Attributes:
+        gsd_m: metres per pixel of all images.
+        description: what the images are.
+        renderer: who rendered them; None where it is not said.
+        rendering: the settings they were rendered with.
+    """
+
+    gsd_m: GroundResolution
+    description: str = ""
+    renderer: str | None = None
+    rendering: Mapping[str, Any] = {}  # noqa: RUF012 (msgspec copies it)
+
+
+class CategoryRow(msgspec.Struct, frozen=True):
+    """One class of objects."""
+
+    id: Seed
+    name: Name
+
+
+class ImageRow(msgspec.Struct, frozen=True):
+    """One image: its file below the dataset's folder, and the name of what it shows."""
+
+    id: Seed
+    width: ImageSide
+    height: ImageSide
+    file_name: FileReference
+    scene_id: Name
+
+
+class AnnotationRow(msgspec.Struct, frozen=True):
+    """One vehicle, or with `iscrowd` a region where nothing is scored.
+
+    Outlines are most of the file, and only those who ask for them keep them.
+
+    Attributes:
+        bbox: left, top, width and height in pixels.
+        visible_fraction: of its pixels, how many are inside the image; None where not known.
+    """
+
+    image_id: Seed
+    bbox: tuple[Coordinate, Coordinate, _Length, _Length]
+    iscrowd: Annotated[int, Meta(ge=0, le=1)]
+    visible_fraction: Fraction | None = None
+
+
+class AnnotationFile(msgspec.Struct, frozen=True):
+    """The whole file."""
+
+    info: Information
+    images: tuple[ImageRow, ...]
+    annotations: tuple[AnnotationRow, ...]
+
+
+File = TypeVar("File", bound=AnnotationFile)
+
+
+def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
+    """Reads `annotations.json` of a dataset folder.
+
+    Args:
+        folder: as `skyproof.datasets.coco.CocoWriter` wrote it.
+        kind: how much of it is wanted: `AnnotationFile`, or one with more fields.
+
+    Returns:
+        The file's content, and per image the file it is in.
+
+    Raises:
+        StoredFileError: the file is missing, damaged or of another form; two images share an id, a
+            name or a file; an annotation belongs to no image; an image lies outside the folder.
+    """
+    path = Path(folder) / ANNOTATIONS
+    document: File = read_document(path, kind, REMEDY)
+    for what in ("id", "scene_id", "file_name"):
+        seen: set[Any] = set()
+        for row in document.images:
+            value = getattr(row, what)
+            if value in seen:
+                raise StoredFileError(f"{path} has two images of {what} {value!r}; {REMEDY}.")
+            seen.add(value)
+    known = {row.id for row in document.images}
+    for number, annotation in enumerate(document.annotations):
+        if annotation.image_id not in known:
+            raise StoredFileError(
+                f"{path}, annotations[{number}] belongs to image {annotation.image_id}, which is "
+                f"not listed; {REMEDY}."
+            )
+    return document, [inside(folder, row.file_name, path) for row in document.images]
