@@ -56,7 +56,7 @@ def fits(value: Any, hint: Any) -> bool:
         (Seed, [-1, 0, 2**63 - 1, -(2**63)], [2**63, -(2**63) - 1, 1.5]),
         (Fraction, [0, 0.5, 1], [-1e-9, 1.0001, "0.5", None]),
         (Metres, [0, 1e6], [-1, 1e6 + 1]),
-        (GroundResolution, [1e-6, 100], [0, -0.0, 100.1]),
+        (GroundResolution, [0.001, 100], [0, -0.0, 100.1]),
         (ImageSide, [1, 16_384], [0, 16_385]),
         (Coordinate, [-1e9, 1e9], [1.1e9, 1e300]),
         (Radians, [-1e3, 1e3], [1e4]),

@@ -66,6 +66,48 @@ def test_damage_raises(tmp_path):
         Dataset.open(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("list_name", "change", "words"),
+    [
+        (
+            "images",
+            {"file_name": "../../secret"},
+            r"images\[1\]\.file_name: expected a file inside",
+        ),
+        ("images", {"file_name": "/etc/passwd"}, r"images\[1\]\.file_name: expected a file inside"),
+        ("images", {"file_name": "images/scene-a.png"}, "two images of file_name"),
+        ("images", {"scene_id": "a/b"}, r"images\[1\]\.scene_id: expected a plain name"),
+        ("images", {"scene_id": "scene-a"}, "two images of scene_id 'scene-a'"),
+        ("images", {"id": 1}, "two images of id 1"),
+        ("images", {"width": 10**6}, r"images\[1\]\.width: expected a whole number <= 16384"),
+        ("annotations", {"bbox": [0, 0, 1e300, 1]}, r"annotations\[1\]\.bbox\[2\]: expected"),
+        ("annotations", {"bbox": [0, 0, -1, 1]}, r"annotations\[1\]\.bbox\[2\]: expected"),
+        ("annotations", {"bbox": [0, 0, 1]}, r"annotations\[1\]\.bbox: expected a list of length"),
+        ("annotations", {"image_id": 77}, r"annotations\[1\] belongs to image 77"),
+        ("annotations", {"visible_fraction": 2}, r"annotations\[1\]\.visible_fraction: expected"),
+    ],
+)
+def test_annotations_that_cannot_be_are_one_sentence(tmp_path, list_name, change, words):
+    _write(tmp_path)
+    path = tmp_path / "annotations.json"
+    document = json.loads(path.read_text())
+    document[list_name][1].update(change)
+    path.write_text(json.dumps(document))
+    with pytest.raises(StoredFileError, match=words) as caught:
+        Dataset.open(tmp_path)
+    assert str(path) in str(caught.value)
+
+
+def test_an_image_that_a_link_leads_out_to_is_refused(tmp_path):
+    folder = tmp_path / "set"
+    _write(folder)
+    (tmp_path / "secret").write_text("secret")
+    (folder / "images" / "scene-a.png").unlink()
+    (folder / "images" / "scene-a.png").symlink_to(tmp_path / "secret")
+    with pytest.raises(StoredFileError, match="leads out of its folder"):
+        Dataset.open(folder)
+
+
 def test_visible_fractions_follow_the_boxes(tmp_path):
     image = torch.zeros(3, 8, 8, dtype=torch.uint8)
     with CocoWriter(tmp_path, gsd_m=0.125) as writer:

@@ -150,6 +150,13 @@ def test_window_outside_or_of_another_set_raises(tmp_path, noise):
         lambda index: index.update(tiles=[]),
         lambda index: index["tiles"][0].pop("split"),
         lambda index: index["tiles"][0].update(split="holiday"),
+        lambda index: index["tiles"][0].update(file="/etc/passwd"),
+        lambda index: index["tiles"][0].update(file="tiles/../../holiday.png"),
+        lambda index: index["tiles"][0].update(id="../holiday"),
+        lambda index: index["tiles"][0].update(width_px=10**9),
+        lambda index: index["tiles"].append(index["tiles"][0]),
+        lambda index: index.update(gsd_m=1e300),
+        lambda index: index.update(sensor={"blur_sigma_px": 1e300}),
     ],
 )
 def test_damaged_index_raises(tmp_path, noise, damage):
@@ -160,6 +167,22 @@ def test_damaged_index_raises(tmp_path, noise, damage):
     path.write_text(json.dumps(index))
     with pytest.raises(StoredFileError, match=r"index\.json"):
         BackgroundSet.open(tmp_path)
+
+
+def test_a_tile_that_a_link_leads_out_to_is_refused(tmp_path, noise):
+    folder = tmp_path / "set"
+    _set(folder, noise)
+    (folder / "tiles" / "one.png").rename(tmp_path / "holiday.png")
+    (folder / "tiles" / "one.png").symlink_to(tmp_path / "holiday.png")
+    with pytest.raises(StoredFileError, match=r"tiles/one\.png, which leads out of its folder"):
+        BackgroundSet.open(folder)
+
+
+def test_any_seed_of_64_bits_draws_ground(tmp_path):
+    for number, seed in enumerate((-1, -(2**63), 2**63 - 1)):
+        write_procedural_backgrounds(tmp_path / str(number), {"train": 1}, 64, seed=seed)
+    pictures = {file.read_bytes() for file in tmp_path.glob("*/tiles/train-00000.png")}
+    assert len(pictures) == 3
 
 
 def test_missing_index_and_damaged_tile_raise(tmp_path, noise):

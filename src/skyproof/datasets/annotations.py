@@ -52,7 +52,7 @@ class Information(msgspec.Struct, frozen=True):
     gsd_m: GroundResolution
     description: str = ""
     renderer: str | None = None
-    rendering: Mapping[str, Any] = {}  # noqa: RUF012 (msgspec copies it)
+    rendering: Mapping[str, Any] = {}
 
 
 class CategoryRow(msgspec.Struct, frozen=True):

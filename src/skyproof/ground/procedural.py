@@ -52,9 +52,9 @@ def write_procedural_backgrounds(
     tiles = []
     for split in SPLITS:
         for number in range(counts.get(split, 0)):
-            state = np.random.SeedSequence([seed % 2**64, SPLITS.index(split), number]).generate_state(
-                1, np.uint64
-            )
+            state = np.random.SeedSequence(
+                [seed % 2**64, SPLITS.index(split), number]
+            ).generate_state(1, np.uint64)
             generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
             ground = draw_ground_and_sun(size_px, gsd_m, generator=generator)
             tile_id = f"{split}-{number:05d}"

@@ -16,6 +16,9 @@ from skyproof.scenes.weather import CONDITIONS
 __all__ = ["SceneSettings"]
 
 _Vehicles = Annotated[int, Meta(ge=0, le=MOST_PLACEMENTS)]
+_TILT_RAD = math.radians(20)
+_LOWEST_SUN_RAD = math.radians(25)
+_HIGHEST_SUN_RAD = math.radians(65)
 _Clearance = Annotated[float, Meta(ge=0, le=1000)]
 
 
@@ -45,9 +48,9 @@ class SceneSettings:
     size_px: ImageSide = 384
     vehicles_minimum: _Vehicles = 1
     vehicles_maximum: _Vehicles = 5
-    tilt_maximum_rad: Tilt = math.radians(20)
-    sun_elevation_minimum_rad: SunElevation = math.radians(25)
-    sun_elevation_maximum_rad: SunElevation = math.radians(65)
+    tilt_maximum_rad: Tilt = _TILT_RAD
+    sun_elevation_minimum_rad: SunElevation = _LOWEST_SUN_RAD
+    sun_elevation_maximum_rad: SunElevation = _HIGHEST_SUN_RAD
     gap_m: _Clearance = 0.4
     margin_m: _Clearance = 2.0
     parked_share: Fraction = 0.0

@@ -12,7 +12,12 @@ from skyproof.scenes.splits import SPLITS, Split
 
 __all__ = ["SPLIT_SHARES", "assign_splits"]
 
-SPLIT_SHARES: Mapping[Split, float] = {"train": 0.5, "validation": 0.15, "attack": 0.15, "test": 0.2}
+SPLIT_SHARES: Mapping[Split, float] = {
+    "train": 0.5,
+    "validation": 0.15,
+    "attack": 0.15,
+    "test": 0.2,
+}
 WANTED_BLOCKS = 24
 DEFAULT_BLOCK_M = 400.0
 
