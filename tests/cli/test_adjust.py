@@ -44,7 +44,7 @@ def test_what_is_not_given_stays(folder):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--blur-sigma-px", "-1", "--noise", "0"], "blur of 0 to 10 px"),
+        (["--blur-sigma-px", "-1", "--noise", "0"], "expects a number from 0 up to 10"),
         (["--measure-sensor"], "at least 100 clear edges"),
         ([], "Nothing to adjust"),
     ],

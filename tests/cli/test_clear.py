@@ -47,7 +47,14 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
     )
     refused(folder, "--out", out, "--inpainting", tmp_path / "none.pt", text="none.pt is missing")
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
-    refused(folder, "--out", out, "--settings.largest-masked-share", "2", text="Clearing expects")
+    refused(
+        folder,
+        "--out",
+        out,
+        "--settings.largest-masked-share",
+        "2",
+        text="largest-masked-share expects",
+    )
     monkeypatch.setitem(sys.modules, "cv2", None)
     refused(folder, "--out", out, text="extra 'imagery'")
     monkeypatch.undo()

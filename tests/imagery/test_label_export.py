@@ -153,7 +153,15 @@ def test_ultralytics_loads_the_yolo_form(dataset, tmp_path):
 
 def write_index(dataset, names=("tile-a", "tile-b")):
     properties = [
-        {"id": name, "crs": "EPSG:2193", "bounds": [1570000, 5180000, 1570015, 5180012]}
+        {
+            "id": name,
+            "file": f"test/images/{name}.png",
+            "split": "test",
+            "source": "a.tif",
+            "licence": None,
+            "crs": "EPSG:2193",
+            "bounds": [1570000, 5180000, 1570015, 5180012],
+        }
         for name in names
     ]
     features = [{"type": "Feature", "properties": one, "geometry": None} for one in properties]
@@ -195,9 +203,9 @@ def test_images_without_a_place_have_no_geojson(dataset, tmp_path):
     with pytest.raises(ImageryError, match=r"holds tile-b, which .* does not place on the map"):
         export_labels(dataset, "geojson", tmp_path / "x.geojson")
     (dataset.parent / "index.geojson").write_text(
-        '{"features": [{"properties": {"id": "tile-a"}}]}'
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}}]}'
     )
-    with pytest.raises(StoredFileError, match=r"index\.geojson is not an index of ours"):
+    with pytest.raises(StoredFileError, match=r"geojson, features\[0\]\.properties: the field id"):
         export_labels(dataset, "geojson", tmp_path / "x.geojson")
     assert not (tmp_path / "x.geojson").exists()
 
@@ -218,12 +226,42 @@ def test_what_cannot_be_written_leaves_nothing(dataset, tmp_path, form):
             export_labels(dataset, form, out)
     for key, value in (("annotations", [{"id": 1}]), ("images", 3), ("categories", [])):
         write_json(path, document | {key: value})
-        with pytest.raises(StoredFileError, match=r"annotations\.json is not a dataset of ours"):
+        with pytest.raises(StoredFileError, match=r"annotations\.json, (annotations|images)"):
             export_labels(dataset, form, out)
     write_json(path, document | {"images": [], "annotations": []})
     with pytest.raises(ImageryError, match="holds no images"):
         export_labels(dataset, form, out)
     assert {place.name for place in tmp_path.iterdir()} == {"set", "there"}
+
+
+@pytest.mark.parametrize("form", ["yolo", "dota", "coco"])
+def test_no_file_of_the_machine_gets_into_an_export(dataset, tmp_path, form):
+    (tmp_path / "secret.png").write_text("secret")
+    path = dataset / "annotations.json"
+    document = json.loads(path.read_text())
+    for name in ("../../secret.png", str(tmp_path / "secret.png"), "images/link.png"):
+        document["images"][0]["file_name"] = name
+        write_json(path, document)
+        (dataset / "images" / "link.png").unlink(missing_ok=True)
+        (dataset / "images" / "link.png").symlink_to(tmp_path / "secret.png")
+        with pytest.raises(
+            StoredFileError, match=r"inside the same folder|leads out of its folder"
+        ):
+            export_labels(dataset, form, tmp_path / "out")
+    assert {place.name for place in tmp_path.iterdir()} == {"set", "secret.png"}
+
+
+def test_a_class_that_is_yaml_stays_a_name(dataset, tmp_path):
+    path = dataset / "annotations.json"
+    document = json.loads(path.read_text())
+    document["categories"][0]["name"] = 'a, "b" #c &d *e'
+    write_json(path, document)
+    export_labels(dataset, "yolo", tmp_path / "yolo")
+    assert read_labels(tmp_path / "yolo").classes == ('a, "b" #c &d *e',)
+    document["categories"][0]["name"] = "a\ntrain: /etc"
+    write_json(path, document)
+    with pytest.raises(StoredFileError, match=r"categories\[0\]\.name: expected a plain name"):
+        export_labels(dataset, "yolo", tmp_path / "again")
 
 
 def test_the_command_says_what_a_form_could_not(dataset, tmp_path, capsys):

@@ -184,5 +184,5 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
         ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"
     ):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
-    with pytest.raises(ConfigurationError, match=r"--labels\.border-px"):
+    with pytest.raises(ConfigurationError, match="border_px expects a number from 0"):
         LabelSettings(WHERE, border_px=-1.0)

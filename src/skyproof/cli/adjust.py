@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
+from skyproof.files import alone
 from skyproof.scenes.sensor import Blur, Noise
 
 __all__ = ["Adjust"]
@@ -45,10 +46,15 @@ class Adjust:
 
     def run(self) -> None:
         """Rewrites the set's index."""
-        if self.drop:
-            self._drop_tiles()
-        if self.measure_sensor or self._given():
-            self._set_sensor()
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        # What is no background set is said before anything is written.
+        BackgroundSet.open(self.folder)
+        with alone(self.folder):
+            if self.drop:
+                self._drop_tiles()
+            if self.measure_sensor or self._given():
+                self._set_sensor()
 
     def _given(self) -> dict[str, float]:
         values = {"blur_sigma_px": self.blur_sigma_px, "noise": self.noise}

@@ -90,6 +90,8 @@ class _Index:
         for tile in self.tiles:
             if tile.id in ids or tile.file in files:
                 raise StoredFileError(f"two tiles are called {tile.id} or share {tile.file}")
+            if not tile.file.endswith(".png"):
+                raise StoredFileError(f"the tile {tile.id} is no .png file")
             ids.add(tile.id)
             files.add(tile.file)
 

@@ -15,8 +15,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import write_json
 from skyproof.imagery.clearing.inpainting import Inpainting, apply_inpainting, inpainting_record
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_finder import (
@@ -32,6 +33,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     vehicle_mask,
 )
 from skyproof.imagery.settings import ClearSettings
+from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.splits import SPLITS
 
@@ -158,7 +160,7 @@ def clear_backgrounds(
             "larger --settings.largest-masked-share."
         )
     write_json(out / RECORD, record)
-    _copy_places(folder, out, {tile.id for tile in kept})
+    copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor)
     return record
 
@@ -184,10 +186,15 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
             f"Every tile of {folder} would be dropped; clear the imagery again instead."
         )
     if (folder / RECORD).is_file():
-        record = read_json(folder / RECORD)
-        record["rejected"] = sorted({*record.get("rejected", []), *ids})
-        write_json(folder / RECORD, record)
-    _copy_places(folder, folder, {tile.id for tile in kept})
+        path = folder / RECORD
+        record: dict[str, Any] = read_document(path, dict[str, Any], "clear the imagery again")
+        before = record.get("rejected", [])
+        if not isinstance(before, list) or not all(isinstance(name, str) for name in before):
+            raise StoredFileError(
+                f"{path}, rejected: expected a list of tiles; clear the imagery again."
+            )
+        write_json(path, {**record, "rejected": sorted({*before, *ids})})
+    copy_ground_index(folder, folder, {tile.id for tile in kept})
     write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor)
     return [
         split
@@ -330,18 +337,3 @@ def _record(
         },
         "tiles": [asdict(row) for row in rows],
     }
-
-
-def _copy_places(folder: Path, out: Path, kept: set[str]) -> None:
-    """Copies the kept tiles' polygons."""
-    path = Path(folder) / "index.geojson"
-    if not path.is_file():
-        return
-    document = read_json(path)
-    try:
-        document["features"] = [f for f in document["features"] if f["properties"]["id"] in kept]
-    except (KeyError, TypeError) as error:
-        raise StoredFileError(
-            f"{path} is not an index of tiles ({error!r}); tile the imagery again."
-        ) from error
-    write_json(Path(out) / "index.geojson", document)

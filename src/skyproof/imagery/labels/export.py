@@ -2,22 +2,59 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import rasterio
-from rasterio.errors import RasterioError
-from rasterio.warp import transform as transform_places
+import msgspec
+from msgspec import Meta
+from rasterio.crs import CRS
 
+from skyproof.datasets.annotations import (
+    ANNOTATIONS,
+    REMEDY,
+    AnnotationFile,
+    AnnotationRow,
+    CategoryRow,
+    read_annotations,
+)
 from skyproof.errors import ImageryError, StoredFileError
-from skyproof.files import finished_folder, read_json, refuse_existing, write_json
+from skyproof.files import finished_file, finished_folder, refuse_existing, write_json
 from skyproof.imagery.labels.label import Point
 from skyproof.imagery.labels.text import LABEL_FOLDERS
+from skyproof.imagery.tiles.georeference import to_reference_system
+from skyproof.imagery.tiles.grid import Extent
+from skyproof.imagery.tiles.tile_index import GROUND_INDEX, read_places
+from skyproof.ranges import Coordinate, ImageSide, Seed
 
 __all__ = ["LABEL_FORMS", "Exported", "export_labels"]
+
+
+class _Outline(msgspec.Struct):
+    """Uncompressed COCO run lengths, as the renderer writes them."""
+
+    size: tuple[ImageSide, ImageSide]
+    counts: list[Annotated[int, Meta(ge=0, le=2**28)]]
+
+
+class _Row(AnnotationRow, kw_only=True, frozen=True):
+    """An annotation with what other tools want to know of it."""
+
+    category_id: Seed
+    corners_px: tuple[tuple[Coordinate, Coordinate], ...] | None = None
+    area: Annotated[float, Meta(ge=0, le=1e18)] | None = None
+    segmentation: _Outline | None = None
+
+
+class _File(AnnotationFile, kw_only=True, frozen=True):
+    """The whole file, outlines and all."""
+
+    categories: tuple[CategoryRow, ...]
+    annotations: tuple[_Row, ...]
 
 
 @dataclass(frozen=True)
@@ -28,7 +65,7 @@ class _Object:
     category: str
     ignore: bool
     corners: tuple[Point, ...] | None
-    row: Mapping[str, Any]
+    row: _Row
 
     @property
     def upright(self) -> tuple[Point, ...]:
@@ -56,7 +93,7 @@ class _Dataset:
     folder: Path
     categories: tuple[str, ...]
     images: tuple[_Image, ...]
-    document: Mapping[str, Any]
+    gsd_m: float
 
 
 @dataclass(frozen=True)
@@ -115,40 +152,34 @@ def export_labels(
 
 
 def _read(folder: Path) -> _Dataset:
-    path = folder / "annotations.json"
-    document = read_json(path)
-    try:
-        categories = {row["id"]: str(row["name"]) for row in document["categories"]}
-        objects: dict[Any, list[_Object]] = {row["id"]: [] for row in document["images"]}
-        for row in document["annotations"]:
-            left, top, width, height = map(float, row["bbox"])
-            corners = tuple((float(x), float(y)) for x, y in row.get("corners_px") or ()) or None
-            item = _Object(
-                (left, top, width, height),
-                categories[row["category_id"]],
-                bool(row["iscrowd"]),
-                corners,
-                row,
-            )
-            if width > 0 and height > 0:
-                objects[row["image_id"]].append(item)
-        images = tuple(
-            _Image(
-                row["scene_id"],
-                folder / row["file_name"],
-                row["width"],
-                row["height"],
-                tuple(objects[row["id"]]),
-            )
-            for row in document["images"]
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} is not a dataset of ours ({error!r}); write the dataset again."
-        ) from error
-    if not images:
+    document, files = read_annotations(folder, _File)
+    path = folder / ANNOTATIONS
+    if not document.images:
         raise ImageryError(f"{folder} holds no images; give another dataset.")
-    return _Dataset(folder, tuple(categories.values()), images, document)
+    categories = {row.id: row.name for row in document.categories}
+    objects: dict[int, list[_Object]] = {row.id: [] for row in document.images}
+    for number, row in enumerate(document.annotations):
+        if row.category_id not in categories:
+            raise StoredFileError(
+                f"{path}, annotations[{number}] has the category {row.category_id}, which is not "
+                f"listed; {REMEDY}."
+            )
+        item = _Object(
+            row.bbox, categories[row.category_id], bool(row.iscrowd), row.corners_px or None, row
+        )
+        if row.bbox[2] > 0 and row.bbox[3] > 0:
+            objects[row.image_id].append(item)
+    stems: set[str] = set()
+    for file in files:
+        # Text forms have one file an image, called by its stem.
+        if file.stem in stems:
+            raise StoredFileError(f"{path} has two images called {file.stem}; {REMEDY}.")
+        stems.add(file.stem)
+    images = tuple(
+        _Image(row.scene_id, file, row.width, row.height, tuple(objects[row.id]))
+        for row, file in zip(document.images, files, strict=True)
+    )
+    return _Dataset(folder, tuple(categories.values()), images, document.info.gsd_m)
 
 
 def _count(data: _Dataset, **more: int) -> Exported:
@@ -175,12 +206,12 @@ def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
                 "category_id": numbers[item.category],
             }
             row |= {"bbox": list(item.box), "iscrowd": int(item.ignore)}
-            annotations.append(
-                row | {key: item.row[key] for key in ("area", "segmentation") if key in item.row}
-            )
+            more = {"area": item.row.area, "segmentation": item.row.segmentation}
+            known = {key: value for key, value in more.items() if value is not None}
+            annotations.append(row | msgspec.to_builtins(known))
         progress(number, len(data.images))
     categories = [{"id": number, "name": name} for name, number in numbers.items()]
-    info = {"description": "skyproof dataset", "gsd_m": data.document.get("info", {}).get("gsd_m")}
+    info = {"description": "skyproof dataset", "gsd_m": data.gsd_m}
     document = {
         "info": info,
         "licenses": [],
@@ -188,7 +219,8 @@ def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
         "images": images,
         "annotations": annotations,
     }
-    write_json(out, document)
+    with finished_file(out) as whole:
+        write_json(whole, document)
     return _count(data)
 
 
@@ -213,7 +245,7 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
 
     with finished_folder(out) as partial:
         _write_texts(data, partial, "labels", lines, progress)
-        names = "".join(f"  {number}: {name}\n" for name, number in numbers.items())
+        names = "".join(f"  {number}: {_quoted(name)}\n" for name, number in numbers.items())
         # Ultralytics asks for both splits; one dataset of ours is one.
         remark = "# To validate on another export, name its images folder."
         text = f"{remark}\ntrain: images\nval: images\nnames:\n"
@@ -221,6 +253,11 @@ def _write_yolo(data: _Dataset, out: Path, progress: Progress) -> Exported:
     return _count(
         data, left_out=sum(item.ignore for image in data.images for item in image.objects)
     )
+
+
+def _quoted(name: str) -> str:
+    """Gives a name as YAML; quoted where a sign in it could mean something else."""
+    return name if re.fullmatch(r"[A-Za-z][A-Za-z0-9_ -]*", name) else json.dumps(name)
 
 
 def _write_dota(data: _Dataset, out: Path, progress: Progress) -> Exported:
@@ -236,7 +273,7 @@ def _write_dota(data: _Dataset, out: Path, progress: Progress) -> Exported:
             elif not item.ignore:
                 upright += 1
             numbers = " ".join(f"{value:.2f}" for corner in corners for value in corner)
-            rows.append(f"{numbers} {item.category.replace(' ', '-')} {int(item.ignore)}")
+            rows.append(f"{numbers} {'-'.join(item.category.split())} {int(item.ignore)}")
         return rows
 
     with finished_folder(out) as partial:
@@ -278,42 +315,28 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
             # Rings of a polygon end where they began, and run anticlockwise with north up.
             pixels = [*reversed(item.upright), item.upright[-1]] if item.ignore else [item.centre]
             ground = [(left + x * step_x, top - y * step_y) for x, y in pixels]
-            longitudes, latitudes = transform_places(
-                crs, "EPSG:4326", [x for x, _ in ground], [y for _, y in ground]
-            )
-            places = [
-                [round(x, 9), round(y, 9)] for x, y in zip(longitudes, latitudes, strict=True)
-            ]
-            geometry = {"type": "Polygon", "coordinates": [places]}
+            degrees = to_reference_system(crs, CRS.from_epsg(4326), ground)
+            places = [[round(x, 9), round(y, 9)] for x, y in degrees]
+            geometry: dict[str, Any] = {"type": "Polygon", "coordinates": [places]}
             if not item.ignore:
                 geometry = {"type": "Point", "coordinates": places[0]}
             properties = {"class": item.category, "ignore": item.ignore, "tile": image.name}
             features.append({"type": "Feature", "properties": properties, "geometry": geometry})
         progress(number, len(data.images))
-    write_json(out, {"type": "FeatureCollection", "features": features})
+    with finished_file(out) as whole:
+        write_json(whole, {"type": "FeatureCollection", "features": features})
     return _count(data)
 
 
-def _tiles(data: _Dataset) -> dict[str, tuple[Any, tuple[float, float, float, float]]]:
+def _tiles(data: _Dataset) -> dict[str, tuple[CRS, Extent]]:
     """Reads per image the reference system and the (left, bottom, right, top) of its tile."""
-    path = data.folder.resolve().parent / "index.geojson"
+    path = data.folder.resolve().parent / GROUND_INDEX
     if not path.is_file():
         raise ImageryError(
             f"{data.folder} has no place on the map ({path} is missing); GeoJSON needs a split of "
             "georeferenced tiles, as `skyproof ground` cuts them."
         )
-    document = read_json(path)
-    tiles = {}
-    try:
-        for feature in document["features"]:
-            properties = feature["properties"]
-            left, bottom, right, top = map(float, properties["bounds"])
-            crs = rasterio.crs.CRS.from_user_input(properties["crs"])
-            tiles[str(properties["id"])] = crs, (left, bottom, right, top)
-    except (KeyError, TypeError, ValueError, AttributeError, RasterioError) as error:
-        raise StoredFileError(
-            f"{path} is not an index of ours ({error!r}); tile the imagery again."
-        ) from error
+    tiles = read_places(path.parent)
     missing = next((image.name for image in data.images if image.name not in tiles), None)
     if missing is not None:
         raise ImageryError(

@@ -2,20 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
+import msgspec
+from msgspec import Meta
 from rasterio.crs import CRS
+from rasterio.errors import CRSError
 
+from skyproof.documents import read_document
 from skyproof.errors import ImageryError, StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.files import write_json
 from skyproof.imagery.tiles.georeference import outline, to_reference_system
-from skyproof.imagery.tiles.grid import Cell, extent_of
+from skyproof.imagery.tiles.grid import Cell, Extent, extent_of
 from skyproof.imagery.tiles.sources import Source
+from skyproof.ranges import Coordinate, FileReference, Name
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.splits import Split
 
-__all__ = ["cells_like", "write_ground_index"]
+__all__ = ["GROUND_INDEX", "cells_like", "copy_ground_index", "read_places", "write_ground_index"]
+
+GROUND_INDEX = "index.geojson"
+
+_REMEDY = "tile the imagery again"
+# Others of PROJ's and GDAL's names of systems are files and addresses.
+_System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
+
+
+class _Properties(msgspec.Struct):
+    """What is known of a tile; its bounds are left, bottom, right and top in its system."""
+
+    id: Name
+    file: FileReference
+    split: Split
+    source: str
+    licence: str | None
+    crs: _System
+    bounds: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+
+
+class _Polygon(msgspec.Struct):
+    type: Literal["Polygon"]
+    coordinates: list[list[tuple[Coordinate, Coordinate]]]
+
+
+class _Feature(msgspec.Struct):
+    type: Literal["Feature"]
+    properties: _Properties
+    geometry: _Polygon | None = None
+
+
+class _Features(msgspec.Struct):
+    """The file; whatever map tools added to it is passed over."""
+
+    type: Literal["FeatureCollection"]
+    features: list[_Feature]
 
 
 def write_ground_index(
@@ -25,7 +67,7 @@ def write_ground_index(
 
     Properties: id, file, split, source, licence, crs, bounds (left, bottom, right, top in crs).
     """
-    features = []
+    features: list[_Feature] = []
     for tile in tiles:
         cell = cells[tile.id]
         if cell.crs is None:
@@ -33,25 +75,71 @@ def write_ground_index(
         border = [cell.transform * point for point in outline(cell.size_px, cell.size_px, steps=1)]
         # GeoJSON runs anticlockwise, seen from above; rows of pixels run down.
         ring = to_reference_system(cell.crs, CRS.from_epsg(4326), [*reversed(border), border[-1]])
-        features.append(
-            {
-                "type": "Feature",
-                "properties": {
-                    "id": tile.id,
-                    "file": tile.file,
-                    "split": tile.split,
-                    "source": tile.source,
-                    "licence": tile.licence,
-                    "crs": cell.crs.to_string(),
-                    "bounds": list(cell.extent),
-                },
-                "geometry": {
-                    "type": "Polygon",
-                    "coordinates": [[[round(x, 9), round(y, 9)] for x, y in ring]],
-                },
-            }
+        properties = _Properties(
+            id=tile.id,
+            file=tile.file,
+            split=tile.split,
+            source=tile.source,
+            licence=tile.licence,
+            crs=cell.crs.to_string(),
+            bounds=cell.extent,
         )
-    write_json(Path(folder) / "index.geojson", {"type": "FeatureCollection", "features": features})
+        polygon = _Polygon("Polygon", [[(round(x, 9), round(y, 9)) for x, y in ring]])
+        features.append(_Feature("Feature", properties, polygon))
+    _write(folder, features)
+
+
+def copy_ground_index(folder: Path, out: Path, kept: Collection[str]) -> None:
+    """Writes the polygons of the kept tiles to another folder, or to the same one.
+
+    Args:
+        folder: a tiled folder; without an index of places nothing is written.
+        out: where to.
+        kept: ids of tiles.
+
+    Raises:
+        StoredFileError: the index is damaged.
+    """
+    if (Path(folder) / GROUND_INDEX).is_file():
+        _write(out, [one for one in _read(folder) if one.properties.id in kept])
+
+
+def read_places(folder: Path) -> dict[str, tuple[CRS, Extent]]:
+    """Reads per georeferenced tile its reference system and what it covers.
+
+    Raises:
+        StoredFileError: the index is missing or damaged.
+    """
+    path = Path(folder) / GROUND_INDEX
+    systems: dict[str, CRS] = {}
+    places: dict[str, tuple[CRS, Extent]] = {}
+    for feature in _read(folder):
+        properties = feature.properties
+        if properties.crs not in systems:
+            try:
+                systems[properties.crs] = CRS.from_string(properties.crs)
+            except CRSError:
+                raise StoredFileError(
+                    f"{path} names the reference system {properties.crs}, which is not known; "
+                    f"{_REMEDY}."
+                ) from None
+        left, bottom, right, top = properties.bounds
+        if not (left < right and bottom < top):
+            raise StoredFileError(
+                f"{path} has no room between the bounds of {properties.id}; {_REMEDY}."
+            )
+        places[properties.id] = systems[properties.crs], properties.bounds
+    return places
+
+
+def _read(folder: Path) -> list[_Feature]:
+    index: _Features = read_document(Path(folder) / GROUND_INDEX, _Features, _REMEDY)
+    return index.features
+
+
+def _write(folder: Path, features: Sequence[_Feature]) -> None:
+    index = _Features("FeatureCollection", list(features))
+    write_json(Path(folder) / GROUND_INDEX, msgspec.to_builtins(index))
 
 
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:
@@ -65,8 +153,6 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
         ImageryError: its tiles, or no source, have a place on the ground.
     """
     background_set = BackgroundSet.open(folder)
-    path = Path(folder) / "index.geojson"
-    document = read_json(path)
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
     notes += [
         f"{source.path.name} does not say where it lies and is left out"
@@ -74,38 +160,30 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
         if source.georeference.crs is None
     ]
     cells: list[Cell] = []
-    extents: dict[str, dict[int, tuple[float, float, float, float]]] = {}
-    try:
-        for feature in document["features"]:
-            properties: dict[str, Any] = feature["properties"]
-            tile = background_set.tile(properties["id"])
-            name = str(properties["crs"])
-            left, bottom, right, top = (float(value) for value in properties["bounds"])
-            crs = CRS.from_user_input(name)
-            if name not in extents:
-                extents[name] = {i: extent_of(sources[i], crs) for i in placed}
-            touching = tuple(
-                i
-                for i, e in extents[name].items()
-                if e[0] < right and e[2] > left and e[1] < top and e[3] > bottom
+    extents: dict[str, dict[int, Extent]] = {}
+    for name, (crs, (left, bottom, right, top)) in read_places(folder).items():
+        tile = background_set.tile(name)
+        system = crs.to_string()
+        if system not in extents:
+            extents[system] = {i: extent_of(sources[i], crs) for i in placed}
+        touching = tuple(
+            i
+            for i, e in extents[system].items()
+            if e[0] < right and e[2] > left and e[1] < top and e[3] > bottom
+        )
+        cells.append(
+            Cell(
+                id=tile.id,
+                crs=crs,
+                left_m=left,
+                top_m=top,
+                size_px=tile.width_px,
+                gsd_m=background_set.gsd_m,
+                sources=touching,
+                offset_px=tile.offset_px,
+                split=tile.split,
             )
-            cells.append(
-                Cell(
-                    id=tile.id,
-                    crs=crs,
-                    left_m=left,
-                    top_m=top,
-                    size_px=tile.width_px,
-                    gsd_m=background_set.gsd_m,
-                    sources=touching,
-                    offset_px=tile.offset_px,
-                    split=tile.split,
-                )
-            )
-    except (KeyError, TypeError, ValueError) as error:
-        raise StoredFileError(
-            f"{path} is not an index of ours ({error!r}); tile the imagery again."
-        ) from error
+        )
     if not cells:
         raise ImageryError(
             f"The tiles of {folder} do not say where they lie; --tiling.like needs georeferenced "
