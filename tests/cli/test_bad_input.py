@@ -106,7 +106,7 @@ def test_zero_gsd(tmp_path: Path, skyproof: Skyproof) -> None:
             f"--gsd={gsd}",
             *SMALL,
         )
-        answer.refused("--gsd", "above 0")
+        answer.refused("--gsd", "from 0.001")
 
 
 def test_corrected_imagery_goes_on_in_the_same_folder(tmp_path: Path, skyproof: Skyproof) -> None:

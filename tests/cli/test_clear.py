@@ -29,7 +29,7 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
 def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypatch):
     folder, out = tiled(tmp_path / "tiled"), tmp_path / "cleared"
     (tmp_path / "plain").mkdir()
-    (tmp_path / "network.pt").write_text("no network")
+    (tmp_path / "network.onnx").write_text("no network")
 
     def refused(*words, text):
         skyproof("clear", *words).refused(text)
@@ -42,10 +42,12 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
         "--out",
         out,
         "--inpainting",
-        tmp_path / "network.pt",
-        text="neither a TorchScript module",
+        tmp_path / "network.onnx",
+        text="network.onnx is no ONNX model",
     )
-    refused(folder, "--out", out, "--inpainting", tmp_path / "none.pt", text="none.pt is missing")
+    refused(
+        folder, "--out", out, "--inpainting", tmp_path / "none.onnx", text="none.onnx is missing"
+    )
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
     refused(
         folder,

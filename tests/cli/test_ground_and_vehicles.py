@@ -41,14 +41,13 @@ def test_tiles_hold_images_at_any_heading():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"tiles": (1, 0, 1, 1)},
         {"labels": LabelSettings(Path("cars.geojson"))},
         {"source": SourceSettings(0.125)},
         {"tiling": TilingSettings(like=Path("tiles"))},
     ],
 )
 def test_settings_that_cannot_work_are_refused(tmp_path, wrong):
-    with pytest.raises(ConfigurationError, match=r"at least 1|no image was named"):
+    with pytest.raises(ConfigurationError, match="no image was named"):
         Ground(tmp_path, **wrong)
 
 

@@ -1,18 +1,16 @@
-"""Filling masks: ground from nearby against known ground, OpenCV, and networks from files."""
+"""Filling masks: ground from nearby against known ground, and OpenCV."""
 
 import sys
 
 import numpy as np
 import pytest
 import torch
-from torch import nn
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.clearing.exemplar import fill_by_exemplar
 from skyproof.imagery.clearing.inpainting import (
     Diffusion,
     Exemplar,
-    LearntInpainting,
     apply_inpainting,
     inpainting_record,
 )
@@ -128,54 +126,6 @@ def test_any_function_serves_and_only_the_mask_is_taken_from_it():
 def test_a_function_that_returns_something_else_is_refused(wrong, words):
     with pytest.raises(ImageryError, match=words):
         apply_inpainting(wrong, IMAGE, MASK)
-
-
-class Network(nn.Module):
-    """Fills with the mean; needs sides that are multiples of 8."""
-
-    def forward(self, image: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        if image.shape[2] % 8 != 0:
-            raise ValueError("not a multiple of 8")
-        return image * (1 - mask) + mask * 0.6
-
-
-class Halving(nn.Module):
-    def forward(self, image: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        return image[:, :, ::2, ::2]
-
-
-def test_a_torchscript_file_serves(tmp_path):
-    torch.jit.save(torch.jit.script(Network()), tmp_path / "network.pt")
-    learnt = LearntInpainting(tmp_path / "network.pt")
-    filled = apply_inpainting(learnt, IMAGE, MASK)
-    assert (filled[:, MASK] == 153).all()
-    assert torch.equal(filled[:, ~MASK], IMAGE[:, ~MASK])
-    assert len(inpainting_record(learnt)["sha256"]) == 64
-
-
-def test_an_exported_program_serves(tmp_path):
-    class Fill(nn.Module):
-        def forward(self, image, mask):
-            return image * (1 - mask) + mask * 0.6
-
-    program = torch.export.export(Fill(), (torch.zeros(1, 3, 56, 64), torch.zeros(1, 1, 56, 64)))
-    torch.export.save(program, tmp_path / "network.pt2")
-    filled = apply_inpainting(LearntInpainting(tmp_path / "network.pt2"), IMAGE, MASK)
-    assert (filled[:, MASK] == 153).all()
-
-
-def test_a_network_that_changes_the_size_is_refused(tmp_path):
-    torch.jit.save(torch.jit.script(Halving()), tmp_path / "network.pt")
-    with pytest.raises(ImageryError, match=r"returned torch.float32 \(3, 28, 32\)"):
-        apply_inpainting(LearntInpainting(tmp_path / "network.pt"), IMAGE, MASK)
-
-
-def test_a_file_that_is_no_network_is_refused(tmp_path):
-    (tmp_path / "network.pt").write_text("no network")
-    with pytest.raises(ImageryError, match="neither a TorchScript module"):
-        LearntInpainting(tmp_path / "network.pt")
-    with pytest.raises(ImageryError, match="is missing"):
-        LearntInpainting(tmp_path / "other.pt")
 
 
 def test_a_missing_opencv_is_one_sentence(monkeypatch):

@@ -32,8 +32,8 @@ class Clear:
         out: tiled folder to write.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default.
-        inpainting: TorchScript or torch.export file of a network that takes image and mask, such as
-            LaMa.
+        inpainting: ONNX file of a network that takes `image` and `mask`, such as LaMa (extra onnx).
+            It may come from anybody: it runs no code, and no other file is read for it.
         method: how ground is filled without a network: exemplar (ground copied from nearby), or
             telea or navier-stokes (OpenCV's).
         device: auto, cpu or cuda; where the detectors run.
@@ -78,7 +78,8 @@ class Clear:
         self._say_record(record, checked=checker is not None)
 
     def _inpainting(self) -> Inpainting:
-        from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, LearntInpainting
+        from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar
+        from skyproof.imagery.clearing.learnt_inpainting import LearntInpainting
 
         if self.inpainting is not None:
             return LearntInpainting(self.inpainting)

@@ -1,12 +1,8 @@
-"""Fills masked ground: OpenCV, ground from nearby on top of it, or a learnt model from a file."""
+"""Fills masked ground: OpenCV, and ground from nearby on top of it."""
 
 from __future__ import annotations
 
-import hashlib
-import logging
-import zipfile
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,7 +19,6 @@ __all__ = [
     "Diffusion",
     "Exemplar",
     "Inpainting",
-    "LearntInpainting",
     "apply_inpainting",
     "inpainting_record",
 ]
@@ -150,71 +145,6 @@ class Exemplar:
     def record(self) -> dict[str, Any]:
         """Returns the settings, and those of the fallback."""
         return {"name": "exemplar", **asdict(self.settings), "otherwise": self.otherwise.record()}
-
-
-class LearntInpainting:
-    """A TorchScript module or an exported program.
-
-    It takes (image [1, 3, H, W], mask [1, 1, H, W]) floats.
-
-    LaMa is distributed in this form. Sides are padded to a multiple of 8, as such networks need.
-
-    Args:
-        path: the file.
-
-    Raises:
-        ImageryError: it is missing or neither of the two.
-    """
-
-    STRIDE_PX = 8
-
-    def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        if not self.path.is_file():
-            raise ImageryError(
-                f"{self.path} is missing; give --inpainting a TorchScript or torch.export file."
-            )
-        self._module = _load_module(self.path)
-        self._digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
-
-    @torch.no_grad()
-    def __call__(self, image: Float[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> Any:
-        """Fills the mask; what the network returns is checked by `apply_inpainting`."""
-        height, width = mask.shape
-        pad = (0, -width % self.STRIDE_PX, 0, -height % self.STRIDE_PX)
-        padded = torch.nn.functional.pad(image[None], pad, mode="replicate")
-        flags = torch.nn.functional.pad(mask[None, None].float(), pad)
-        filled = self._module(padded, flags)
-        if not isinstance(filled, Tensor) or filled.ndim != 4 or len(filled) != 1:
-            return filled
-        # A network that changed the size is to be refused, not cut to size.
-        return filled[0, :, :height, :width] if filled.shape[2:] == padded.shape[2:] else filled[0]
-
-    def record(self) -> dict[str, Any]:
-        """Returns file name and SHA-256."""
-        return {"name": self.path.name, "sha256": self._digest}
-
-
-def _load_module(path: Path) -> Any:
-    """Loads TorchScript or torch.export, told apart by what is in the archive."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            scripted = any("/code/" in name for name in archive.namelist())
-        # torch.export logs what it then raises.
-        logging.disable(logging.ERROR)
-        return (
-            torch.jit.load(path, map_location="cpu").eval()
-            if scripted
-            else torch.export.load(path).module()
-        )
-    except Exception as error:  # the loaders raise whatever their parsers meet
-        reason = " ".join(str(error).split())[:200]
-        raise ImageryError(
-            f"{path} is neither a TorchScript module nor an exported program ({reason}); "
-            "save the network with torch.jit.save or torch.export.save."
-        ) from error
-    finally:
-        logging.disable(logging.NOTSET)
 
 
 def _opencv() -> Any:
