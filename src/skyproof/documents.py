@@ -10,7 +10,7 @@ first, and takes long to import.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -21,7 +21,7 @@ import msgspec
 from skyproof.errors import SkyproofError, StoredFileError
 from skyproof.ranges import WORDS, limits_of
 
-__all__ = ["parse_document", "read_document", "read_lines"]
+__all__ = ["check_document", "check_format", "parse_document", "read_document", "read_lines"]
 
 T = TypeVar("T")
 
@@ -84,12 +84,62 @@ def parse_document(
     error: type[SkyproofError] = StoredFileError,
 ) -> T:
     """Reads JSON text as `read_document` reads a file; `place` is what the error calls it."""
-    try:
+
+    def parsed() -> T:
         if _is_struct(kind):
             return msgspec.json.decode(content, type=kind)
         raw = msgspec.json.decode(content)
         _refuse_strange(raw, kind, "")
         return msgspec.convert(raw, kind)
+
+    return _in_one_sentence(parsed, place, remedy, error)
+
+
+def check_document(
+    value: Any,
+    kind: type[T] | Any,
+    place: str,
+    remedy: str,
+    *,
+    error: type[SkyproofError] = StoredFileError,
+) -> T:
+    """Takes plain values, such as a part of an open document, as `parse_document` takes text."""
+
+    def converted() -> T:
+        _refuse_strange(value, kind, "")
+        return msgspec.convert(value, kind)
+
+    return _in_one_sentence(converted, place, remedy, error)
+
+
+class _Versioned(msgspec.Struct):
+    format: Any = None
+
+
+def check_format(path: Path, wanted: int, remedy: str) -> None:
+    """Refuses a file of another version, before its fields are looked at.
+
+    Args:
+        path: a JSON file with a field "format".
+        wanted: the version that is read.
+        remedy: what the error advises.
+
+    Raises:
+        StoredFileError: the file is missing, damaged, or of another version.
+    """
+    found: _Versioned = read_document(path, _Versioned, remedy)
+    if found.format != wanted or isinstance(found.format, bool):
+        raise StoredFileError(
+            f"{path} has format {str(found.format)[:40]}, but this version of skyproof reads "
+            f"format {wanted}; {remedy}, or use the version that wrote it."
+        )
+
+
+def _in_one_sentence(
+    read: Callable[[], T], place: str, remedy: str, error: type[SkyproofError]
+) -> T:
+    try:
+        return read()
     except RecursionError:
         said = "is nested too deep"
     except _Strange as strange:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -11,8 +12,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
 
-from skyproof.errors import RunFolderError, StoredFileError
-from skyproof.files import read_jsonl, refuse_foreign, write_jsonl
+from skyproof.documents import check_document, read_lines
+from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
+from skyproof.files import refuse_foreign, to_json, write_jsonl
+from skyproof.ranges import WholeNumber
 from skyproof.storage import read_tensors, write_tensors
 
 __all__ = ["CHECKPOINT", "Loop", "Part", "refuse_other"]
@@ -83,22 +86,41 @@ class Loop:
         if not path.exists():
             refuse_foreign(self.folder, {_ROWS})
             return
-        tensors, record = read_tensors(path, self.remedy)
-        refuse_other(self.folder, record.get("identity"), self.identity, self.other)
+        tensors, content = read_tensors(path, self.remedy)
+        refuse_other(self.folder, content.get("identity"), self.identity, self.other)
+        record: _Record = check_document(content, _Record, f"{path} has a record that", self.remedy)
+        if record.digest not in (None, _digest(content, tensors)):
+            raise StoredFileError(f"{path} is not as it was written; {self.remedy}.")
+        if record.step > self.steps:
+            raise StoredFileError(
+                f"{path} is of step {record.step}, but the last is {self.steps}; {self.remedy}."
+            )
         try:
             for name, part in self.parts.items():
-                part.load_state_dict(_joined(name, tensors, record["plain"]))
-            self.facts = dict(record["facts"])
-            self.step = int(record["step"])
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise StoredFileError(f"{path} is damaged ({error}); {self.remedy}.") from error
-        # A kill between two files can leave rows of later steps.
-        self.rows = [row for row in read_jsonl(self.folder / _ROWS) if row["step"] <= self.step]
+                part.load_state_dict(_joined(name, tensors, record.plain))
+        except Exception as error:
+            # Whatever a library makes of values that are not its own.
+            reason = " ".join(str(error).split())[:200]
+            raise StoredFileError(
+                f"{path} does not fit this run ({reason}); {self.remedy}."
+            ) from error
+        self.facts = record.facts
+        self.step = record.step
+        self.rows = [row for row in self._stored_rows() if row["step"] <= self.step]
+
+    def _stored_rows(self) -> list[dict[str, Any]]:
+        """Reads `steps.jsonl`; a kill between two files can leave rows of later steps."""
+        path = self.folder / _ROWS
+        rows: list[dict[str, Any]] = read_lines(path, dict[str, Any], self.remedy)
+        for row in rows:
+            check_document(row.get("step"), WholeNumber, f"{path}, step", self.remedy)
+        return rows
 
     def __iter__(self) -> Iterator[int]:
         """Gives the numbers of the steps that are still to be taken.
 
         Raises:
+            NotFiniteError: a part is no longer finite; the last checkpoint stays.
             RunFolderError: the disk is full or not writable.
         """
         if self.step == 0:
@@ -140,8 +162,42 @@ class Loop:
             "facts": self.facts,
             "plain": plain,
         }
-        write_jsonl(self.folder / _ROWS, self.rows)
-        write_tensors(self.folder / CHECKPOINT, tensors, record)
+        path = self.folder / CHECKPOINT
+        try:
+            # As it will be read: JSON makes lists of tuples.
+            content = json.loads(to_json(path, record))
+            write_jsonl(self.folder / _ROWS, self.rows)
+            write_tensors(path, tensors, {**content, "digest": _digest(content, tensors)})
+        except NotFiniteError as error:
+            raise NotFiniteError(
+                f"What step {self.step} left in {path} would not be finite, so the last checkpoint "
+                "stays; begin again in another folder, with a lower --settings.learning-rate."
+            ) from error
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What a checkpoint holds beside its tensors.
+
+    Attributes:
+        digest: over all else; checkpoints of before it was there have none.
+    """
+
+    identity: Any
+    step: WholeNumber
+    facts: dict[str, Any]
+    plain: dict[str, Any]
+    digest: str | None = None
+
+
+def _digest(record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+    """Computes the SHA-256 over a record and the kinds and shapes of the tensors beside it.
+
+    So optimisers are handed nothing that they did not give.
+    """
+    kinds = {name: [str(value.dtype), list(value.shape)] for name, value in tensors.items()}
+    content = [{name: value for name, value in record.items() if name != "digest"}, kinds]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: str) -> None:

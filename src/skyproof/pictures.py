@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyproof.errors import SkyproofError, StoredFileError
 
-__all__ = ["LARGEST_PX", "open_picture", "read_pixels"]
+__all__ = ["LARGEST_PX", "decoded", "open_picture", "read_pixels"]
 
 LARGEST_PX = 178_956_970
 """The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: what Pillow allows
@@ -24,7 +24,11 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "JPEG2000", "BMP", "WEBP")
 
 
 def open_picture(
-    path: Path, remedy: str, *, error: type[SkyproofError] = StoredFileError
+    path: Path,
+    remedy: str,
+    *,
+    error: type[SkyproofError] = StoredFileError,
+    also: tuple[str, ...] = (),
 ) -> Image.Image:
     """Reads the header of a picture; its pixels are decoded by `read_pixels`, or by Pillow.
 
@@ -32,6 +36,7 @@ def open_picture(
         path: a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file.
         remedy: what the error advises, such as "replace or remove it".
         error: the class of the error.
+        also: further formats of Pillow's.
 
     Raises:
         SkyproofError: the file is missing, of another format, damaged, or has more than
@@ -42,7 +47,7 @@ def open_picture(
             # Aerial pictures are large; only what Pillow refuses is too large. Nor are notes on
             # damaged metadata for the user: pixels are all that is taken.
             warnings.simplefilter("ignore")
-            picture = Image.open(path, formats=_FORMATS)
+            picture = Image.open(path, formats=(*_FORMATS, *also))
     except FileNotFoundError:
         raise error(f"{path} is missing; {remedy}.") from None
     except Image.DecompressionBombError:
@@ -55,14 +60,23 @@ def open_picture(
         raise error(
             f"{path} cannot be read as a picture ({_reason(damage)}); {remedy}."
         ) from damage
+    try:
+        _refuse_giant(picture, str(path), remedy, error)
+    except error:
+        picture.close()
+        raise
+    return picture
+
+
+def _refuse_giant(
+    picture: Image.Image, place: str, remedy: str, error: type[SkyproofError]
+) -> None:
     width, height = picture.size
     if width * height > LARGEST_PX:
-        picture.close()
         raise error(
-            f"{path} has {width:,} x {height:,} px, more than {LARGEST_PX:,} pixels in all, which "
+            f"{place} has {width:,} x {height:,} px, more than {LARGEST_PX:,} pixels in all, which "
             f"is too large to be read at once; cut it into parts, or {remedy}."
         )
-    return picture
 
 
 def read_pixels(
@@ -90,17 +104,49 @@ def read_pixels(
                 f"{path} has {width} x {height} px, expected are {size_px[0]} x {size_px[1]}; "
                 f"{remedy}."
             )
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                picture.load()
-                # A conversion copies even where there is nothing to convert.
-                return np.array(picture if picture.mode == "RGB" else picture.convert("RGB"))
-        except Exception as damage:
-            # As above.
-            raise error(
-                f"{path} cannot be read as a picture ({_reason(damage)}); {remedy}."
-            ) from damage
+        return decoded(picture, "RGB", str(path), remedy, error=error)
+
+
+def decoded(
+    picture: Image.Image,
+    mode: str,
+    place: str,
+    remedy: str,
+    *,
+    error: type[SkyproofError] = StoredFileError,
+    also: tuple[str, ...] = (),
+) -> UInt8[np.ndarray, ...]:
+    """Decodes a picture that is open, perhaps by a library that found it inside another file.
+
+    Args:
+        picture: as Pillow opened it.
+        mode: Pillow's name of what its pixels shall be: "L", "RGB" or "RGBA".
+        place: what an error calls it.
+        remedy: what the error advises.
+        error: the class of the error.
+        also: further formats of Pillow's.
+
+    Returns:
+        Bytes, `[H, W]` of "L", else `[H, W, 3 or 4]`.
+
+    Raises:
+        SkyproofError: it is of another format, damaged or too large.
+    """
+    _refuse_giant(picture, place, remedy, error)
+    # One that was made in memory has no format.
+    if picture.format not in (None, "MPO", *_FORMATS, *also):
+        raise error(f"{place} is a picture of the format {picture.format}; {remedy}.")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            picture.load()
+            # A conversion copies even where there is nothing to convert.
+            return np.array(picture if picture.mode == mode else picture.convert(mode))
+    except Exception as damage:
+        # As above.
+        raise error(
+            f"{place} cannot be read as a picture ({_reason(damage)}); {remedy}."
+        ) from damage
 
 
 def _reason(damage: Exception) -> str:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
-from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints, is_typeddict
 
 import msgspec
 from msgspec import Meta
@@ -135,24 +135,45 @@ def limits_of(kind: type) -> Mapping[str, Any]:
 
 @cache
 def _limited(kind: type) -> Mapping[str, Any]:
-    """Gives the annotations that say a limit, by field."""
+    """Gives the annotations that say a limit or a choice, by field."""
     hints = limits_of(kind)
     named = {field.name: hints[field.name] for field in fields(kind)}
-    return {name: hint for name, hint in named.items() if is_typeddict(hint) or any(_metas(hint))}
+    return {
+        name: hint
+        for name, hint in named.items()
+        if is_typeddict(hint) or _choices(hint) or any(_metas(hint))
+    }
 
 
-def _metas(hint: Any) -> list[tuple[type, Meta]]:
+def _choices(hint: Any) -> list[str]:
+    """Gives what an annotation lets one choose from; nothing where it is no choice."""
+    if get_origin(hint) is Literal:
+        return [str(choice) for choice in get_args(hint)]
+    return [choice for part in get_args(hint) for choice in _choices(part)]
+
+
+def _metas(hint: Any) -> list[tuple[Any, Meta]]:
     """Gives the limits anywhere in an annotation, each with the type it is for."""
     if hasattr(hint, "__metadata__"):
-        return [(hint.__origin__, meta) for meta in hint.__metadata__ if isinstance(meta, Meta)]
+        own = [(hint.__origin__, meta) for meta in hint.__metadata__ if isinstance(meta, Meta)]
+        return own + _metas(hint.__origin__)
     return [pair for part in get_args(hint) for pair in _metas(part)]
 
 
 def _expected(hint: Any) -> str:
     """Says in words what an annotation allows."""
     kinds = {int: "a whole number", float: "a number", str: "text"}
-    words = []
+    choices = _choices(hint)
+    words = [f"one of {', '.join(choices)}"] if choices else []
+    length = ""
     for kind, meta in _metas(hint):
+        if meta.max_length is not None and kind is not str:
+            least = "at most " if meta.min_length is None else f"{meta.min_length:,} to "
+            length = f"{least}{meta.max_length:,} "
+            continue
+        if meta.max_length is not None:
+            words.append(f"text of at most {meta.max_length:,} characters")
+            continue
         if meta.pattern is not None:
             words.append(WORDS.get(meta.pattern, f"text like {meta.pattern}"))
             continue
@@ -163,7 +184,8 @@ def _expected(hint: Any) -> str:
         bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), (below, meta.lt)]
         limits = [f"{word} {_number(bound)}" for word, bound in bounds if bound is not None]
         words.append(" ".join([kinds.get(kind, "a value"), *limits]))
-    listed = "values, each " if get_origin(hint) is tuple else ""
+    bare = hint.__origin__ if hasattr(hint, "__metadata__") else hint
+    listed = f"{length}values, each " if get_origin(bare) in (tuple, list) else ""
     return f"{listed}{' or '.join(dict.fromkeys(words))}"
 
 

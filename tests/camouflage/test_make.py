@@ -45,7 +45,7 @@ def test_fixed_colours_need_a_palette_and_a_sequence_its_texture():
     for given in (None, make("T-Pix"), make("S-O@0.2")):
         with pytest.raises(ConfigurationError, match="--texture"):
             make("C-Fc-seq@0.2", texture=given)
-    with pytest.raises(ConfigurationError, match="at least 1 step"):
+    with pytest.raises(ConfigurationError, match="turn_steps expects a whole number from 1"):
         make("C-Fc-par@0.2", turn_steps=0)
 
 

@@ -89,7 +89,7 @@ def test_too_few_colours_are_refused(tmp_path):
         fit_palette(torch.full((100, 3), 0.5), 5, seed=0)
     path = tmp_path / "one.json"
     path.write_text('{"colours_srgb": [[1, 2, 3]]}')
-    with pytest.raises(ConfigurationError, match="has 1"):
+    with pytest.raises(StoredFileError, match="length >= 2"):
         load_palette(path)
 
 

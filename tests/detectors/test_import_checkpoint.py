@@ -81,7 +81,7 @@ def test_a_torchvision_checkpoint(stored: Path, network: torch.nn.Module) -> Non
     assert weights.keys() == state.keys()
     assert all(torch.equal(weights[name], state[name]) for name in state)
     assert card.brought is not None
-    assert card.brought["vehicle_classes"] == [3, 1]
+    assert card.brought.vehicle_classes == [3, 1]
 
 
 def test_every_form_of_the_same_weights_gives_the_same_detector(
@@ -128,7 +128,9 @@ def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) 
         ({"vehicle_classes": ("car",)}, "keeps no names"),
         ({"vehicle_classes": ()}, "got none"),
         ({"gsd_m": 0.0}, "--gsd"),
-        ({"gsd_m": 1000.0}, "out of reason"),
+        ({"gsd_m": 1000.0}, "--gsd expects a number above 0 up to 100"),
+        ({"gsd_m": float("inf")}, "--gsd expects a number"),
+        ({"gsd_m": 100.0}, "out of reason"),
         ({"kind": "detectron2"}, "detectron2"),
         ({"kind": "ultralytics"}, "leave --architecture out"),
         (
@@ -188,10 +190,13 @@ def test_a_detector_that_finds_nothing_is_not_imported(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"architecture": "ssd"}, "garbles"),
-        ({"vehicle_classes": [9]}, "garbles"),
-        ({"colour": "red"}, "garbles"),
-        ({"classes": ["0", "1"]}, "garbles"),
+        ({"architecture": "ssd"}, "no detector of kind 'torchvision' is called 'ssd'"),
+        ({"vehicle_classes": [9]}, "class 9 is not among 4"),
+        ({"vehicle_classes": []}, r"brought\.vehicle_classes: expected a list of length >= 1"),
+        ({"colour": "red"}, r"brought: there is no field 'colour'"),
+        ({"classes": ["0", "1"]}, "class 3 is not among 2"),
+        ({"classes": ["x"] * 10**5}, r"brought\.classes: expected a list of length <= 5000"),
+        ({"image_scale": 1e300}, r"brought\.image_scale: expected a number <= 20"),
         ({"classes": ["0", "1", "2", "3", "4"]}, "does not fit"),
     ],
 )
@@ -237,8 +242,8 @@ def test_an_ultralytics_checkpoint(
     loaded = load_detector(tmp_path / "out")
     assert card == loaded.card
     assert card.brought is not None
-    assert card.brought["vehicle_classes"] == [count - 1, count - 2]
-    assert card.brought["classes"] == names
+    assert card.brought.vehicle_classes == [count - 1, count - 2]
+    assert card.brought.classes == names
     assert {**card.validation, "threshold": card.threshold} == scores
     wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
     torch.testing.assert_close(

@@ -14,9 +14,10 @@ from torch.nn import functional
 from torchvision.models import detection
 from torchvision.ops import box_convert
 
+from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.imported import Blueprint, ImportedDetector
-from skyproof.detectors.imported_torchvision import ARCHITECTURES, ImportedFasterRcnn, ImportedFcos
+from skyproof.detectors.imported import ImportedDetector
+from skyproof.detectors.imported_torchvision import ImportedFasterRcnn, ImportedFcos
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
@@ -345,9 +346,22 @@ def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
     ("change", "message"),
     [
         (
-            lambda layers: layers["backbone"].append([-1, 1, "load_checkpoint", ["/etc/passwd"]]),
+            lambda layers: layers["backbone"].append([-1, 1, "load_checkpoint", ["weights.pt"]]),
             "load_checkpoint",
         ),
+        (
+            lambda layers: layers["backbone"].append([-1, 1, "Conv", ["/etc/passwd"]]),
+            "backbone and head",
+        ),
+        (
+            lambda layers: layers["backbone"].append([-1, 10**9, "Conv", [64]]),
+            "backbone and head.*<= 100",
+        ),
+        (
+            lambda layers: layers["backbone"].append([-1, 1, "Conv", [10**9]]),
+            "backbone and head",
+        ),
+        (lambda layers: layers["backbone"].extend([[-1, 1, "Conv", [8]]] * 999), "<= 200"),
         (
             lambda layers: layers["backbone"].append(
                 [-1, 1, "torchvision.ops.Conv2dNormActivation", []]

@@ -81,7 +81,13 @@ def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
         ({"name": "ssd"}, "unknown detector"),
         ({"size": "full size"}, "unknown detector"),
         ({"name": "faster_rcnn"}, "does not fit"),
-        ({"threshold": "high"}, "garbles"),
+        ({"threshold": "high"}, "threshold: expected a number, got text"),
+        ({"threshold": 1e300}, "threshold: expected a number <= 1"),
+        ({"gsd_m": 0}, "gsd_m: expected a number > 0"),
+        ({"name": "../../x"}, "name: expected a plain name"),
+        ({"image_size_px": [10**9, 1]}, r"image_size_px\[0\]: expected a whole number <= 16384"),
+        ({"brought": {"kind": "torchvision"}}, "brought: the field architecture is missing"),
+        ({"thresold": 0.5}, "no field 'thresold'"),
         ({"weights_sha256": "0"}, "not the file"),
     ],
 )
@@ -99,7 +105,7 @@ def test_missing_field_and_missing_files(folder: Path) -> None:
     with pytest.raises(StoredFileError, match="gsd_m"):
         read_card(folder)
     (folder / "detector.json").write_text("[1]")
-    with pytest.raises(StoredFileError, match="format None"):
+    with pytest.raises(StoredFileError, match=r"detector\.json cannot be used: expected an object, got a list"):
         read_card(folder)
     (folder / "detector.json").unlink()
     with pytest.raises(StoredFileError, match="missing"):

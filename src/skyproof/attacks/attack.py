@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -25,11 +25,11 @@ from skyproof.attacks.objective import (
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
-from skyproof.errors import ConfigurationError
-from skyproof.files import read_json, write_beside
+from skyproof.errors import ConfigurationError, NotFiniteError
+from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, refuse_other
 
 __all__ = ["attack", "descend", "make_optimiser"]
@@ -71,8 +71,9 @@ def attack(
 
     Raises:
         ConfigurationError: the camouflage has nothing to learn.
-        RunFolderError: the folder holds an attack with other settings or detectors, or the disk is
-            full.
+        NotFiniteError: a loss or the camouflage is no longer finite; the last checkpoint stays.
+        RunFolderError: the folder holds an attack with other settings or detectors, somebody else
+            works there, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -83,10 +84,7 @@ def attack(
         "scenes": asdict(world.scenes),
     }
     if (folder / "camouflage.json").exists():
-        refuse_other(folder, _stored_identity(folder), identity, _OTHER)
-        camouflage.load_state_dict(load_camouflage(folder).state_dict())
-        return camouflage
-
+        return _finished(camouflage, folder, identity)
     optimiser = make_optimiser(camouflage, settings)
     schedule = LambdaLR(optimiser, lambda step: _half_cosine(step / settings.steps))
     loop = Loop(
@@ -99,42 +97,70 @@ def attack(
         remedy=f"remove {folder} and attack again",
         on_row=on_step,
     )
-    loop.resume()
-    with frozen(detectors):
-        if "weights" not in loop.facts:
-            first = _measure(camouflage, detectors, world, settings)
-            loop.facts["weights"] = balanced_weights(first)
-        weights: dict[str, float] = loop.facts["weights"]
+    with alone(folder):
+        # Somebody else may have finished it in the meantime.
+        if (folder / "camouflage.json").exists():
+            return _finished(camouflage, folder, identity)
+        loop.resume()
+        with frozen(detectors):
+            facts = _take_steps(camouflage, detectors, world, settings, loop)
+        save_camouflage(folder, camouflage, {"attack": identity, **facts, **(record or {})})
+        loop.forget()
+    return camouflage
 
-        for step in loop:
-            camouflage.before_step_(step, settings.steps)
-            scenes = world.step_scenes(settings.batch_size, settings.seed, step)
-            vehicles = world.camouflaged(camouflage, scenes)
-            images = world.renderer(scenes, vehicles).image
-            losses, gradient = loss_and_gradient(detectors, weights, images)
-            descend(camouflage, optimiser, images, gradient)
-            schedule.step()
 
-            total = sum(weights[name] * loss for name, loss in losses.items())
-            loop.report({"step": step, "loss": total, "losses": losses, "weights": weights})
-            if step % settings.preview_every == 0 or step in (1, settings.steps):
-                _write_preview(folder / "previews" / f"{step:06d}.png", images.detach())
-            if step in settings.keep_at:
-                _snapshot(camouflage, f"step{step}", folder, finalise=True)
+def _finished(camouflage: Camouflage, folder: Path, identity: Mapping[str, Any]) -> Camouflage:
+    refuse_other(folder, read_record(folder).get("attack"), identity, _OTHER)
+    camouflage.load_state_dict(load_camouflage(folder).state_dict())
+    return camouflage
 
-        if settings.keep_at:
-            _snapshot(camouflage, "relaxed", folder, finalise=False)
-        before = _measure(camouflage, detectors, world, settings)
-        camouflage.finalise()
-        after = _measure(camouflage, detectors, world, settings)
-    facts = {
-        "attack": identity,
+
+def _take_steps(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
+    loop: Loop,
+) -> dict[str, Any]:
+    """Takes the steps that are left, and finalises the camouflage; returns what is recorded."""
+    optimiser = cast(torch.optim.Adam, loop.parts["optimiser"])
+    schedule = cast(LambdaLR, loop.parts["schedule"])
+    if "weights" not in loop.facts:
+        first = _measure(camouflage, detectors, world, settings)
+        loop.facts["weights"] = balanced_weights(first)
+    weights: dict[str, float] = loop.facts["weights"]
+
+    for step in loop:
+        camouflage.before_step_(step, settings.steps)
+        scenes = world.step_scenes(settings.batch_size, settings.seed, step)
+        vehicles = world.camouflaged(camouflage, scenes)
+        images = world.renderer(scenes, vehicles).image
+        losses, gradient = loss_and_gradient(detectors, weights, images)
+        total = sum(weights[name] * loss for name, loss in losses.items())
+        if not math.isfinite(total):
+            raise NotFiniteError(
+                f"The loss of {camouflage.name} is {total} at step {step}; attack again in another "
+                "folder, with a lower --settings.learning-rate than "
+                f"{settings.learning_rate:g}."
+            )
+        descend(camouflage, optimiser, images, gradient)
+        schedule.step()
+
+        loop.report({"step": step, "loss": total, "losses": losses, "weights": weights})
+        if step % settings.preview_every == 0 or step in (1, settings.steps):
+            _write_preview(loop.folder / "previews" / f"{step:06d}.png", images.detach())
+        if step in settings.keep_at:
+            _snapshot(camouflage, f"step{step}", loop.folder, finalise=True)
+
+    if settings.keep_at:
+        _snapshot(camouflage, "relaxed", loop.folder, finalise=False)
+    before = _measure(camouflage, detectors, world, settings)
+    camouflage.finalise()
+    after = _measure(camouflage, detectors, world, settings)
+    return {
         "weights": weights,
         "discretisation": {"before": _means(before), "after": _means(after)},
     }
-    save_camouflage(folder, camouflage, {**facts, **(record or {})})
-    loop.forget()
-    return camouflage
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
@@ -177,13 +203,6 @@ def _half_cosine(share: float) -> float:
     return 0.55 + 0.45 * math.cos(math.pi * share)
 
 
-def _stored_identity(folder: Path) -> Any:
-    """The identity that a finished folder records; None where it records none."""
-    document = read_json(folder / "camouflage.json")
-    record = document.get("record") if isinstance(document, dict) else None
-    return record.get("attack") if isinstance(record, dict) else None
-
-
 @torch.no_grad()
 def _measure(
     camouflage: Camouflage,
@@ -198,6 +217,11 @@ def _measure(
         images = world.frames(camouflage, scenes).image
         for name, losses in empty_truth_losses(detectors, images).items():
             means[name].append(float(losses.mean()))
+            if not math.isfinite(means[name][-1]):
+                raise NotFiniteError(
+                    f"The loss of the detector {name} is {means[name][-1]} on the attack's scenes; "
+                    "train or import it again."
+                )
     return means
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Count, Seed, check_ranges
 
 __all__ = ["AttackSettings"]
 
@@ -26,28 +30,19 @@ class AttackSettings:
         seed: decides all scenes and random draws.
     """
 
-    steps: int = 300
-    batch_size: int = 8
-    learning_rate: float = 0.05
-    balance_batches: int = 4
-    keep_at: tuple[int, ...] = ()
-    preview_every: int = 100
-    checkpoint_every: int = 25
-    seed: int = 0
+    steps: Count = 300
+    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 8
+    learning_rate: Annotated[float, Meta(gt=0, le=10)] = 0.05
+    balance_batches: Annotated[int, Meta(ge=1, le=1000)] = 4
+    keep_at: Annotated[tuple[Count, ...], Meta(max_length=1000)] = ()
+    preview_every: Count = 100
+    checkpoint_every: Count = 25
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        if (
-            min(
-                self.steps,
-                self.batch_size,
-                self.balance_batches,
-                self.preview_every,
-                self.checkpoint_every,
-            )
-            < 1
-        ):
-            raise ConfigurationError(f"An attack expects counts of at least 1, but got {self}.")
-        if not self.learning_rate > 0:
+        check_ranges(self)
+        if max(self.keep_at, default=0) > self.steps:
             raise ConfigurationError(
-                f"An attack expects a learning rate above 0, but got {self.learning_rate}."
+                f"keep_at expects steps of the attack, which has {self.steps}, got "
+                f"{max(self.keep_at)}."
             )

@@ -22,6 +22,7 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.errors import NotFiniteError
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 
@@ -54,6 +55,7 @@ def sign_test(
 
     Raises:
         ConfigurationError: the camouflage has nothing to learn.
+        NotFiniteError: a score is not finite.
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
@@ -65,6 +67,12 @@ def sign_test(
             for detector in detectors:
                 before[detector.name].append(target_scores(detector, frames, gsd_m))
                 after[detector.name].append(target_scores(detector, stepped, gsd_m))
+    for name, scores in (*before.items(), *after.items()):
+        if not bool(torch.cat(scores).isfinite().all()):
+            raise NotFiniteError(
+                f"The scores of the detector {name} are not finite on the attack's scenes; train "
+                "or import it again, or attack with a lower --settings.learning-rate."
+            )
     return {name: _judged(torch.cat(before[name]), torch.cat(after[name])) for name in before}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import torch
 from PIL import Image
 from torch import Tensor
@@ -13,14 +14,18 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import Blocks, Colours
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.documents import check_format, read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json, write_beside, write_json
+from skyproof.files import write_beside, write_json
+from skyproof.ranges import Count, Name
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["load_camouflage", "save_camouflage"]
+__all__ = ["load_camouflage", "read_record", "save_camouflage"]
 
 _FORMAT = 2
+_REMEDY = "make the camouflage again"
 
 
 def save_camouflage(
@@ -55,28 +60,68 @@ def load_camouflage(folder: str | Path) -> Camouflage:
     Raises:
         StoredFileError: a file is missing, damaged or of another version.
     """
-    path = Path(folder) / "camouflage.json"
-    document = read_json(path)
-    described = document.get("camouflage") if isinstance(document, dict) else None
-    if described is None or document.get("format") != _FORMAT:
-        raise StoredFileError(
-            f"{path} was not written by this version of skyproof; make the camouflage again."
-        )
+    described = _read(folder).camouflage
     try:
         camouflage = _build(described)
-    except (KeyError, TypeError, AttributeError, ValueError, ConfigurationError) as error:
+    except ConfigurationError as error:
         raise StoredFileError(
-            f"{path} is damaged ({error!r}); make the camouflage again."
+            f"{Path(folder) / 'camouflage.json'} does not hold together ({_flat(error)}); "
+            f"{_REMEDY}."
         ) from error
     weights = Path(folder) / "camouflage.safetensors"
-    tensors, _ = read_tensors(weights, "make the camouflage again")
+    tensors, _ = read_tensors(weights, _REMEDY)
     try:
         camouflage.load_state_dict(tensors)
     except RuntimeError as error:
         raise StoredFileError(
-            f"{weights} does not fit camouflage.json ({error}); make the camouflage again."
+            f"{weights} does not fit camouflage.json ({_flat(error)}); {_REMEDY}."
         ) from error
     return camouflage.requires_grad_(False)
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Reads the record that `save_camouflage` was given.
+
+    Raises:
+        StoredFileError: `camouflage.json` is missing, damaged or of another version.
+    """
+    return _read(folder).record
+
+
+# Folders of older form hold fields more: these kinds skip them.
+class _Texture(msgspec.Struct, tag_field="kind", tag="UniversalTexture"):
+    name: Name
+    blocks: Blocks
+    colours: Colours | None
+
+
+class _Shape(msgspec.Struct, tag_field="kind", tag="DisplacementMap"):
+    name: Name
+    frozen_parts: bool
+
+
+class _Both(msgspec.Struct, tag_field="kind", tag="Combination"):
+    name: Name
+    texture: _Texture
+    shape: _Shape
+    turn_steps: Count | None
+
+
+class _Document(msgspec.Struct):
+    """What `camouflage.json` holds beside its format."""
+
+    camouflage: _Texture | _Shape | _Both
+    record: dict[str, Any] = {}
+
+
+def _read(folder: str | Path) -> _Document:
+    path = Path(folder) / "camouflage.json"
+    check_format(path, _FORMAT, _REMEDY)
+    return read_document(path, _Document, _REMEDY)
+
+
+def _flat(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".")[:200]
 
 
 def _describe(camouflage: Camouflage) -> dict[str, Any]:
@@ -96,27 +141,35 @@ def _describe(camouflage: Camouflage) -> dict[str, Any]:
     return described
 
 
-def _build(described: dict[str, Any]) -> Camouflage:
-    kind = described["kind"]
-    name = CamouflageName.parse(described["name"])
-    if kind == "UniversalTexture":
-        colours = described["colours"]
-        fixed = name.constraints is not None and name.constraints.colours == "fixed"
-        return UniversalTexture(
+def _build(described: _Texture | _Shape | _Both) -> Camouflage:
+    name = CamouflageName.parse(described.name)
+    if isinstance(described, _Both):
+        return Combination(
             name,
-            generator=torch.Generator().manual_seed(0),
-            palette=torch.zeros(colours, 3) if fixed else None,
-            colours=colours or 2,
-            blocks=described["blocks"],
+            _build_texture(described.texture),
+            _build_shape(described.shape),
+            turn_steps=described.turn_steps,
         )
-    if kind == "DisplacementMap":
-        return DisplacementMap(name, frozen_parts=described["frozen_parts"])
-    if kind == "Combination":
-        texture = _build(described["texture"])
-        shape = _build(described["shape"])
-        if isinstance(texture, UniversalTexture) and isinstance(shape, DisplacementMap):
-            return Combination(name, texture, shape, turn_steps=described["turn_steps"])
-    raise ValueError(f"kind {kind!r} is unknown to this version")
+    return _build_texture(described) if isinstance(described, _Texture) else _build_shape(described)
+
+
+def _build_texture(described: _Texture) -> UniversalTexture:
+    name = CamouflageName.parse(described.name)
+    kind = "free" if name.constraints is None else name.constraints.colours
+    if (described.colours is None) != (kind == "free"):
+        raise ConfigurationError(f"{name} expects {kind} colours, got {described.colours}.")
+    return UniversalTexture(
+        name,
+        generator=torch.Generator().manual_seed(0),
+        palette=torch.zeros(described.colours or 0, 3) if kind == "fixed" else None,
+        colours=described.colours or 2,
+        blocks=described.blocks,
+    )
+
+
+def _build_shape(described: _Shape) -> DisplacementMap:
+    name = CamouflageName.parse(described.name)
+    return DisplacementMap(name, frozen_parts=described.frozen_parts)
 
 
 def _write_png(path: Path, pixels: Tensor) -> None:

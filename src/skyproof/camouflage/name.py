@@ -8,6 +8,7 @@ from typing import Literal
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import is_name
 
 __all__ = ["CamouflageName", "Order"]
 
@@ -82,11 +83,18 @@ class CamouflageName:
             name = cls("combination", constraints, magnitude, random=True)
         else:
             raise ConfigurationError(
-                f"{text!r} names no camouflage; expected for instance T-U, T-PixFcMa, S-O@0.4, "
-                "C-Fc-seq@0.2 or C-Fc-par@0.2, or a random control such as R-PixFc, R-S-O@0.4 or "
-                "R-C-Fc@0.2."
+                f"{text[:200]!r} names no camouflage; expected for instance T-U, T-PixFcMa, "
+                "S-O@0.4, C-Fc-seq@0.2 or C-Fc-par@0.2, or a random control such as R-PixFc, "
+                "R-S-O@0.4 or R-C-Fc@0.2."
             )
-        return replace(name, variant=variant, repeat=repeat)
+        name = replace(name, variant=variant, repeat=repeat)
+        # It becomes a folder's.
+        if not is_name(text) or not is_name(str(name)):
+            raise ConfigurationError(
+                f"{text[:200]!r} names no camouflage: expected at most 150 characters without "
+                "separators."
+            )
+        return name
 
     @classmethod
     def read(cls, text: str) -> CamouflageName:

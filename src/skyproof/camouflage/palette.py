@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
+from msgspec import Meta
 from torch import Tensor
 
-from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import read_json
+from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -18,6 +21,14 @@ from skyproof.scenes.backgrounds import BackgroundSet
 __all__ = ["fit_palette", "ground_palette", "load_palette"]
 
 _PIXELS_PER_TILE = 4000
+
+_Byte = Annotated[int, Meta(ge=0, le=255)]
+
+
+class _Palette(msgspec.Struct):
+    """A palette file; what else a user keeps in it is skipped."""
+
+    colours_srgb: Annotated[list[tuple[_Byte, _Byte, _Byte]], Meta(min_length=2, max_length=256)]
 
 
 def fit_palette(
@@ -56,7 +67,7 @@ def fit_palette(
     from sklearn.cluster import KMeans
 
     points = srgb_to_cielab(pixels.double()).numpy()
-    means = KMeans(colours, n_init=4, random_state=seed).fit(points)
+    means = KMeans(colours, n_init=4, random_state=seed % 2**32).fit(points)
     order = np.argsort(-np.bincount(means.labels_, minlength=colours), kind="stable")
     centres = cielab_to_srgb(torch.from_numpy(means.cluster_centers_[order]))
     return ((centres * 255).round() / 255).float()
@@ -88,25 +99,13 @@ def load_palette(path: Path) -> Float[Tensor, "K 3"]:
     """Reads `[K, 3]` colours from JSON: {"colours_srgb": [[red, green, blue], ...]}, 0 to 255.
 
     Raises:
-        ConfigurationError: fewer than two colours.
-        StoredFileError: the file is missing or of another form.
+        StoredFileError: the file is missing, of another form, or has fewer than 2 or more than 256
+            colours.
     """
-    document = read_json(Path(path))
-    rows = document.get("colours_srgb") if isinstance(document, dict) else None
-    whole = isinstance(rows, list) and all(
-        isinstance(row, list)
-        and len(row) == 3
-        and all(isinstance(v, int) and 0 <= v <= 255 for v in row)
-        for row in rows
+    palette: _Palette = read_document(
+        Path(path),
+        _Palette,
+        'give {"colours_srgb": [[red, green, blue], ...]} with 2 to 256 colours of whole numbers '
+        "0 to 255",
     )
-    if not whole:
-        raise StoredFileError(
-            f'{path} is not a palette; expected {{"colours_srgb": [[red, green, blue], ...]}} with '
-            "whole numbers 0 to 255."
-        )
-    assert isinstance(rows, list)
-    if len(rows) < 2:
-        raise ConfigurationError(
-            f"A palette expects at least 2 colours, but {path} has {len(rows)}; give more colours."
-        )
-    return torch.tensor(rows).float() / 255
+    return torch.tensor(palette.colours_srgb).float() / 255

@@ -3,8 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-__all__ = ["CamouflageSettings"]
+from msgspec import Meta
+
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import Count, check_ranges
+
+__all__ = ["Blocks", "CamouflageSettings", "Colours"]
+
+_MAP_TEXELS = 512
+
+Colours = Annotated[int, Meta(ge=2, le=256)]
+"""How many colours a palette has."""
+
+Blocks = Annotated[int, Meta(ge=1, le=_MAP_TEXELS)]
+"""Pixel blocks along a side of the map."""
 
 
 @dataclass(frozen=True)
@@ -17,6 +31,14 @@ class CamouflageSettings:
         turn_steps: steps after which a parallel combination changes sides.
     """
 
-    colours: int = 5
-    blocks: int = 32
-    turn_steps: int = 10
+    colours: Colours = 5
+    blocks: Blocks = 32
+    turn_steps: Count = 10
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if _MAP_TEXELS % self.blocks:
+            raise ConfigurationError(
+                f"blocks expects a divisor of the map's {_MAP_TEXELS} texels a side, got "
+                f"{self.blocks}; give for instance 32."
+            )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from msgspec import Meta
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -60,7 +61,7 @@ class Attack:
     fleet: Path | None = None
     palette: Path | None = None
     texture: Path | None = None
-    image_px: int | None = None
+    image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
     conditions: tuple[str, ...] = ("clear",)
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.files import refuse_existing
+from skyproof.ranges import GroundResolution, Name
 
 __all__ = ["Import"]
 
@@ -39,12 +41,14 @@ class Import:
 
     checkpoint: Annotated[Path, tyro.conf.Positional]
     kind: Literal["torchvision", "ultralytics"]
-    vehicle_classes: tuple[str, ...]
+    vehicle_classes: Annotated[
+        tuple[Annotated[str, Meta(max_length=200)], ...], Meta(max_length=1000)
+    ]
     validation: Path
     out: Path
     architecture: str | None = None
-    gsd: float | None = None
-    name: str | None = None
+    gsd: GroundResolution | None = None
+    name: Name | None = None
     device: str = "auto"
 
     def run(self) -> None:

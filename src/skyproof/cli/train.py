@@ -10,6 +10,7 @@ from typing import Any
 from skyproof.cli.console import progress_bar, say
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Seed
 
 __all__ = ["Train"]
 
@@ -38,7 +39,7 @@ class Train:
     out: Path
     size: str = "slim"
     settings: TrainingChanges = field(default_factory=dict)
-    seed: int = 0
+    seed: Seed = 0
     device: str = "auto"
 
     def run(self) -> None:
@@ -57,6 +58,8 @@ class Train:
             )
         settings = replace(TRAINING_PRESETS[self.detector, self.size], **self.settings)
         device = choose_device(self.device)
+        training = Dataset.open(self.data)
+        validation = Dataset.open(self.validation)
         weights = generator_of(self.seed, "weights", self.detector)
         network = build_detector(self.detector, self.size, generator=weights).to(device)
         with progress_bar(f"train {self.detector}") as update:
@@ -67,8 +70,8 @@ class Train:
 
             card = train(
                 network,
-                Dataset.open(self.data),
-                Dataset.open(self.validation),
+                training,
+                validation,
                 settings,
                 self.out,
                 generator=generator_of(self.seed, "train", self.detector),

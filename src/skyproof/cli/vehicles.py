@@ -12,8 +12,9 @@ from tyro.conf import Positional
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
+from skyproof.ranges import Seed
 from skyproof.scenes.splits import SPLITS
-from skyproof.vehicles.settings import WrapSettings
+from skyproof.vehicles.settings import VehicleCount, WrapSettings
 
 if TYPE_CHECKING:
     from skyproof.vehicles.fleet import Fleet
@@ -50,13 +51,9 @@ class Vehicles:
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
-    counts: tuple[int, int, int, int] = (64, 16, 32, 32)
-    seed: int = 0
+    counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (64, 16, 32, 32)
+    seed: Seed = 0
     wrapping: WrapSettings = field(default_factory=WrapSettings)
-
-    def __post_init__(self) -> None:
-        if min(self.counts) < 1:
-            raise ConfigurationError(f"--counts expects counts of at least 1, got {self.counts}.")
 
     def run(self) -> None:
         """Writes all of them, or nothing."""
@@ -177,8 +174,8 @@ def _write_pictures(
 
 
 def _body_type(name: str) -> str:
-    """Returns a name that can stand in an id and in a file name."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "vehicle"
+    """Returns a name that can stand in an id and in a file name, of at most 100 characters."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-") or "vehicle"
 
 
 def _size(report: dict[str, Any]) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from skyproof.errors import ConfigurationError
+from msgspec import Meta
+
+from skyproof.ranges import check_ranges
 
 __all__ = ["CyclesSettings"]
 
@@ -23,14 +25,9 @@ class CyclesSettings:
             fades out towards the crop's edge.
     """
 
-    samples: int = 32
+    samples: Annotated[int, Meta(ge=1, le=65_536)] = 32
     finish: Literal["gloss", "matt"] = "gloss"
-    margin_m: float = 1.0
+    margin_m: Annotated[float, Meta(ge=0, le=100)] = 1.0
 
     def __post_init__(self) -> None:
-        if self.samples < 1:
-            raise ConfigurationError(
-                f"--cycles.samples expects at least 1 light path per pixel, got {self.samples}."
-            )
-        if self.finish not in ("gloss", "matt"):
-            raise ConfigurationError(f"--cycles.finish expects gloss or matt, got {self.finish}.")
+        check_ranges(self)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from msgspec import Meta
+
+from skyproof.detectors.blueprint import Blueprint
+from skyproof.documents import check_format, read_document
+from skyproof.files import write_json
+from skyproof.ranges import Fraction, GroundResolution, Name
 
 __all__ = [
     "FOLDER_FORMAT",
@@ -20,6 +24,10 @@ __all__ = [
 ]
 
 FOLDER_FORMAT = 1
+_REMEDY = "train or import the detector again"
+
+_Side = Annotated[int, Meta(ge=0, le=16_384)]
+_Word = Annotated[str, Meta(max_length=100)]
 
 
 @dataclass(frozen=True)
@@ -39,20 +47,28 @@ class DetectorCard:
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
         skyproof_version: that wrote it.
         trained_on: what its training images were, in a few words; empty where not known.
-        brought: of an imported detector what builds its network (`imported.Blueprint`); else None.
+        brought: of an imported detector what builds its network; else None.
     """
 
-    name: str
-    size: str = ""
-    threshold: float = field(kw_only=True)
-    gsd_m: float = field(kw_only=True)
-    image_size_px: tuple[int, int] = (0, 0)
-    parameters: int = 0
+    name: Name
+    size: _Word = ""
+    threshold: Fraction = field(kw_only=True)
+    gsd_m: GroundResolution = field(kw_only=True)
+    image_size_px: tuple[_Side, _Side] = (0, 0)
+    parameters: Annotated[int, Meta(ge=0, le=10**12)] = 0
     training: dict[str, Any] = field(default_factory=dict)
-    validation: dict[str, float] = field(default_factory=dict)
-    skyproof_version: str = ""
-    trained_on: str = ""
-    brought: dict[str, Any] | None = None
+    validation: dict[str, Fraction] = field(default_factory=dict)
+    skyproof_version: _Word = ""
+    trained_on: Annotated[str, Meta(max_length=10_000)] = ""
+    brought: Blueprint | None = None
+
+
+@dataclass(frozen=True)
+class _Stored(DetectorCard):
+    """What `detector.json` holds: the card, and what ties it to the weights."""
+
+    format: int = field(kw_only=True)
+    weights_sha256: Annotated[str, Meta(max_length=64)] = field(kw_only=True)
 
 
 def write_card(path: Path, card: DetectorCard, weights_sha256: str) -> None:
@@ -80,25 +96,10 @@ def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:
     Raises:
         StoredFileError: the file is missing, damaged, or of another format.
     """
-    record = read_json(path)
-    stored_format = record.get("format") if isinstance(record, dict) else None
-    if stored_format != FOLDER_FORMAT:
-        raise StoredFileError(
-            f"{path} has format {stored_format!r}, but this version of skyproof reads format "
-            f"{FOLDER_FORMAT}; train the detector again or use the version that wrote it."
-        )
-    try:
-        # Folders of before these fields were there stay readable.
-        record = {"trained_on": "", "brought": None, **record}
-        fields = {key: record[key] for key in DetectorCard.__dataclass_fields__}
-        fields["image_size_px"] = (int(fields["image_size_px"][0]), int(fields["image_size_px"][1]))
-        fields["threshold"] = float(fields["threshold"])
-        fields["gsd_m"] = float(fields["gsd_m"])
-        return DetectorCard(**fields), str(record["weights_sha256"])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise StoredFileError(
-            f"{path} lacks or garbles the field {error}; train the detector again."
-        ) from error
+    check_format(path, FOLDER_FORMAT, _REMEDY)
+    stored: _Stored = read_document(path, _Stored, _REMEDY)
+    card = DetectorCard(**{each.name: getattr(stored, each.name) for each in fields(DetectorCard)})
+    return card, stored.weights_sha256
 
 
 def installed_version() -> str:

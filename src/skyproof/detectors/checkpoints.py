@@ -25,6 +25,8 @@ __all__ = ["StandIn", "network_of", "read_checkpoint", "state_of"]
 _WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
 # Of a network wrapped for several devices, or compiled.
 _PREFIXES = ("module.", "_orig_mod.")
+_MOST_MODULES = 100_000
+_LONGEST_NAME = 2000
 
 
 class StandIn:
@@ -62,6 +64,7 @@ def read_checkpoint(path: Path) -> Any:
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
+        _refuse_packed(path)
         names = _foreign_names(path)
         stand_ins = [
             (type(name.rpartition(".")[2], (StandIn,), {"origin": name}), name) for name in names
@@ -69,11 +72,10 @@ def read_checkpoint(path: Path) -> Any:
         with torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
             return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        # Unpicklers meet damage with any exception there is.
-        reason = str(error).split("\n")[0][:200]
+        # Unpicklers meet damage with any exception there is, and advise to run the file.
         raise StoredFileError(
-            f"{path} is not a checkpoint that can be read ({reason}); give a file as torch.save or "
-            "safetensors write it, with the weights in it."
+            f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file as "
+            "torch.save or safetensors write it, with the weights in it."
         ) from error
 
 
@@ -93,12 +95,26 @@ def state_of(network: Any) -> dict[str, Tensor]:
 
     Returns:
         Names to tensors; empty where there are none.
+
+    Raises:
+        StoredFileError: a tensor claims more numbers than are there, or the network has no end.
     """
     if isinstance(network, StandIn):
         found = dict(_walk(network))
     else:
         items = network.items() if isinstance(network, Mapping) else ()
-        found = {str(name): value for name, value in items if isinstance(value, Tensor)}
+        found = {
+            name: value
+            for name, value in items
+            if isinstance(name, str) and isinstance(value, Tensor)
+        }
+    for name, value in found.items():
+        # A few bytes can be shown as a tensor of any size.
+        if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+            raise StoredFileError(
+                f"The checkpoint's tensor {name[:100]} claims the shape {list(value.shape)[:8]}, "
+                "more than the file holds of it; give a file as torch.save writes it."
+            )
     for prefix in _PREFIXES:
         if found and all(name.startswith(prefix) for name in found):
             found = {name.removeprefix(prefix): value for name, value in found.items()}
@@ -121,14 +137,76 @@ def _foreign_names(path: Path) -> list[str]:
     )
 
 
-def _walk(module: StandIn, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
+def _walk(network: StandIn) -> Iterator[tuple[str, Tensor]]:
     """A stored network's tensors under the names its state dict would give them."""
-    values = vars(module)
-    fleeting = values.get("_non_persistent_buffers_set") or ()
-    for kind in ("_parameters", "_buffers"):
-        for name, value in (values.get(kind) or {}).items():
-            if isinstance(value, Tensor) and not (kind == "_buffers" and name in fleeting):
-                yield prefix + name, value
-    for name, child in (values.get("_modules") or {}).items():
-        if isinstance(child, StandIn):
-            yield from _walk(child, f"{prefix}{name}.")
+    waiting = [(network, "")]
+    walked = 0
+    while waiting:
+        module, prefix = waiting.pop()
+        walked += 1
+        if walked > _MOST_MODULES or len(prefix) > _LONGEST_NAME:
+            raise StoredFileError(
+                f"The checkpoint's network has more than {_MOST_MODULES:,} parts, or holds itself; "
+                "give the file of a detector."
+            )
+        fleeting = vars(module).get("_non_persistent_buffers_set") or ()
+        for kind in ("_parameters", "_buffers"):
+            for name, value in _named(module, kind):
+                if isinstance(value, Tensor) and not (kind == "_buffers" and name in fleeting):
+                    yield prefix + name, value
+        children = [
+            (child, f"{prefix}{name}.")
+            for name, child in _named(module, "_modules")
+            if isinstance(child, StandIn)
+        ]
+        # As a state dict has them: a part with all below it, then the next.
+        waiting += reversed(children)
+
+
+def _named(module: StandIn, kind: str) -> list[tuple[str, Any]]:
+    held = vars(module).get(kind)
+    items = held.items() if isinstance(held, Mapping) else ()
+    return [(name, value) for name, value in items if isinstance(name, str)]
+
+
+def _refuse_packed(path: Path) -> None:
+    """Refuses an archive that unpacks to more than it is: torch.save packs nothing.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > path.stat().st_size:
+                raise ValueError("packed")
+
+
+def _what_came(path: Path) -> str:
+    """Says in a few words what a file is that is no checkpoint."""
+    if path.suffix == ".safetensors":
+        return "it is no safetensors file, or damaged"
+    try:
+        with path.open("rb") as file:
+            begin = file.read(2)
+        if not zipfile.is_zipfile(path):
+            # Pickles of the second protocol and later begin so.
+            pickled = begin[:1] == b"\x80"
+            return (
+                "it is damaged, or a pickle that is more than tensors and plain values"
+                if pickled or begin == b"PK"
+                else "it is no file of torch.save"
+            )
+        with zipfile.ZipFile(path) as archive:
+            names = {name.rpartition("/")[2] for name in archive.namelist()}
+            packed = any(entry.compress_type for entry in archive.infolist())
+        if packed:
+            return "it is a packed archive, and torch.save packs nothing"
+        if "constants.pkl" in names:
+            return "it is a compiled program (TorchScript)"
+        return (
+            "it is damaged, or names what no checkpoint needs"
+            if "data.pkl" in names
+            else "it is an archive of something else"
+        )
+    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
+        return "it is damaged"

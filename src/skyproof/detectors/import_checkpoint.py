@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,16 @@ from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.blueprint import Blueprint, plain_architecture
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
-from skyproof.detectors.imported import Blueprint, ImportedDetector
+from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.imported_torchvision import count_classes
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
+from skyproof.ranges import GroundResolution, check_value, is_name
 
 __all__ = ["Checkpoint", "import_detector"]
 
@@ -35,6 +36,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
 # What tables call the average of all detectors.
 _TAKEN = ("mean",)
+_MOST_CLASSES = 5000
 
 
 @dataclass(frozen=True)
@@ -88,14 +90,20 @@ def import_detector(
     folder = Path(folder)
     refuse_existing(folder)
     name = checkpoint.path.stem if name is None else name
-    if not _NAME.fullmatch(name) or name in _TAKEN:
+    if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
         raise ConfigurationError(
-            f"{name!r} is no name for a detector: letters, digits, . _ - are; give --name."
+            f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are; "
+            "give --name."
         )
     check_validation(validation)
     gsd_m = validation.gsd_m if checkpoint.gsd_m is None else checkpoint.gsd_m
-    if not 0 < gsd_m < float("inf"):
-        raise ConfigurationError(f"--gsd expects metres per pixel above 0, got {gsd_m}.")
+    check_value("--gsd", gsd_m, GroundResolution)
+    scale = validation.gsd_m / gsd_m
+    if not 0.05 <= scale <= 20:
+        raise ConfigurationError(
+            f"--gsd {gsd_m:g} is out of reason for images of {validation.gsd_m:g} m per pixel; "
+            "give what the detector was made for."
+        )
     read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
@@ -107,7 +115,13 @@ def import_detector(
         raise StoredFileError(
             f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict."
         )
-    blueprint = read(checkpoint, network, state, validation.gsd_m / gsd_m)
+    broken = next((name for name, value in state.items() if not value.isfinite().all()), None)
+    if broken is not None:
+        raise StoredFileError(
+            f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
+            "checkpoint from before its training broke."
+        )
+    blueprint = read(checkpoint, network, state, scale)
     detector = ImportedDetector(name, blueprint)
     _load(detector, state, checkpoint)
     detector.eval().requires_grad_(False).to(device)
@@ -131,7 +145,7 @@ def import_detector(
         validation=scores,
         skyproof_version=installed_version(),
         trained_on=f"elsewhere: {checkpoint.kind} checkpoint {checkpoint.path.name}",
-        brought=asdict(blueprint),
+        brought=blueprint,
     )
     with finished_folder(folder) as partial:
         save_detector(partial, detector, card)
@@ -191,15 +205,14 @@ def _ultralytics(
             "YOLO11 or later); give a checkpoint that was trained to find boxes."
         )
     values = vars(network)
-    try:
-        architecture = json.loads(json.dumps(values["yaml"]))
-        architecture.pop("yaml_file", None)
-        names = values["names"]
-        classes = [str(names[index]) for index in range(len(names))]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoredFileError(
-            f"{path} lacks its architecture or class names ({error!r}); save it again."
-        ) from error
+    names = values.get("names")
+    listed = dict(enumerate(names)) if isinstance(names, list | tuple) else names
+    if not isinstance(listed, dict) or len(listed) > _MOST_CLASSES:
+        raise StoredFileError(f"{path} lacks its class names; save it again.")
+    found = [listed.get(index) for index in range(len(listed))]
+    classes = [name for name in found if isinstance(name, str)]
+    if len(classes) < len(found):
+        raise StoredFileError(f"{path} lacks its class names; save it again.")
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]
     if missing or not checkpoint.vehicle_classes:
         raise ConfigurationError(
@@ -208,6 +221,7 @@ def _ultralytics(
         )
     numbers = [classes.index(name) for name in checkpoint.vehicle_classes]
     try:
+        architecture = plain_architecture(values.get("yaml"))
         return Blueprint(
             "ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path)
         )

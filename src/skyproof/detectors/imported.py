@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.common import (
     PADDING_GREY,
     SMALLEST_IMAGE_PX,
@@ -19,63 +18,12 @@ from skyproof.detectors.common import (
     suppress,
 )
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
-from skyproof.detectors.imported_torchvision import ARCHITECTURES, build_torchvision
+from skyproof.detectors.imported_torchvision import build_torchvision
 from skyproof.detectors.torchvision_detectors import TorchvisionDetector
-from skyproof.detectors.ultralytics_detectors import YoloNetwork, check_layers
+from skyproof.detectors.ultralytics_detectors import YoloNetwork
 from skyproof.errors import ConfigurationError
 
-__all__ = ["Blueprint", "ImportedDetector"]
-
-
-@dataclass(frozen=True)
-class Blueprint:
-    """What builds an imported detector's network, but for the weights.
-
-    Its plain values are kept in `detector.json`.
-
-    Attributes:
-        kind: "torchvision" or "ultralytics".
-        architecture: torchvision's name of it, or Ultralytics' YAML of it.
-        classes: all class names of the checkpoint in their order; of torchvision's, which has none,
-            "0", "1", ...
-        vehicle_classes: which of them are vehicles, by position.
-        image_scale: the network's pixels per pixel of the images it is given, 1 where they have its
-            resolution.
-        norm_eps: of torchvision's published weights, where their batch norm has another one; None
-            else.
-        checkpoint: name of the file it came from.
-        checkpoint_sha256: of that file.
-
-    Raises:
-        ConfigurationError: a value that no network can be built from.
-    """
-
-    kind: str
-    architecture: Any
-    classes: Sequence[str]
-    vehicle_classes: Sequence[int]
-    image_scale: float
-    norm_eps: float | None
-    checkpoint: str
-    checkpoint_sha256: str
-
-    def __post_init__(self) -> None:
-        if self.kind == "ultralytics":
-            check_layers(self.architecture)
-        elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
-            raise ConfigurationError(
-                f"no detector of kind {self.kind!r} is called {self.architecture!r}."
-            )
-        if not self.vehicle_classes or not all(
-            0 <= index < len(self.classes) for index in self.vehicle_classes
-        ):
-            raise ConfigurationError(
-                f"vehicle classes {self.vehicle_classes} are not among {len(self.classes)}."
-            )
-        if not 0.05 <= self.image_scale <= 20:
-            raise ConfigurationError(
-                f"a scale of {self.image_scale:g} between two resolutions is out of reason."
-            )
+__all__ = ["ImportedDetector"]
 
 
 class ImportedDetector(TrainableDetector):
@@ -152,7 +100,7 @@ class ImportedDetector(TrainableDetector):
 
 
 def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork:
-    if blueprint.kind == "ultralytics":
+    if isinstance(blueprint.architecture, dict):
         return YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
     return build_torchvision(
         blueprint.architecture,

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torchvision.models import detection
 from torchvision.ops import sigmoid_focal_loss
 
+from skyproof.detectors.blueprint import ARCHITECTURES
 from skyproof.detectors.common import check_targets
 from skyproof.detectors.detector import Candidates
 from skyproof.detectors.torchvision_detectors import (
@@ -20,16 +21,8 @@ from skyproof.detectors.torchvision_detectors import (
 )
 from skyproof.errors import ConfigurationError
 
-__all__ = ["ARCHITECTURES", "build_torchvision", "count_classes"]
+__all__ = ["build_torchvision", "count_classes"]
 
-ARCHITECTURES = (
-    "fasterrcnn_mobilenet_v3_large_fpn",
-    "fasterrcnn_resnet50_fpn",
-    "fasterrcnn_resnet50_fpn_v2",
-    "fcos_resnet50_fpn",
-    "retinanet_resnet50_fpn",
-    "retinanet_resnet50_fpn_v2",
-)
 # What torchvision's own transform subtracts and divides by.
 MEAN = (0.485, 0.456, 0.406)
 DEVIATION = (0.229, 0.224, 0.225)

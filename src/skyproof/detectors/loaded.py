@@ -132,10 +132,6 @@ def load_ensemble(
 def _of_card(card: DetectorCard) -> TrainableDetector:
     if card.brought is None:
         return build_detector(card.name, card.size, generator=torch.Generator())
-    from skyproof.detectors.imported import Blueprint, ImportedDetector
+    from skyproof.detectors.imported import ImportedDetector
 
-    try:
-        blueprint = Blueprint(**card.brought)
-    except (TypeError, ConfigurationError) as error:
-        raise StoredFileError(f"detector.json garbles how {card.name} is built: {error}") from error
-    return ImportedDetector(card.name, blueprint)
+    return ImportedDetector(card.name, card.brought)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
-from skyproof.errors import ConfigurationError
+from msgspec import Meta
+
+from skyproof.ranges import Count, Fraction, check_ranges
 
 __all__ = ["TRAINING_PRESETS", "TrainingChanges", "TrainingSettings"]
 
@@ -28,31 +30,27 @@ class TrainingSettings:
         checkpoint_every: steps between checkpoints.
     """
 
-    steps: int = 1000
-    batch_size: int = 16
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.02
-    warm_up: float = 0.1
-    largest_gradient_norm: float = 10.0
-    average_decay: float = 0.99
-    jitter: float = 1.0
-    validate_every: int = 250
-    checkpoint_every: int = 100
+    steps: Count = 1000
+    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 16
+    learning_rate: Annotated[float, Meta(gt=0, le=10)] = 2e-3
+    weight_decay: Annotated[float, Meta(ge=0, le=10)] = 0.02
+    warm_up: Fraction = 0.1
+    largest_gradient_norm: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
+    average_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.99
+    jitter: Annotated[float, Meta(ge=0, le=10)] = 1.0
+    validate_every: Count = 250
+    checkpoint_every: Count = 100
 
     def __post_init__(self) -> None:
-        counts = min(self.steps, self.batch_size, self.validate_every, self.checkpoint_every)
-        if counts < 1 or not self.learning_rate > 0:
-            raise ConfigurationError(
-                "Training expects counts of at least 1 and a learning rate above 0, but got "
-                f"{self}."
-            )
+        check_ranges(self)
 
 
 if TYPE_CHECKING:
     TrainingChanges = dict[str, Any]
 else:
     # The same fields, none of them needed: what is to differ from a preset.
-    TrainingChanges = TypedDict("TrainingChanges", get_type_hints(TrainingSettings), total=False)
+    _FIELDS = get_type_hints(TrainingSettings, include_extras=True)
+    TrainingChanges = TypedDict("TrainingChanges", _FIELDS, total=False)
     TrainingChanges.__doc__ = TrainingSettings.__doc__
 
 

@@ -28,7 +28,8 @@ from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.matching import match_images
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.weights import plain_state
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, NotFiniteError
+from skyproof.files import alone
 from skyproof.loop import Loop, Part, refuse_other
 
 __all__ = ["check_validation", "train", "validate"]
@@ -70,9 +71,11 @@ def train(
         The card of the stored detector.
 
     Raises:
-        ConfigurationError: no training image, no vehicle to validate with, or the loss stopped
-            being finite.
-        RunFolderError: the folder holds a training with other settings, or the disk is full.
+        ConfigurationError: no training image, or no vehicle to validate with.
+        NotFiniteError: the loss, its gradient or a weight is no longer finite; the last checkpoint
+            stays.
+        RunFolderError: the folder holds a training with other settings, somebody else works there,
+            or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -88,9 +91,7 @@ def train(
         return _finished(detector, folder, identity)
 
     detector.train().to(memory_format=torch.channels_last)
-    device = next(detector.parameters()).device
     averaged = _averaged(detector, settings)
-    follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
     schedule = LambdaLR(optimiser, lambda step: _learning_rate(step, settings))
     best = _Best()
@@ -111,25 +112,53 @@ def train(
         remedy="remove it and train again",
         on_row=on_step,
     )
-    loop.resume()
+    with alone(folder):
+        # Somebody else may have finished it in the meantime.
+        if (folder / "detector.json").exists():
+            return _finished(detector, folder, identity)
+        loop.resume()
+        _take_steps(detector, training, validation, settings, loop)
+        detector.load_state_dict(best.weights)
+        card = _card(detector.eval(), best.scores, identity, training)
+        save_detector(folder, detector, card)
+        loop.forget()
+    return card
+
+
+def _take_steps(
+    detector: TrainableDetector,
+    training: Dataset,
+    validation: Dataset,
+    settings: TrainingSettings,
+    loop: Loop,
+) -> None:
+    """Takes the steps that are left; the best averaged weights are in the loop's part "best"."""
+    averaged = cast(AveragedModel, loop.parts["averaged"])
+    follower = cast(TrainableDetector, averaged.module)
+    optimiser = cast(torch.optim.AdamW, loop.parts["optimiser"])
+    schedule = cast(LambdaLR, loop.parts["schedule"])
+    best = cast(_Best, loop.parts["best"])
+    device = next(detector.parameters()).device
     batches = training_batches(
         training,
         range(loop.step, settings.steps),
         batch_size=settings.batch_size,
         jitter_strength=settings.jitter,
-        seed=seed,
+        seed=loop.identity["seed"],
     )
     for step, (images, targets) in zip(loop, batches, strict=True):
         images = images.to(device).contiguous(memory_format=torch.channels_last)
         loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
-        if not torch.isfinite(loss):
-            raise ConfigurationError(
-                f"The training loss is {float(loss)} at step {step}; train again with a lower "
-                f"learning rate than {settings.learning_rate}."
-            )
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
+        norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
+        # Asked once for both: a graphics processor has to be waited for.
+        if not torch.isfinite(loss.detach() + norm):
+            raise NotFiniteError(
+                f"The training loss is {float(loss):g} and its gradient {float(norm):g} at step "
+                f"{step}; train again in another folder, with a lower --settings.learning-rate "
+                f"than {settings.learning_rate:g}."
+            )
         optimiser.step()
         (rate, _) = schedule.get_last_lr()
         schedule.step()
@@ -142,12 +171,6 @@ def train(
             scores = validate(follower, validation)
             best.keep(follower, scores, step)
             loop.report({"kind": "validation", "step": step, **scores})
-
-    detector.load_state_dict(best.weights)
-    card = _card(detector.eval(), best.scores, identity, training)
-    save_detector(folder, detector, card)
-    loop.forget()
-    return card
 
 
 def validate(detector: Detector, validation: Dataset) -> dict[str, float]:

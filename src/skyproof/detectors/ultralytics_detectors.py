@@ -14,7 +14,6 @@ from __future__ import annotations
 import copy
 import logging
 import os
-import re
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,29 +26,21 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
+from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["YoloNetwork", "YoloV5Detector", "check_layers"]
+__all__ = ["YoloNetwork", "YoloV5Detector"]
 
 MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
-# Heads whose answers are read here, and whether their boxes are turned.
-HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
-# Ultralytics looks a layer's name up among all it imports, functions that open files included, and
-# evaluates the text of an activation: only names of plain layers pass.
-_LAYER_NAMES = """
-A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x
-CBFuse CBLinear Concat Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck
-GhostConv HGBlock HGStem PSA RepC3 RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d
-nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample nn.ZeroPad2d
-"""
-LAYERS = frozenset(_LAYER_NAMES.split())
-_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
+# Of a network that is built from a stranger's architecture: 4 GB of weights, and as many numbers in
+# all its answers to one image of 256 px.
+MOST_NUMBERS = 10**9
 
 
 class YoloV5Detector(TrainableDetector):
@@ -146,45 +137,6 @@ class YoloV5Detector(TrainableDetector):
         return self._criterion
 
 
-def check_layers(architecture: Mapping[str, Any]) -> None:
-    """Refuses an architecture that names anything but plain layers and a detection head.
-
-    Args:
-        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count,
-            layer, arguments].
-
-    Raises:
-        ConfigurationError: another layer or head, another activation, or images of other than three
-            channels.
-    """
-    try:
-        rows = [(str(row[2]), row[3]) for row in [*architecture["backbone"], *architecture["head"]]]
-        *names, head = [name for name, _ in rows]
-        activation = architecture.get("activation")
-        channels = architecture.get("channels", 3)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise ConfigurationError(
-            "expected an Ultralytics architecture with rows of backbone and head."
-        ) from error
-    unknown = next((name for name in names if name not in LAYERS), None)
-    if unknown is not None:
-        raise ConfigurationError(
-            f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers."
-        )
-    if head not in HEADS:
-        raise ConfigurationError(
-            f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes."
-        )
-    if activation is not None and not _ACTIVATION.fullmatch(str(activation)):
-        raise ConfigurationError(
-            f"the network's activation {activation!r} is not that of a plain layer."
-        )
-    if channels != 3:
-        raise ConfigurationError(
-            f"the network takes images of {channels} channels; red, green and blue are expected."
-        )
-
-
 class YoloNetwork(TrainableDetector):
     """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
 
@@ -211,6 +163,7 @@ class YoloNetwork(TrainableDetector):
             from ultralytics.nn.tasks import DetectionModel, OBBModel
 
             kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
+            _refuse_giants(architecture)
             try:
                 self.model = kind(copy.deepcopy(dict(architecture)), ch=3, verbose=False)
             except Exception as error:
@@ -263,6 +216,46 @@ class YoloNetwork(TrainableDetector):
         if "one2one" in raw:
             return raw["one2one" if self.model.model[-1].end2end else "one2many"]
         return raw
+
+
+def _refuse_giants(architecture: Mapping[str, Any]) -> None:
+    """Builds a network without memory for its numbers, and runs it so, to count them first.
+
+    Raises:
+        ConfigurationError: it has too many, or it cannot be built.
+    """
+    from ultralytics.nn.tasks import parse_model
+
+    plan = copy.deepcopy(dict(architecture))
+    answers: list[Tensor | None] = []
+    count = 0
+    try:
+        with torch.device("meta"), torch.no_grad():
+            layers, kept = parse_model(plan, ch=3, verbose=False)
+            count = sum(parameter.numel() for parameter in layers.parameters())
+            answer: Any = torch.zeros(1, 3, 256, 256)
+            # The head's own answers are as small as what it is given.
+            for layer in list(layers)[:-1]:
+                if layer.f != -1:
+                    sources = [layer.f] if isinstance(layer.f, int) else layer.f
+                    given = [answer if source == -1 else answers[source] for source in sources]
+                    answer = given[0] if isinstance(layer.f, int) else given
+                answer = layer(answer)
+                parts = answer if isinstance(answer, list | tuple) else [answer]
+                count += sum(part.numel() for part in parts)
+                answers.append(answer if layer.i in kept else None)
+                if count > MOST_NUMBERS:
+                    break
+    except Exception as error:
+        # Whatever a row of numbers can bring about in another library.
+        raise ConfigurationError(
+            "the installed Ultralytics cannot build the network "
+            f"({' '.join(str(error).split())[:200]}); install the version that trained it."
+        ) from error
+    if count > MOST_NUMBERS:
+        raise ConfigurationError(
+            f"the network would hold more than {MOST_NUMBERS:,} numbers; no detector needs so many."
+        )
 
 
 def _upright(half: Tensor, angles: Tensor) -> Tensor:

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import torch
 from jaxtyping import Float, UInt8
+from msgspec import Meta
 from torch import Tensor
 
+from skyproof.documents import check_format, read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import finished_folder, read_json, write_json
+from skyproof.files import finished_folder, write_json
+from skyproof.ranges import Name, WholeNumber, check_ranges
 from skyproof.storage import read_tensors, write_tensors
 from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
 from skyproof.vehicles.painting import paint_vehicle
+from skyproof.vehicles.settings import VehicleCount
 from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
-from skyproof.vehicles.vehicle import Template, VehicleBatch
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 
 __all__ = ["Fleet", "FleetSettings", "mix_fleets", "sample_fleet"]
 
 _FORMAT_VERSION = 1
+_REMEDY = "make the fleet again"
+# No vertex of a road vehicle lies farther from its middle.
+_LARGEST_M = 100.0
 
 
 def _default_weights() -> dict[str, float]:
@@ -49,22 +56,39 @@ class FleetSettings:
         first_number: number of the first vehicle, so that two fleets can have different ids.
     """
 
-    count: int = 60
-    weights: dict[str, float] = field(default_factory=_default_weights)
-    first_number: int = 0
+    count: VehicleCount = 60
+    weights: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = field(
+        default_factory=_default_weights
+    )
+    first_number: WholeNumber = 0
 
     def __post_init__(self) -> None:
-        if self.count < 1:
-            raise ConfigurationError(f"A fleet needs at least 1 vehicle, not {self.count}.")
+        check_ranges(self)
         unknown = sorted(set(self.weights) - set(BODY_RANGES))
         if unknown:
             raise ConfigurationError(
                 f"Unknown body types {unknown}; choose from {', '.join(sorted(BODY_RANGES))}."
             )
-        if not self.weights or min(self.weights.values()) < 0 or sum(self.weights.values()) <= 0:
-            raise ConfigurationError(
-                "Body type weights must not be negative, and at least one must be above 0."
-            )
+        if not any(self.weights.values()):
+            raise ConfigurationError("weights expects at least one body type above 0, got none.")
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What `fleet.json` holds."""
+
+    format: int
+    ids: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=100_000)]
+    settings: FleetSettings | None
+    # Fleets written before vehicles could be wrapped have none.
+    sources: dict[str, dict[str, Annotated[str, Meta(max_length=10_000)]]] = field(
+        default_factory=dict
+    )
+
+    def __post_init__(self) -> None:
+        twice = [name for name, count in Counter(self.ids).items() if count > 1]
+        if twice:
+            raise StoredFileError(f"the vehicle {twice[0]} is there twice.")
 
 
 @dataclass(frozen=True)
@@ -146,33 +170,22 @@ class Fleet:
             StoredFileError: the folder is missing, damaged or of another format version.
         """
         folder = Path(folder)
-        description = read_json(folder / "fleet.json")
-        version = description.get("format") if isinstance(description, dict) else None
-        if version != _FORMAT_VERSION:
-            raise StoredFileError(
-                f"{folder} holds fleet format {json.dumps(version)}, this version reads "
-                f"{_FORMAT_VERSION}; make the fleet again."
-            )
-        tensors, _ = read_tensors(folder / "fleet.safetensors", "make the fleet again")
-        try:
-            ids = tuple(str(vehicle_id) for vehicle_id in description["ids"])
-            drawn_from = description["settings"]
-            fleet = Fleet(
-                None if drawn_from is None else FleetSettings(**drawn_from),
-                make_template(),
-                ids,
-                tensors["vertices"],
-                tensors["textures"],
-                tensors["parts"],
-                # Fleets written before vehicles could be wrapped have none.
-                dict(description.get("sources", {})),
-            )
-            fleet._check_shapes()
-        except Exception as error:  # whatever a damaged file provokes means damage
-            raise StoredFileError(
-                f"{folder} holds a damaged fleet ({error}); make the fleet again."
-            ) from error
-        return fleet
+        path = folder / "fleet.json"
+        check_format(path, _FORMAT_VERSION, _REMEDY)
+        description: _Description = read_document(path, _Description, _REMEDY)
+        path = folder / "fleet.safetensors"
+        tensors, _ = read_tensors(path, _REMEDY)
+        template = make_template()
+        _check_tensors(path, tensors, len(description.ids), len(template.mirror))
+        return Fleet(
+            description.settings,
+            template,
+            description.ids,
+            tensors["vertices"],
+            tensors["textures"],
+            tensors["parts"],
+            description.sources,
+        )
 
     def _row(self, vehicle_id: str) -> int:
         try:
@@ -183,19 +196,30 @@ class Fleet:
                 f"{self.ids[-1]})."
             ) from None
 
-    def _check_shapes(self) -> None:
-        count = len(self.ids)
-        wanted = {
-            "vertices": ((count, len(self.template.mirror), 3), torch.float32),
-            "textures": ((count, 3, 512, 512), torch.uint8),
-            "parts": ((count, 512, 512), torch.uint8),
-        }
-        for name, (shape, dtype) in wanted.items():
-            tensor = getattr(self, name)
-            if tuple(tensor.shape) != shape or tensor.dtype != dtype:
-                raise ValueError(
-                    f"{name} is {tensor.dtype} {tuple(tensor.shape)}, expected {dtype} {shape}"
-                )
+
+def _check_tensors(path: Path, tensors: dict[str, Tensor], count: int, vertices: int) -> None:
+    """Refuses tensors that are not those of so many vehicles."""
+    map_px = (TEXTURE_SIZE, TEXTURE_SIZE)
+    wanted = {
+        "vertices": ((count, vertices, 3), torch.float32),
+        "textures": ((count, 3, *map_px), torch.uint8),
+        "parts": ((count, *map_px), torch.uint8),
+    }
+    for name, (shape, dtype) in wanted.items():
+        tensor = tensors.get(name)
+        if tensor is None or tuple(tensor.shape) != shape or tensor.dtype != dtype:
+            got = "none" if tensor is None else f"{tensor.dtype} {tuple(tensor.shape)}"
+            raise StoredFileError(
+                f"{path} expects {name} of {dtype} {shape}, as fleet.json says, got {got}; "
+                f"{_REMEDY}."
+            )
+    if float(tensors["vertices"].abs().amax()) > _LARGEST_M:
+        raise StoredFileError(
+            f"{path} holds a vehicle that reaches more than {_LARGEST_M:g} m from its middle; "
+            f"{_REMEDY}."
+        )
+    if int(tensors["parts"].amax()) > max(Part):
+        raise StoredFileError(f"{path} holds part labels above {int(max(Part))}; {_REMEDY}.")
 
 
 def sample_fleet(

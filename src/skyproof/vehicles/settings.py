@@ -5,14 +5,19 @@ Imports no torch, so that the command line answers at once.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
 
-__all__ = ["Axis", "WrapSettings"]
+__all__ = ["Axis", "VehicleCount", "WrapSettings"]
+
+VehicleCount = Annotated[int, Meta(ge=1, le=10_000)]
+"""How many vehicles are drawn at once; each takes 1 MB of memory."""
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 """A direction in a mesh file."""
@@ -36,20 +41,17 @@ class WrapSettings:
         minimum_iou: a vehicle whose outline from above fits worse is refused.
     """
 
-    scale: tuple[float, ...] = ()
+    scale: tuple[Annotated[float, Meta(gt=0, le=1e6)], ...] = ()
     up: Axis | None = None
     forward: Axis | None = None
-    names: tuple[str, ...] = ()
-    first_number: int = 1000
+    names: tuple[Name, ...] = ()
+    first_number: WholeNumber = 1000
     paintable: Path | None = None
-    licence: str = "not stated"
-    minimum_iou: float = 0.97
+    licence: Annotated[str, Meta(max_length=1000)] = "not stated"
+    minimum_iou: Fraction = 0.97
 
     def __post_init__(self) -> None:
-        if any(not 0 < scale < math.inf for scale in self.scale):
-            raise ConfigurationError(
-                f"--wrapping.scale expects metres per unit above 0, got {min(self.scale)}."
-            )
+        check_ranges(self)
 
     def of_meshes(self, meshes: list[Path]) -> list[tuple[Path, str, float | None]]:
         """Returns each mesh with its name and its metres per unit.

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, open_texture
+from skyproof.vehicles.wrapping.meshes import (
+    GREY,
+    Material,
+    Size,
+    SourceMesh,
+    find_texture,
+    open_texture,
+)
 
 __all__ = ["read_collada"]
 
@@ -20,11 +29,22 @@ class _Document:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.root = ElementTree.parse(path).getroot()
+        content = path.read_bytes()
+        _refuse_entities(path, content)
+        self.root = ElementTree.fromstring(content)
         for element in self.root.iter():
             element.tag = element.tag.rpartition("}")[2]
         self.by_id = {name: element for element in self.root.iter() if (name := element.get("id"))}
         self.notes: list[str] = []
+        self.size = Size(path)
+        self._pictures: dict[Path, UInt8[np.ndarray, "H W C"]] = {}
+
+    def picture(self, path: Path) -> UInt8[np.ndarray, "H W C"]:
+        """Returns a texture, decoded once however many materials show it."""
+        if path not in self._pictures:
+            self._pictures[path] = open_texture(path)
+            self.size.add(texels=self._pictures[path].shape[0] * self._pictures[path].shape[1])
+        return self._pictures[path]
 
     def linked(self, reference: str | None) -> Element | None:
         return self.by_id.get((reference or "").removeprefix("#"))
@@ -82,9 +102,34 @@ def read_collada(path: Path) -> SourceMesh:
     )
 
 
+def _refuse_entities(path: Path, content: bytes) -> None:
+    """Refuses a file that declares entities: a few lines of them unfold to any size.
+
+    Raises:
+        ConfigurationError: it does.
+        xml.parsers.expat.ExpatError: it is no XML.
+    """
+
+    def refuse(*_: object) -> None:
+        raise ConfigurationError(
+            f"{path} declares XML entities, which no COLLADA file needs; export it again."
+        )
+
+    def stop(*_: object) -> None:
+        # Declarations stand before the first element.
+        raise StopIteration
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = refuse
+    parser.StartElementHandler = stop
+    with suppress(StopIteration):
+        parser.Parse(content, True)
+
+
 def _walk(
     document: _Document, node: Element, above: np.ndarray, materials: list[Material], pieces: list
 ) -> None:
+    document.size.add(nodes=1)
     transform = above @ _transform(node)
     for instance in node.findall("instance_geometry"):
         geometry = document.linked(instance.get("url"))
@@ -158,6 +203,7 @@ def _triangles(
     if not fans:
         return np.zeros((0, 3, 3)), np.zeros((0, 3, 2))
     index = np.concatenate(fans)
+    document.size.add(triangles=len(index))
     vertices = document.linked(inputs["VERTEX"].get("source"))
     position = None if vertices is None else vertices.find("input[@semantic='POSITION']")
     points = document.numbers(None if position is None else position.get("source"))
@@ -189,7 +235,7 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
             return Material(name, plain=True)
         if path != document.path.parent / file:
             document.notes.append(f"{file} was not there; {path} was taken.")
-        return Material(name, picture=open_texture(path))
+        return Material(name, picture=document.picture(path))
     colour = np.array((diffuse.findtext("color") or "").split(), float)
     if len(colour) < 3:
         return Material(name, GREY, plain=True)

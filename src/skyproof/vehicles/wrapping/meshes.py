@@ -7,12 +7,30 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from skyproof.errors import ConfigurationError
+from skyproof.pictures import decoded, open_picture
 
-__all__ = ["GREY", "Material", "SourceMesh", "find_texture", "open_texture", "picture_bytes"]
+__all__ = [
+    "GREY",
+    "PICTURES",
+    "Material",
+    "Size",
+    "SourceMesh",
+    "find_texture",
+    "is_picture",
+    "open_texture",
+    "picture_bytes",
+]
 
+PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif")
+"""How the files of textures end."""
+
+_REMEDY = "give a PNG or JPEG as texture"
+_MOST_TRIANGLES = 5_000_000
+_MOST_NODES = 100_000
+_MOST_TEXELS = 400_000_000
 GREY = (0.6, 0.6, 0.6)
 _DARK_CABIN = 0.08  # what is seen through a transparent window
 
@@ -34,6 +52,41 @@ class Material:
     picture: UInt8[np.ndarray, "H W C"] | None = None
     opacity: float = 1.0
     plain: bool = False
+
+
+@dataclass
+class Size:
+    """Counts what a mesh file unfolds to while it is read; a scene may show a part many times.
+
+    Attributes:
+        path: of the file.
+        triangles, nodes, texels: so far.
+    """
+
+    path: Path
+    triangles: int = 0
+    nodes: int = 0
+    texels: int = 0
+
+    def add(self, *, triangles: int = 0, nodes: int = 0, texels: int = 0) -> None:
+        """Counts more of it.
+
+        Raises:
+            ConfigurationError: it is more than a vehicle needs.
+        """
+        self.triangles += triangles
+        self.nodes += nodes
+        self.texels += texels
+        for count, most, what in (
+            (self.triangles, _MOST_TRIANGLES, "triangles"),
+            (self.nodes, _MOST_NODES, "nodes"),
+            (self.texels, _MOST_TEXELS, "texels in its textures"),
+        ):
+            if count > most:
+                raise ConfigurationError(
+                    f"{self.path} has more than {most:,} {what}, too much for one vehicle; "
+                    "simplify it."
+                )
 
 
 @dataclass(frozen=True)
@@ -119,39 +172,67 @@ def find_texture(mesh: Path, name: str) -> Path | None:
 
     Looked for in this order: at the path given; as `model://<model>/...` beside this model's
     folder; then by file name, without regard to case, in the mesh's folder, its `textures` and
-    `materials/textures`, and those one folder up.
+    `materials/textures`, and those one folder up. Nothing but the mesh's folder and, for pictures,
+    these is looked into: an absolute path, or one that climbs elsewhere, counts as a file name,
+    and a link out of there as nothing.
     """
     name = name.strip().replace("\\", "/").removeprefix("file://")
+    own, above = mesh.parent, mesh.parent.parent
+    below = ("textures", "materials/textures")
+    picture = is_picture(name)
     if name.startswith("model://"):
         name = name.removeprefix("model://")
-        candidate = mesh.parents[2] / name if len(mesh.parents) > 2 else mesh.parent / name
+        models = mesh.parents[2] if len(mesh.parents) > 2 else own
+        candidate, allowed = models / name, [models if picture else own]
     else:
-        candidate = mesh.parent / name
-    if candidate.is_file():
+        candidate, allowed = own / name, [own]
+    if picture:
+        allowed += [above / folder for folder in below]
+    if _is_file_in(candidate, allowed):
         return candidate
-    for folder in (mesh.parent, mesh.parent.parent):
-        for place in (folder, folder / "textures", folder / "materials" / "textures"):
+    wanted = name.rpartition("/")[2].lower()
+    for folder in (own, above) if picture else (own,):
+        for place in (folder, *(folder / name for name in below)):
             for path in sorted(place.iterdir()) if place.is_dir() else []:
-                if path.name.lower() == Path(name).name.lower() and path.is_file():
+                if path.name.lower() == wanted and _is_file_in(path, [place]):
                     return path
     return None
+
+
+def _is_file_in(path: Path, folders: list[Path]) -> bool:
+    try:
+        whole = path.resolve()
+        return whole.is_file() and any(whole.is_relative_to(folder.resolve()) for folder in folders)
+    except (OSError, ValueError, RuntimeError):
+        # A name that no file can have, or links in a circle.
+        return False
+
+
+def is_picture(name: str) -> bool:
+    """Says whether a file's name is that of a picture."""
+    return Path(name).suffix.lower() in PICTURES
 
 
 def open_texture(path: Path) -> UInt8[np.ndarray, "H W C"]:
     """Opens a picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
 
     Raises:
-        ConfigurationError: it cannot be read.
+        ConfigurationError: it cannot be read, or is too large.
     """
-    try:
-        with Image.open(path) as image:
-            return picture_bytes(image)
-    except (OSError, UnidentifiedImageError) as error:
-        raise ConfigurationError(
-            f"{path} cannot be read as a picture; give a PNG or JPEG."
-        ) from error
+    with open_picture(path, _REMEDY, error=ConfigurationError, also=("TGA", "GIF")) as image:
+        return picture_bytes(image, str(path))
 
 
-def picture_bytes(image: Image.Image) -> UInt8[np.ndarray, "H W C"]:
+def picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
+    """Decodes a picture that is open, as `open_texture` does.
+
+    Args:
+        image: perhaps opened by a library, out of a mesh file.
+        place: what an error calls it.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is too large.
+    """
     has_alpha = "A" in image.getbands() or "transparency" in image.info
-    return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+    mode = "RGBA" if has_alpha else "RGB"
+    return decoded(image, mode, place, _REMEDY, error=ConfigurationError, also=("TGA", "GIF"))

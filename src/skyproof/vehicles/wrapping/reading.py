@@ -3,28 +3,49 @@
 from __future__ import annotations
 
 import logging
+import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
+from msgspec import Meta
+from PIL import Image
 from trimesh.resolvers import Resolver
 
+from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.collada import read_collada
 from skyproof.vehicles.wrapping.meshes import (
     GREY,
     Material,
+    Size,
     SourceMesh,
     find_texture,
+    is_picture,
     picture_bytes,
 )
 
 __all__ = ["read_mesh"]
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff")
+# What else trimesh opens are archives, documents with programs, and forms without triangles.
+_FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
+_LARGEST_FILE = 500_000_000
+
+_Number = Annotated[int, Meta(ge=0, le=50_000_000)]
+
+
+class _Accessor(msgspec.Struct):
+    """Of glTF: so many numbers, which the file need not even hold."""
+
+    count: _Number
+
+
+class _Gltf(msgspec.Struct):
+    accessors: Annotated[list[_Accessor], Meta(max_length=100_000)] = []
 
 
 class _Neighbours(Resolver):
@@ -39,11 +60,14 @@ class _Neighbours(Resolver):
         # Options of a map statement, such as "-s 1 1 1", stand before the name.
         path = find_texture(self.mesh, key) or find_texture(self.mesh, key.split()[-1])
         if path is None:
-            if Path(key).suffix.lower() in _PICTURES:
+            if is_picture(key):
                 self.missing.append(key.strip())
             raise FileNotFoundError(key)
         if path != self.mesh.parent / key.strip():
             self.found.append(f"{key.strip()} was not there; {path} was taken.")
+        if path.stat().st_size > _LARGEST_FILE:
+            self.missing.append(key.strip())
+            raise FileNotFoundError(key)
         return path.read_bytes()
 
     def write(self, name: str, data: Any) -> None:
@@ -57,14 +81,26 @@ class _Neighbours(Resolver):
 
 
 def read_mesh(path: Path) -> SourceMesh:
-    """Reads OBJ, GLB, glTF, DAE, or what else trimesh reads; all objects of a scene become one.
+    """Reads OBJ, GLB, glTF, DAE, PLY, STL or OFF; all objects of a scene become one.
+
+    Nothing in the file runs, and of other files only those that `find_texture` finds are read.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, or has no triangles.
+        ConfigurationError: the file is missing, unreadable, too large, or has no triangles.
     """
     path = Path(path)
     if not path.is_file():
         raise ConfigurationError(f"{path} is not a file; give an OBJ, GLB or DAE mesh.")
+    if path.suffix.lower() not in _FORMATS:
+        raise ConfigurationError(
+            f"{path} is none of the meshes that are read ({', '.join(_FORMATS)}); give an OBJ, GLB "
+            "or DAE file."
+        )
+    if path.stat().st_size > _LARGEST_FILE:
+        raise ConfigurationError(
+            f"{path} has more than {_LARGEST_FILE / 1e6:.0f} MB, too much for one vehicle; "
+            "simplify it."
+        )
     # trimesh reports a missing texture with a traceback in its log; the resolver does so in one
     # sentence.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
@@ -73,7 +109,7 @@ def read_mesh(path: Path) -> SourceMesh:
     except ConfigurationError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigurationError(
             f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or DAE file."
         ) from error
@@ -81,12 +117,16 @@ def read_mesh(path: Path) -> SourceMesh:
 
 
 def _read_with_trimesh(path: Path) -> SourceMesh:
+    if path.suffix.lower() in (".glb", ".gltf"):
+        _refuse_empty_numbers(path)
     resolver = _Neighbours(path)
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
     pieces = []
     materials = []
     notes = list(resolver.found)
     clouds = 0
+    size = Size(path)
+    pictures: dict[int, UInt8[np.ndarray, "H W C"]] = {}
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
@@ -95,10 +135,11 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
             continue
         if len(geometry.faces) == 0:
             continue
+        size.add(nodes=1, triangles=len(geometry.faces))
         corners = trimesh.transform_points(geometry.vertices, transform)[geometry.faces]
         if np.linalg.det(transform[:3, :3]) < 0:
             notes.append(f"{node} is mirrored in the file; its triangles were turned round.")
-        material, uvs, colours = _look_of(geometry, f"{node} {name}")
+        material, uvs, colours = _look_of(geometry, f"{node} {name}", pictures, size)
         materials.append(material)
         pieces.append((corners, uvs, colours, np.full(len(corners), len(materials) - 1)))
     if not pieces:
@@ -119,9 +160,19 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
 
 
 def _look_of(
-    geometry: trimesh.Trimesh, name: str
+    geometry: trimesh.Trimesh,
+    name: str,
+    pictures: dict[int, UInt8[np.ndarray, "H W C"]],
+    size: Size,
 ) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
-    """Returns material, UVs and corner colours of one trimesh object."""
+    """Returns material, UVs and corner colours of one trimesh object.
+
+    Args:
+        geometry: of a scene that is kept meanwhile.
+        name: of the material.
+        pictures: that were decoded already, by the identity of what trimesh opened.
+        size: counts their texels.
+    """
     count = len(geometry.faces)
     uvs = np.zeros((count, 3, 2))
     colours = np.full((count, 3, 3), np.nan)
@@ -133,11 +184,15 @@ def _look_of(
     material = getattr(visual, "material", None)
     if material is None:
         return Material(name, plain=visual.kind is None), uvs, colours
-    image, opacity, colour = _picture_and_colour(material)
+    opened, opacity, colour = _picture_and_colour(material)
+    image = None
     if getattr(visual, "uv", None) is not None:
         uvs = np.asarray(visual.uv, float)[geometry.faces][..., :2]
-    else:
-        image = None
+        if opened is not None:
+            if id(opened) not in pictures:
+                pictures[id(opened)] = picture_bytes(opened, f"A texture of {size.path}")
+                size.add(texels=opened.width * opened.height)
+            image = pictures[id(opened)]
     name = f"{name} {material.name or ''}".strip()
     return (
         Material(name, colour or GREY, image, opacity, plain=image is None and colour is None),
@@ -148,7 +203,7 @@ def _look_of(
 
 def _picture_and_colour(
     material: Any,
-) -> tuple[np.ndarray | None, float, tuple[float, float, float] | None]:
+) -> tuple[Image.Image | None, float, tuple[float, float, float] | None]:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
     raw = getattr(material, "baseColorFactor", None)
@@ -163,7 +218,22 @@ def _picture_and_colour(
     if raw is not None:
         r, g, b = (np.asarray(raw, float)[:3] / 255).tolist()
         colour = (r, g, b)
-    return None if image is None else picture_bytes(image), opacity, colour
+    return image, opacity, colour
+
+
+def _refuse_empty_numbers(path: Path) -> None:
+    """Refuses glTF that claims numbers without end: memory is given to them before they are read.
+
+    Raises:
+        ConfigurationError: it does.
+    """
+    content = path.read_bytes()
+    if content[:4] == b"glTF":
+        (length,) = struct.unpack_from("<I", content, 12)
+        content = content[20 : 20 + length]
+    parse_document(
+        content, _Gltf, str(path), "give an OBJ, GLB or DAE file", error=ConfigurationError
+    )
 
 
 def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:

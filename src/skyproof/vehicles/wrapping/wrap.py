@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError
+from skyproof.pictures import decoded, open_picture
 from skyproof.vehicles.wrapping.baking import bake, to_bytes
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.orientation import orient
@@ -113,10 +113,6 @@ def wrap_mesh(
 
 
 def _read_mask(path: Path) -> UInt8[np.ndarray, "H W"]:
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("L"))
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path} cannot be read as a picture; --wrapping.paintable expects a PNG mask."
-        ) from error
+    remedy = "give a PNG mask with --wrapping.paintable"
+    with open_picture(path, remedy, error=ConfigurationError, also=("TGA", "GIF")) as image:
+        return decoded(image, "L", str(path), remedy, error=ConfigurationError, also=("TGA", "GIF"))

@@ -1,0 +1,183 @@
+"""What builds an imported detector's network, but for the weights. Imports no torch.
+
+A blueprint is read from folders and checkpoints of others: it names plain layers only, and every
+number in it is bounded. How much memory its network takes is asked before it is built
+(`ultralytics_detectors`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import check_ranges
+
+__all__ = ["ARCHITECTURES", "HEADS", "Blueprint", "check_layers", "plain_architecture"]
+
+ARCHITECTURES = (
+    "fasterrcnn_mobilenet_v3_large_fpn",
+    "fasterrcnn_resnet50_fpn",
+    "fasterrcnn_resnet50_fpn_v2",
+    "fcos_resnet50_fpn",
+    "retinanet_resnet50_fpn",
+    "retinanet_resnet50_fpn_v2",
+)
+# Heads of Ultralytics whose answers are read here, and whether their boxes are turned.
+HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
+# Ultralytics looks a layer's name up among all it imports, functions that open files included, and
+# evaluates the text of an activation: only names of plain layers pass.
+_LAYER_NAMES = """
+A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x
+CBFuse CBLinear Concat Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck
+GhostConv HGBlock HGStem PSA RepC3 RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d
+nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample nn.ZeroPad2d
+"""
+_LAYERS = frozenset(_LAYER_NAMES.split())
+_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
+
+ClassName = Annotated[str, Meta(max_length=200)]
+Classes = Annotated[list[ClassName], Meta(max_length=5000)]
+
+_Whole = Annotated[int, Meta(ge=-8192, le=8192)]
+_Real = Annotated[float, Meta(ge=-8192, le=8192)]
+# Ultralytics reads a text that is no name as a number or a list.
+_Word = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w.()=]{0,99}\Z")]
+_Plain = bool | _Whole | _Real | _Word | None
+_Few = Annotated[list[_Plain], Meta(max_length=100)]
+_Argument = bool | _Whole | _Real | _Word | _Few | None
+_Sources = _Whole | Annotated[list[_Whole], Meta(max_length=100)]
+_Row = tuple[
+    _Sources,
+    Annotated[int, Meta(ge=1, le=100)],
+    Annotated[str, Meta(max_length=100)],
+    Annotated[list[_Argument], Meta(max_length=20)],
+]
+_Rows = Annotated[list[_Row], Meta(max_length=200)]
+_Scale = Annotated[float, Meta(gt=0, le=16)]
+_Limit = Annotated[float, Meta(gt=0, le=65_536)]
+
+
+class _Architecture(msgspec.Struct):
+    """The fields of an Ultralytics architecture that are no plain values."""
+
+    backbone: _Rows
+    head: Annotated[_Rows, Meta(min_length=1)]
+    activation: Annotated[str, Meta(max_length=100)] | None = None
+    channels: int = 3
+    depth_multiple: _Scale = 1.0
+    width_multiple: _Scale = 1.0
+    reg_max: Annotated[int, Meta(ge=1, le=64)] = 16
+    nc: Annotated[int, Meta(ge=1, le=5000)] = 80
+    scales: Annotated[dict[str, tuple[_Scale, _Scale, _Limit]], Meta(max_length=100)] | None = None
+    kpt_shape: _Few | None = None
+
+
+@dataclass(frozen=True)
+class Blueprint:
+    """What builds an imported detector's network, but for the weights; kept in `detector.json`.
+
+    Attributes:
+        kind: "torchvision" or "ultralytics".
+        architecture: torchvision's name of it, or Ultralytics' YAML of it.
+        classes: all class names of the checkpoint in their order; of torchvision's, which has none,
+            "0", "1", ...
+        vehicle_classes: which of them are vehicles, by position.
+        image_scale: the network's pixels per pixel of the images it is given, 1 where they have its
+            resolution.
+        norm_eps: of torchvision's published weights, where their batch norm has another one; None
+            else.
+        checkpoint: name of the file it came from.
+        checkpoint_sha256: of that file.
+
+    Raises:
+        ConfigurationError: a value that no network can be built from.
+    """
+
+    kind: str
+    architecture: str | dict[str, Any]
+    classes: Classes
+    vehicle_classes: Annotated[
+        list[Annotated[int, Meta(ge=0, le=5000)]], Meta(min_length=1, max_length=5000)
+    ]
+    image_scale: Annotated[float, Meta(ge=0.05, le=20)]
+    norm_eps: Annotated[float, Meta(ge=0, le=1)] | None
+    checkpoint: Annotated[str, Meta(max_length=1000)]
+    checkpoint_sha256: Annotated[str, Meta(max_length=64)]
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.kind == "ultralytics":
+            check_layers(self.architecture)
+        elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
+            raise ConfigurationError(
+                f"no detector of kind {self.kind[:100]!r} is called "
+                f"{str(self.architecture)[:100]!r}."
+            )
+        if max(self.vehicle_classes) >= len(self.classes):
+            raise ConfigurationError(
+                f"the vehicle class {max(self.vehicle_classes)} is not among {len(self.classes)}."
+            )
+
+
+def check_layers(architecture: Any) -> None:
+    """Refuses an architecture that names anything but plain layers and a detection head.
+
+    Args:
+        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count,
+            layer, arguments].
+
+    Raises:
+        ConfigurationError: another layer or head, another activation, a number out of all bounds,
+            or images of other than three channels.
+    """
+    try:
+        read = msgspec.convert(architecture, _Architecture)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise ConfigurationError(
+            "expected an Ultralytics architecture with rows of backbone and head "
+            f"({' '.join(str(error).split())[:200]})."
+        ) from error
+    *names, head = [name for _, _, name, _ in (*read.backbone, *read.head)]
+    unknown = next((name for name in names if name not in _LAYERS), None)
+    if unknown is not None:
+        raise ConfigurationError(
+            f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers."
+        )
+    if head not in HEADS:
+        raise ConfigurationError(
+            f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes."
+        )
+    if read.activation is not None and not _ACTIVATION.fullmatch(read.activation):
+        raise ConfigurationError(
+            f"the network's activation {read.activation!r} is not that of a plain layer."
+        )
+    if read.channels != 3:
+        raise ConfigurationError(
+            f"the network takes images of {read.channels} channels; red, green and blue are "
+            "expected."
+        )
+
+
+def plain_architecture(stored: Any) -> dict[str, Any]:
+    """Copies of a stranger's architecture what can be checked: known fields and plain values.
+
+    Raises:
+        ConfigurationError: as `check_layers`.
+    """
+    if not isinstance(stored, Mapping):
+        raise ConfigurationError("expected an Ultralytics architecture, got none.")
+    check_layers(stored)
+    known = _Architecture.__struct_fields__
+    return {
+        name: msgspec.to_builtins(value)
+        for name, value in list(stored.items())[:100]
+        if isinstance(name, str)
+        and name != "yaml_file"
+        and (name in known or value is None or isinstance(value, bool | int | float | str))
+    }
