@@ -8,6 +8,9 @@ what to do with each job, by its seed; where it says nothing, "done":
 - "exit": ends with words on standard error;
 - "full": answers that the disk is full;
 - "hang": never answers;
+- "garbled": answers what is no JSON;
+- "lie": says that it is done, and leaves no result;
+- "giant", "pickle", "other size", "nan": leaves a result that is none;
 - "noise": prints other lines first, as Blender does;
 - "done, then die": ends after its answer.
 
@@ -47,8 +50,9 @@ def main() -> None:
     say(version=[4, 5, 0])
     for line in sys.stdin:
         job, result = map(Path, line.rstrip("\n").split("\t"))
-        with np.load(job) as stored:
-            seed = json.loads(str(stored["job"]))["seed"]
+        with np.load(job, allow_pickle=False) as stored:
+            numbers = json.loads(str(stored["job"]))
+        seed = numbers["seed"]
         number = logged(log, f"request {seed}")
         action = (
             plan.get(str(seed), "done")
@@ -68,8 +72,25 @@ def main() -> None:
             continue
         if action == "noise":
             print("Fra:1 Mem:12.3M | skyproof-worker is not meant here\nSaved: 'x.exr'", flush=True)
+        if action == "garbled":
+            print("skyproof-worker", '{"done": ' * 100_000, flush=True)
+            continue
+        if action == "lie":
+            say(done=str(result))
+            continue
         with open(partial, "wb") as file:
-            np.save(file, np.full((2, 2, 7), seed, dtype=np.float32))
+            if action == "giant":
+                # A header that claims more than any memory, and little behind it.
+                header = {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6, 7)}
+                np.lib.format.write_array_header_1_0(file, header)
+                file.write(bytes(100))
+            elif action == "pickle":
+                np.save(file, np.array([{"seed": seed}], dtype=object), allow_pickle=True)
+            elif action == "other size":
+                np.save(file, np.zeros((3, 2, 7), np.float32))
+            else:
+                value = np.nan if action == "nan" else seed
+                np.save(file, np.full((2, 2, 7), value, dtype=np.float32))
         os.replace(partial, result)
         say(done=str(result))
         if action == "done, then die":

@@ -105,7 +105,9 @@ def test_missing_field_and_missing_files(folder: Path) -> None:
     with pytest.raises(StoredFileError, match="gsd_m"):
         read_card(folder)
     (folder / "detector.json").write_text("[1]")
-    with pytest.raises(StoredFileError, match=r"detector\.json cannot be used: expected an object, got a list"):
+    with pytest.raises(
+        StoredFileError, match=r"detector\.json cannot be used: expected an object, got a list"
+    ):
         read_card(folder)
     (folder / "detector.json").unlink()
     with pytest.raises(StoredFileError, match="missing"):

@@ -67,8 +67,8 @@ class AttackWorld:
             ConfigurationError: scenes cannot be drawn so.
             StoredFileError: a folder is missing or damaged.
         """
-        photographs = BackgroundSet.open(Path(backgrounds))
         scenes = SceneSettings(size_px=size_px, vehicles_maximum=1, conditions=tuple(conditions))
+        photographs = BackgroundSet.open(Path(backgrounds))
         renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
         return cls(renderer, photographs, Fleet.load(Path(fleet)), scenes)
 

@@ -15,6 +15,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
+from skyproof.scenes.settings import SceneSettings
 
 if TYPE_CHECKING:
     import torch
@@ -80,12 +81,23 @@ class Attack:
             )
         learnt = [name for name in names if not name.random]
         drawn = [name for name in names if name.random]
+        # What cannot work is said before anything is made.
+        if learnt:
+            self._check_scenes(learnt[0])
         palette = self._palette(names)
         if drawn:
             self._draw(drawn, palette)
         if learnt:
             self._learn(learnt, palette)
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
+
+    def _check_scenes(self, name: CamouflageName) -> None:
+        """Refuses options that no camouflage can be learnt with."""
+        if not self.detectors or self.backgrounds is None or self.fleet is None:
+            raise ConfigurationError(
+                f"{name} is learnt; give --detectors, --backgrounds and --fleet."
+            )
+        SceneSettings(vehicles_maximum=1, conditions=self.conditions)
 
     def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
         """The fixed colours, where a name asks for them."""
@@ -112,6 +124,7 @@ class Attack:
         """Random draws of camouflages, which are not learnt (section 5.4)."""
         from skyproof.camouflage.folder import save_camouflage
         from skyproof.camouflage.make import make_camouflage
+        from skyproof.files import finished_folder
         from skyproof.randomness import generator_of
 
         seed = self.settings.seed
@@ -125,19 +138,18 @@ class Attack:
                 palette=palette,
                 settings=self.camouflage,
             )
-            save_camouflage(folder, control, {"seed": seed})
+            with finished_folder(folder) as partial:
+                save_camouflage(partial, control, {"seed": seed})
 
     def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Attacks, each after a sign test of its gradient."""
-        if not self.detectors or self.backgrounds is None or self.fleet is None:
-            raise ConfigurationError(
-                f"{names[0]} is learnt; give --detectors, --backgrounds and --fleet."
-            )
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_ensemble
 
+        assert self.backgrounds is not None
+        assert self.fleet is not None
         device = choose_device(self.device)
         world = AttackWorld.open(
             self.backgrounds,

@@ -321,7 +321,7 @@ def main() -> None:
     for line in sys.stdin:
         job_file, result = map(Path, line.rstrip("\n").split("\t"))
         try:
-            with np.load(job_file) as stored:
+            with np.load(job_file, allow_pickle=False) as stored:
                 arrays = dict(stored)
             rendered = stage.render(json.loads(str(arrays.pop("job"))), arrays)
             if not math.isfinite(float(rendered.sum())):

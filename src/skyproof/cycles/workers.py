@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import queue
 import shutil
@@ -14,8 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
+import msgspec
 import numpy as np
 
 from skyproof.cycles.blender import Blender, worker_environment
@@ -30,6 +29,9 @@ WORKER = Path(__file__).with_name("worker.py")
 _MARK = "skyproof-worker "
 _TRIES = 2
 _LAST_LINES = 3
+_LONGEST_LINE = 100_000
+# Colour and coverage, and the ground's light.
+_CHANNELS = 7
 
 
 class Workers:
@@ -106,31 +108,63 @@ class Workers:
     def _one(self, job: Job) -> np.ndarray:
         result = self.results / f"{job.digest(self.blender.version)}.npy"
         if result.exists():
-            with suppress(ValueError, EOFError):
-                return np.load(result)
+            with suppress(_Unfit):
+                return _picture(result, job)
             # Whole when it was written, damaged since: drawn again.
         process = self._idle.get()
         try:
-            self._render(process, job, result)
+            return self._render(process, job, result)
         finally:
             self._idle.put(process)
-        return np.load(result)
 
-    def _render(self, process: _Process, job: Job, result: Path) -> None:
+    def _render(self, process: _Process, job: Job, result: Path) -> np.ndarray:
         place = self._scratch / f"{process.number}.npz"
         write_bytes(place, job.stored())
         result.parent.mkdir(parents=True, exist_ok=True)
         why = ""
         for _ in range(_TRIES):
             answer = process.ask(place, result)
-            if "done" in answer:
-                return
-            why = answer["why"]
+            if answer.done is None:
+                why = " ".join(answer.why.split())[:500]
+                continue
+            try:
+                return _picture(result, job)
+            except _Unfit as unfit:
+                why = str(unfit)
         raise RunFolderError(
             f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make "
             "room or give fewer "
             "--workers, then run the same command again (finished pictures are kept)."
         )
+
+
+class _Unfit(Exception):
+    """A result that is not what its job asked for."""
+
+
+def _picture(path: Path, job: Job) -> np.ndarray:
+    """Reads a result; a header that claims more than the file holds takes no memory."""
+    left, top, width, height = job.window_px
+    try:
+        found = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError) as error:
+        raise _Unfit("its picture is missing or damaged") from error
+    if found.shape != (height, width, _CHANNELS) or found.dtype != np.float32:
+        raise _Unfit(
+            f"its picture has the shape {found.shape} of {found.dtype}, expected "
+            f"{(height, width, _CHANNELS)} of float32"
+        )
+    picture = np.array(found)
+    if not np.isfinite(picture).all():
+        raise _Unfit("its picture holds values that are not finite")
+    return picture
+
+
+class _Answer(msgspec.Struct):
+    """A line of a worker; the first one says a version, the others "done", or "why" not."""
+
+    done: str | None = None
+    why: str = "it did not say"
 
 
 class _Process:
@@ -148,22 +182,26 @@ class _Process:
         """Its number in the system while it runs."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, job: Path, result: Path) -> dict[str, Any]:
-        """Has one job done; the answer holds "done", or "why" it was not."""
+    def ask(self, job: Path, result: Path) -> _Answer:
+        """Has one job done."""
         try:
             if self._process is None and not self._start():
-                return {"why": f"it did not start: {self._last_words()}"}
+                return _Answer(why=f"it did not start: {self._last_words()}")
             assert self._process is not None
             assert self._process.stdin is not None
             self._process.stdin.write(f"{job}\t{result}\n")
             self._process.stdin.flush()
             answer = self._listen()
+        except msgspec.DecodeError:
+            # It lives, and nobody knows what it will say next.
+            self._end()
+            return _Answer(why="its process answered in another form")
         except (BrokenPipeError, ValueError):
             answer = None
         if answer is None:
             why = f"its process died: {self._last_words()}"
             self._end()
-            return {"why": why}
+            return _Answer(why=why)
         return answer
 
     def stop(self) -> None:
@@ -196,13 +234,17 @@ class _Process:
             return False
         return True
 
-    def _listen(self) -> dict[str, Any] | None:
-        """The next line that is meant for us; None when the process has ended."""
+    def _listen(self) -> _Answer | None:
+        """The next line that is meant for us; None when the process has ended.
+
+        Raises:
+            ValueError: the line has another form.
+        """
         assert self._process is not None
         assert self._process.stdout is not None
-        for line in self._process.stdout:
+        while line := self._process.stdout.readline(_LONGEST_LINE):
             if line.startswith(_MARK):
-                return json.loads(line.removeprefix(_MARK))
+                return msgspec.json.decode(line.removeprefix(_MARK), type=_Answer)
         return None
 
     def _end(self) -> None:
