@@ -144,7 +144,7 @@ class _Unfit(Exception):
 
 def _picture(path: Path, job: Job) -> np.ndarray:
     """Reads a result; a header that claims more than the file holds takes no memory."""
-    left, top, width, height = job.window_px
+    width, height = job.window_px[2:]
     try:
         found = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, SyntaxError) as error:
