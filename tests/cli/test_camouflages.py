@@ -156,12 +156,16 @@ def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> 
     ("name", "more", "words"),
     [
         ("T-LcFc", [], ["Lc and Fc exclude each other"]),
-        ("T-Pix", ["--camouflage.blocks", 1024], ["512 texels a side, got 1024"]),
+        (
+            "T-Pix",
+            ["--camouflage.blocks", 1024],
+            ["blocks expects a whole number from 1 up to 512, got 1024"],
+        ),
         ("S-O@1.2", [], ["from 0 to 1", "got 1.2"]),
         ("S-O@-0.1", [], ["from 0 to 1"]),
         ("S-O@0", [], ["magnitude 0", "nothing to learn"]),
-        ("T-Fc", ["--camouflage.colours", 1], ["at least 2 colours, got 1"]),
-        ("T-Lc", ["--camouflage.colours", 1], ["at least 2 colours, got 1"]),
+        ("T-Fc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
+        ("T-Lc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
         ("C-Pix-seq@0.2", [], ["T-Pix", "--texture"]),
         ("T-Invisible", [], ["Unknown texture constraints"]),
         ("T-U", ["--conditions", "hail"], ["hail", "overcast"]),
@@ -178,7 +182,7 @@ def test_what_cannot_work_is_one_sentence(
 def test_palettes_that_cannot_work(attack, tmp_path: Path) -> None:
     one = tmp_path / "one.json"
     one.write_text('{"colours_srgb": [[1, 2, 3]]}')
-    attack("T-Fc", "--palette", one).refused(str(one), "at least 2 colours")
+    attack("T-Fc", "--palette", one).refused(str(one), "2 to 256 colours")
     attack("T-Fc", "--palette", tmp_path / "none.json").refused("none.json")
     assert not (tmp_path / "camouflages").exists()
 
