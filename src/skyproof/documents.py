@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar, Union, get_args, get_origin, is_typeddict
 
 import msgspec
 
@@ -195,7 +195,7 @@ def _refuse_strange(value: Any, hint: Any, place: str) -> None:
 
 def _fields_of(hint: Any) -> Mapping[str, Any] | None:
     """Gives the annotations of a dataclass, or of the one dataclass among several types."""
-    if isinstance(hint, type) and is_dataclass(hint):
+    if isinstance(hint, type) and (is_dataclass(hint) or is_typeddict(hint)):
         return limits_of(hint)
     parts = map(_fields_of, get_args(hint)) if _is_union(hint) else ()
     return next((known for known in parts if known is not None), None)

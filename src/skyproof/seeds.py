@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
 
 __all__ = ["next_seed", "numpy_generator"]
 
 
 def numpy_generator(seed: int) -> np.random.Generator:
     """Returns NumPy's generator for a seed; NumPy itself takes no negative ones."""
+    import numpy as np
+
     return np.random.default_rng(seed % 2**64)
 
 

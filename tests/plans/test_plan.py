@@ -291,12 +291,12 @@ def test_impossible_presets_are_refused(changes, word):
 
 
 def test_presets_by_name_or_file(tmp_path):
-    assert read_preset("quick") == ("quick", PRESETS["quick"])
+    assert read_preset("quick")[:2] == ("quick", PRESETS["quick"])
     own = tmp_path / "mine.json"
     own.write_text(json.dumps(TINY))
-    assert read_preset(str(own)) == ("mine", own)
+    assert read_preset(str(own)) == ("mine", own, Preset.parse(TINY))
     own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
-    with pytest.raises(ConfigurationError, match="lacks seed"):
+    with pytest.raises(ConfigurationError, match="no field 'sed'"):
         read_preset(str(own))
     with pytest.raises(ConfigurationError, match="quick or paper"):
         read_preset("quik")

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
-from skyproof.files import write_json
+from skyproof.files import finished_file, refuse_existing, to_json
 
 __all__ = ["Bench"]
 
@@ -23,7 +23,7 @@ class Bench(Rendering):
     With --renderer cycles it times Blender instead: vehicle crops per hour, and memory per process.
 
     Attributes:
-        json: file to write the figures to.
+        json: new file to write the figures to.
         image_px: the side of an image in pixels.
         batch_size: how many images a step has.
         repeats: how often everything is timed; the median counts.
@@ -46,6 +46,9 @@ class Bench(Rendering):
         from skyproof.cli.device import choose_device
         from skyproof.cli.renderers import open_workers
 
+        if self.json is not None:
+            # Known before an hour's work, not after it.
+            refuse_existing(self.json)
         device = choose_device(self.device)
         with tempfile.TemporaryDirectory() as folder:
             if self.renderer == "cycles":
@@ -62,5 +65,6 @@ class Bench(Rendering):
                 )
         for name, value in figures.items():
             say(f"  {name}: {value}")
-        if self.json:
-            write_json(self.json, figures)
+        if self.json is not None:
+            with finished_file(self.json) as temporary:
+                temporary.write_text(to_json(self.json, figures, indent=1) + "\n")

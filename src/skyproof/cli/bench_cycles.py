@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,14 @@ def bench_cycles(
         "crops": vehicles,
         "seconds": round(seconds, 1),
         "crops_per_hour": round(3600 * vehicles / seconds),
-        "worker_memory_mb": round(max(map(_peak_memory_mb, workers.process_ids()))),
+        "worker_memory_mb": _largest_mb(map(_peak_memory_mb, workers.process_ids())),
     }
+
+
+def _largest_mb(sizes: Iterable[float]) -> int | None:
+    """Returns the largest; None where one is not known."""
+    largest = max(sizes)
+    return None if largest != largest else round(largest)
 
 
 def _peak_memory_mb(process: int) -> float:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import Seed
+from skyproof.files import alone
+from skyproof.ranges import Seed, is_name
 
 if TYPE_CHECKING:
     import torch
@@ -132,14 +133,23 @@ class Score(Rendering):
         given: dict[str, Path] = {}
         for text in self.camouflaged:
             name, _, place = text.partition("=")
-            if not name or not place:
-                raise ConfigurationError(f"--camouflaged expects NAME=FOLDER, got {text!r}.")
+            if not is_name(name) or not place:
+                raise ConfigurationError(
+                    f"--camouflaged expects NAME=FOLDER with a plain name (no separators, not dots "
+                    f"alone), got {text[:300]!r}."
+                )
             if name in given:
                 raise ConfigurationError(
                     f"--camouflaged names {name} twice; give each camouflage once."
                 )
             given[name] = Path(place)
         names = [*(folder.name for folder in self.camouflages), *given]
+        unfit = next((name for name in names if not is_name(name)), None)
+        if unfit is not None:
+            raise ConfigurationError(
+                f"--camouflages expects folders whose names can name a camouflage, got {unfit!r}; "
+                "give each by its own name."
+            )
         if len(set(names)) != len(names):
             raise ConfigurationError(
                 "--camouflages expects folders of different names; score the others separately."
@@ -190,11 +200,12 @@ class Score(Rendering):
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        prefix = f".{self.out.name}.images."
-        for left_by_a_kill in self.out.parent.glob(f"{prefix}*"):
-            shutil.rmtree(left_by_a_kill)
-        temporary = TemporaryDirectory(dir=self.out.parent, prefix=prefix)
-        with temporary as images, open_renderer(self, backgrounds, self.out) as renderer:
+        # A lock of its own: that of the score folder is held while it is written.
+        with (
+            alone(self.out.with_name(f"{self.out.name}.images")),
+            self._fresh_folder() as images,
+            open_renderer(self, backgrounds, self.out) as renderer,
+        ):
             if self.camouflages and renderer.record() != original.rendering:
                 raise ConfigurationError(
                     f"{self.original} was rendered with other settings than are asked for here, "
@@ -219,6 +230,16 @@ class Score(Rendering):
             # Within, so that path-traced crops are kept until their images have been judged.
             yield rendered
 
+    @contextmanager
+    def _fresh_folder(self) -> Iterator[str]:
+        """Yields a folder for images beside --out; removes what kills have left there before."""
+        prefix = f".{self.out.name}.images."
+        for entry in self.out.parent.iterdir():
+            if entry.name.startswith(prefix) and entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+        with TemporaryDirectory(dir=self.out.parent, prefix=prefix) as images:
+            yield images
+
     def _sources(self) -> list[str]:
         """What the ground of the scenes was cut from, or ["procedural"]; empty if not known."""
         from skyproof.datasets.dataset import Dataset
@@ -235,7 +256,7 @@ class Score(Rendering):
         from skyproof.camouflage.account import practicality_account
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.camouflage.name import CamouflageName
-        from skyproof.files import write_beside, write_bytes, write_json
+        from skyproof.files import inside, write_beside, write_bytes, write_json
         from skyproof.render.portrait import portrait
         from skyproof.results.score_folder import is_pictured
         from skyproof.vehicles.fleet import Fleet
@@ -258,7 +279,7 @@ class Score(Rendering):
             for file in ("texture.png", "steps.jsonl"):
                 if (place / file).exists():
                     path = folder / "patterns" / place.name / file
-                    write_bytes(path, (place / file).read_bytes())
+                    write_bytes(path, inside(place, file, place).read_bytes())
             rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
         write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
 

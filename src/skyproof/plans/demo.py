@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.settings import TrainingSettings
+from skyproof.documents import parse_document, read_document
 from skyproof.errors import ConfigurationError
+from skyproof.files import alone
 from skyproof.layout import Layout
 from skyproof.plans.plan import Plan
 from skyproof.plans.steps import (
@@ -26,8 +29,26 @@ from skyproof.plans.steps import (
 )
 from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
 from skyproof.ranges import GroundResolution, Seed
+from skyproof.seeds import next_seed
 
 __all__ = ["Demo", "check_detectors", "demo_plan"]
+
+
+class _Answer(Struct, frozen=True):
+    """What is said of one row of `results.json`."""
+
+    camouflage: str
+    renderer: str
+    detector: str
+    match: str
+    easr: float | None
+    easr_low: float | None
+    easr_high: float | None
+    net_easr: float | None
+
+
+class _Answers(Struct, frozen=True):
+    rows: list[_Answer]
 
 
 @dataclass(frozen=True)
@@ -108,21 +129,24 @@ class Demo:
             )
         device = choose_device(self.device)
         check_detectors(self.detectors)
-        run = RunFolder(self.out, self._config())
         layout = Layout(self.out)
         plan = demo_plan(self, layout)
+        # Mistakes are looked for first: they should show before an hour's work, not after it.
+        run = RunFolder(self.out, self._config(), plan, self._plan_of)
         if all(step.is_finished() for step in plan.steps):
             say(f"This run is finished. Report: {layout.report.resolve()}")
             return
-        # Mistakes are looked for first: they should show before an hour's work, not after it.
         if self.cycles:
             find_blender(self.blender)
         read_frames(self.frames, self.frame_classes, GSD_M)
-        run.start(str(device))
-        detectors = ", ".join(self.detectors)
-        say(f"skyproof demo on {device}, detectors {detectors}, run folder {self.out}")
-        run_serially(plan, run)
-        run.finish()
+        with alone(self.out):
+            # Somebody else may have begun meanwhile.
+            run = RunFolder(self.out, self._config(), plan, self._plan_of)
+            run.start(str(device))
+            detectors = ", ".join(self.detectors)
+            say(f"skyproof demo on {device}, detectors {detectors}, run folder {self.out}")
+            run_serially(plan, run)
+            run.finish()
         self._say_answer(layout)
         say(f"Report: {layout.report.resolve()}")
 
@@ -136,18 +160,29 @@ class Demo:
             **settings,
         }
 
+    def _plan_of(self, config: dict[str, Any]) -> Plan:
+        """The steps of the demo that a run folder's config stands for."""
+        settings = {key: value for key, value in config.items() if key != "title"}
+        if settings.get("imagery") == "procedural":
+            settings["imagery"] = []
+        content = json.dumps(settings).encode()
+        stored: Demo = parse_document(content, Demo, "config.json", "choose another --out")
+        here = replace(
+            stored, out=self.out, device=self.device, cycles=self.cycles, blender=self.blender
+        )
+        return demo_plan(here, Layout(self.out))
+
     def _say_answer(self, layout: Layout) -> None:
-        from skyproof.files import read_json
         from skyproof.words import interval, percent
 
-        for row in read_json(layout.results)["rows"]:
-            if row["camouflage"] == "T-U" and row["match"] == "centre_1m":
-                where = "" if row["renderer"] == "torch" else " on Blender Cycles images"
+        results: _Answers = read_document(layout.results, _Answers, "give the same command again")
+        for row in results.rows:
+            if row.camouflage == "T-U" and row.match == "centre_1m":
+                where = "" if row.renderer == "torch" else " on Blender Cycles images"
                 say(
-                    f"  {row['detector']:<12} T-U hides {percent(row['easr'])} of the vehicles "
-                    f"found before{where} (95 % interval "
-                    f"{interval(row['easr_low'], row['easr_high'])}); "
-                    f"net of a random texture {percent(row['net_easr'])}"
+                    f"  {row.detector:<12} T-U hides {percent(row.easr)} of the vehicles "
+                    f"found before{where} (95 % interval {interval(row.easr_low, row.easr_high)}); "
+                    f"net of a random texture {percent(row.net_easr)}"
                 )
 
 
@@ -168,7 +203,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     training = asdict(demo.training)
     for name in demo.detectors:
         steps.append(train_step(layout, sizes, name, "slim", training, seed, device=device))
-    settings = replace(demo.attack, seed=seed + demo.attack.seed)
+    settings = replace(demo.attack, seed=next_seed(seed, demo.attack.seed))
     job = AttackJob("T-U", settings, demo.detectors)
     controls = [f"R-U-{draw}" for draw in range(sizes.random_draws)]
     steps.append(attack_step(layout, job, sizes.image_px, device=device))

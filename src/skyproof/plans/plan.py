@@ -11,12 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from skyproof.errors import RunFolderError
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.ranges import check_ranges
 
 __all__ = ["START_S", "Command", "Plan", "Step"]
 
 # What a process costs before it works, seconds on one core.
 START_S = 5.0
+
+_MOST_STEPS = 20_000
 
 
 @runtime_checkable
@@ -65,6 +68,11 @@ class Step:
         """Kind and name for people to read: "train retinanet", "ground"."""
         return self.kind if self.kind == self.name else f"{self.kind} {self.name}"
 
+    def is_begun(self) -> bool:
+        """Says whether it has left anything that the next try would go on from."""
+        places = [output.parent if self.growing else output for output in self.outputs]
+        return any(place.exists() for place in places)
+
     def is_finished(self) -> bool:
         """Says whether its outputs are there, and new enough where that counts."""
         if not all(output.exists() for output in self.outputs):
@@ -85,6 +93,7 @@ class Plan:
             (minutes).
 
     Raises:
+        ConfigurationError: a command's setting is out of its range, or there are too many steps.
         RunFolderError: two steps of one name, or a step that needs what only a later one leaves.
     """
 
@@ -96,6 +105,14 @@ class Plan:
         resources: Mapping[str, int] | None = None,
     ) -> None:
         self.steps = tuple(steps)
+        if len(self.steps) > _MOST_STEPS:
+            raise ConfigurationError(
+                f"The plan has {len(self.steps):,} steps, more than the {_MOST_STEPS:,} that a run "
+                "may have; ask for fewer repeats, draws, textures or magnitudes."
+            )
+        # A setting that a later step would refuse shows before anything is made.
+        for step in self.steps:
+            check_ranges(step.command)
         self.threads = threads
         self.resources = dict(resources or {})
         repeated = [name for name, count in Counter(step.id for step in steps).items() if count > 1]

@@ -2,33 +2,79 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from msgspec import Meta
+
+from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.ground import tiling_for_images
+from skyproof.detectors.settings import TrainingChanges
+from skyproof.documents import parse_document, read_document
 from skyproof.errors import ConfigurationError
-from skyproof.files import read_json
+from skyproof.plans.world import GSD_M, WorldSizes
+from skyproof.ranges import Count, ImageSide, Seed
 
-__all__ = ["PRESETS", "Preset", "read_preset"]
+__all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
 
 PRESETS = {name: Path(__file__).with_name(f"{name}.json") for name in ("quick", "paper")}
+
+Known = Literal["retinanet", "faster_rcnn", "yolov5"]
+_Magnitude = Annotated[float, Meta(gt=0, le=1)]
+_Magnitudes = Annotated[tuple[_Magnitude, ...], Meta(max_length=100)]
+_Few = Annotated[int, Meta(ge=1, le=100)]
+_Word = Annotated[str, Meta(max_length=100)]
+_REMEDY = "start from quick.json or paper.json"
+
+
+@dataclass(frozen=True)
+class AttackSteps:
+    """Optimiser steps of an attack by its kind."""
+
+    texture: Count
+    shape: Count
+    sequential: Count
+    parallel: Count
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a step that computes much asks of a cluster; None where it asks for nothing.
+
+    Attributes:
+        gpu: how many.
+        mem_mb: memory in megabytes.
+        runtime: minutes.
+    """
+
+    gpu: Annotated[int, Meta(ge=0, le=64)] | None = None
+    mem_mb: Annotated[int, Meta(ge=1, le=10_000_000)] | None = None
+    runtime: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
+
+    def asked(self) -> dict[str, int]:
+        """Gives what is asked for, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
 class Preset:
-    """All settings of a reproduction, plain JSON values.
+    """All settings of a reproduction.
 
     Attributes:
         seed: of everything; repeat k of an attack takes seed + k.
         detectors: attacked together, judged one by one (section 3.2).
         size: of the detectors, slim or full.
-        world: how much ground, how many vehicles and scenes: values of `WorldSizes`.
+        world: how much ground, how many vehicles and scenes.
         training: per detector, what differs from its usual `TrainingSettings`.
-        attack: values of `AttackSettings`, the same for all.
+        attack: how everything is learnt; steps, seed and kept copies are said elsewhere here.
         attack_image_px: image side in attacks.
-        attack_steps: by kind: texture, shape, sequential, parallel.
+        attack_steps: by kind of attack.
         textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also
             make parallel combinations.
         repeats: attacks of each kind, from different seeds.
@@ -41,81 +87,70 @@ class Preset:
         ladder_magnitude: PM of the shapes and combinations for which that is done.
         score_batch: camouflages scored in one step.
         threads: CPU threads of each step.
-        resources: what each step that renders, trains, attacks or scores asks of a cluster, such as
-            gpu, mem_mb, runtime (minutes).
+        resources: what each step that renders, trains, attacks or scores asks of a cluster.
+        title: of the report.
+        preset: name of the preset that a run folder's settings came from.
     """
 
-    seed: int
-    detectors: tuple[str, ...]
-    size: str
-    world: Mapping[str, Any]
-    training: Mapping[str, Mapping[str, Any]]
-    attack: Mapping[str, Any]
-    attack_image_px: int
-    attack_steps: Mapping[str, int]
-    textures: tuple[str, ...]
-    repeats: int
-    draws: int
-    cycles_repeats: int
-    magnitudes: tuple[float, ...]
-    combined_magnitudes: Mapping[str, tuple[float, ...]]
-    transfer: tuple[str, ...]
-    ladder_steps: tuple[int, ...]
-    ladder_magnitude: float
-    score_batch: int
-    threads: int
-    resources: Mapping[str, int]
+    seed: Seed
+    detectors: Annotated[tuple[Known, ...], Meta(min_length=1, max_length=3)]
+    size: Literal["slim", "full"]
+    world: WorldSizes
+    training: Mapping[Known, TrainingChanges]
+    attack: AttackSettings
+    attack_image_px: ImageSide
+    attack_steps: AttackSteps
+    textures: Annotated[tuple[_Word, ...], Meta(max_length=50)]
+    repeats: _Few
+    draws: _Few
+    cycles_repeats: _Few
+    magnitudes: _Magnitudes
+    combined_magnitudes: Mapping[_Word, _Magnitudes]
+    transfer: Annotated[tuple[_Word, ...], Meta(max_length=50)]
+    ladder_steps: Annotated[tuple[Count, ...], Meta(max_length=100)]
+    ladder_magnitude: _Magnitude
+    score_batch: Count
+    threads: Annotated[int, Meta(ge=1, le=1024)]
+    resources: Resources
+    title: Annotated[str, Meta(max_length=300)] = ""
+    preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        for texture in (*self.textures, *self.combined_magnitudes):
+            TextureConstraints.parse(texture)
+        for text in self.transfer:
+            name = CamouflageName.parse(text)
+            if name.kind != "texture" or name.random or name.variant or name.repeat:
+                raise ConfigurationError(
+                    f"transfer expects learnt textures such as T-U, got {text!r}."
+                )
+        tile_px = tiling_for_images(self.world.image_px, gsd_m=GSD_M, imagery=False).size_px
+        if math.ceil(self.attack_image_px * math.sqrt(2)) + 2 > tile_px:
+            raise ConfigurationError(
+                f"attack_image_px {self.attack_image_px} is larger than what can be cut from tiles "
+                f"for images of {self.world.image_px} px; give at most world.image_px."
+            )
+        self.world.scenes("attack", self.attack_image_px).half_m(GSD_M)
 
     @classmethod
-    def parse(cls, values: Mapping[str, Any]) -> Preset:
-        """Reads JSON values; further keys are left to others.
+    def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:
+        """Reads plain JSON values.
 
         Raises:
-            ConfigurationError: a setting is missing or cannot be.
+            ConfigurationError: a setting is missing, unknown, or cannot be.
         """
-        names = [field.name for field in fields(cls)]
-        missing = [name for name in names if name not in values]
-        if missing:
-            raise ConfigurationError(
-                f"The preset lacks {', '.join(missing)}; start from quick.json or paper.json."
-            )
-        lists = {"detectors", "textures", "magnitudes", "transfer", "ladder_steps"}
-        given: dict[str, Any] = {
-            name: tuple(values[name]) if name in lists else values[name] for name in names
-        }
-        given["magnitudes"] = tuple(map(float, given["magnitudes"]))
-        others = values["combined_magnitudes"].items()
-        given["combined_magnitudes"] = {
-            texture: tuple(map(float, grid)) for texture, grid in others
-        }
-        preset = cls(**given)
-        counted = ("repeats", "draws", "cycles_repeats", "score_batch", "threads")
-        counts = {name: getattr(preset, name) for name in counted}
-        if min(counts.values()) < 1 or not preset.detectors:
-            raise ConfigurationError(
-                f"A preset expects at least one detector and counts of at least 1, got {counts}."
-            )
-        for texture in (*preset.textures, *preset.combined_magnitudes):
-            TextureConstraints.parse(texture)
-        grids = (preset.magnitudes, *preset.combined_magnitudes.values())
-        unfit = [pm for grid in grids for pm in grid if not 0 < pm <= 1]
-        if unfit:
-            raise ConfigurationError(
-                f"A preset expects magnitudes above 0 and up to 1, got {unfit}."
-            )
-        if set(preset.attack_steps) != {"texture", "shape", "sequential", "parallel"}:
-            raise ConfigurationError(
-                "A preset expects attack_steps for texture, shape, sequential and parallel."
-            )
-        return preset
+        content = json.dumps(values).encode()
+        return parse_document(content, cls, place, _REMEDY, error=ConfigurationError)
 
 
-def read_preset(preset: str) -> tuple[str, Path]:
-    """Finds a preset's name and file: "quick", "paper", or the path of a JSON file of their form.
+def read_preset(preset: str) -> tuple[str, Path, Preset]:
+    """Reads a preset: "quick", "paper", or the path of a JSON file of their form.
+
+    Returns:
+        Its name, its file, and what it says.
 
     Raises:
         ConfigurationError: neither, or the file is no preset.
-        StoredFileError: the file cannot be read.
     """
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():
@@ -123,8 +158,5 @@ def read_preset(preset: str) -> tuple[str, Path]:
             f"--preset expects {' or '.join(PRESETS)}, or a JSON file of the same form; {preset} "
             "is none."
         )
-    values = read_json(path)
-    if not isinstance(values, dict):
-        raise ConfigurationError(f"{path} is no preset: it holds no JSON object.")
-    Preset.parse(values)
-    return path.stem, path
+    read: Preset = read_document(path, Preset, _REMEDY, error=ConfigurationError)
+    return path.stem, path, read

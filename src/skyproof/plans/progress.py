@@ -16,6 +16,11 @@ _FAILED = re.compile(
 )
 
 
+# Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
+_LONGEST = 10_000
+_LARGEST = 1e9
+
+
 @dataclass(frozen=True)
 class FinishedJob:
     """One step that is done.
@@ -43,7 +48,8 @@ def finished_jobs(folder: Path) -> list[FinishedJob]:
     files = sorted((path.stat().st_mtime_ns, path) for path in places)
     jobs = []
     for _, path in files:
-        text = io.StringIO(path.read_text(encoding="utf-8"))
+        with open(path, encoding="utf-8", errors="replace") as file:
+            text = io.StringIO(file.read(_LONGEST))
         rows = list(csv.DictReader(text, delimiter="\t"))
         # A file may be seen before it is whole.
         seconds = _number(rows[-1].get("s")) if rows else None
@@ -61,6 +67,7 @@ def failed_log(text: str) -> str | None:
 
 def _number(text: str | None) -> float | None:
     try:
-        return float(text) if text else None
+        value = float(text or "nan")
     except ValueError:
         return None
+    return value if 0 <= value <= _LARGEST else None

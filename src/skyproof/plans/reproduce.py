@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta
 
@@ -59,17 +59,17 @@ class Reproduce:
     def run(self) -> None:
         """Runs what is not finished yet."""
         from skyproof.cli.device import choose_device
-        from skyproof.files import read_json
+        from skyproof.documents import read_document
+        from skyproof.files import alone
         from skyproof.plans.demo import check_detectors
         from skyproof.plans.preset import Preset, read_preset
         from skyproof.plans.reproduction import reproduction_plan
         from skyproof.plans.run_folder import RunFolder
         from skyproof.plans.serial import run_serially
-        from skyproof.plans.snakemake import alone, run_side_by_side, snakemake_words
+        from skyproof.plans.snakemake import run_side_by_side, snakemake_words
 
-        name, path = read_preset(self.preset)
-        values = read_json(path)
-        preset = Preset.parse(values)
+        name, path, preset = read_preset(self.preset)
+        values: dict[str, Any] = read_document(path, dict[str, Any], "restore it")
         cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
         if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
             raise ConfigurationError(
@@ -80,14 +80,25 @@ class Reproduce:
         check_detectors(preset.detectors, preset.size)
         more = self._cycles()
         blender = Path(more["blender"]) if more else None
-        run = RunFolder(self.out, {"preset": name, **values})
-        plan = reproduction_plan(
-            preset, self.out, device=self.device, cycles=self.cycles, blender=blender
-        )
+
+        def plan_of(config: Mapping[str, Any]) -> Plan:
+            return reproduction_plan(
+                Preset.parse(config),
+                self.out,
+                device=self.device,
+                cycles=self.cycles,
+                blender=blender,
+            )
+
+        config = {"preset": name, **values}
+        plan = plan_of(config)
+        run = RunFolder(self.out, config, plan, plan_of)
         if self.dry_run:
             self._check(path, plan, more)
             return
-        with alone(self.out) as lock:
+        with alone(self.out) as hold:
+            # Somebody else may have begun meanwhile.
+            run = RunFolder(self.out, config, plan, plan_of)
             run.start(self.device)
             say(
                 f"skyproof reproduce, preset {name}: {_listed(plan)}; {cores} cores, "
@@ -102,9 +113,9 @@ class Reproduce:
                 # away.
                 command += ["--cores", str(cores), "--rerun-incomplete", "--nolock"]
                 command += ["--scheduler", "greedy"]
-                if preset.resources.get("gpu"):
+                if preset.resources.gpu:
                     command += ["--resources", "gpu=1"]
-                run_side_by_side(plan, run, command, cores, lock)
+                run_side_by_side(plan, run, command, cores, hold)
             run.finish()
         say(f"Tables: {(self.out / 'tables' / 'README.md').resolve()}")
         say(f"Report: {(self.out / 'report.html').resolve()}")

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName, Order
 from skyproof.cli.rendering import Rendering
-from skyproof.detectors.settings import TrainingChanges, TrainingSettings
-from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import Preset
@@ -24,7 +21,8 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
-from skyproof.plans.world import WorldSizes, render_step, world_steps
+from skyproof.plans.world import render_step, world_steps
+from skyproof.seeds import next_seed
 
 __all__ = ["Jobs", "plan_of_config", "reproduction_plan"]
 
@@ -37,14 +35,19 @@ def plan_of_config(config: Mapping[str, Any]) -> Plan:
     Args:
         config: the preset's values; also "device", "cycles" (1 for the Cycles column) and
             "blender", which are no settings of a run, because they can change from call to call.
+
+    Raises:
+        ConfigurationError: a setting is missing, unknown, or cannot be.
     """
-    blender = config.get("blender")
+    told = {name: config[name] for name in ("device", "cycles", "blender") if name in config}
+    settings = {name: value for name, value in config.items() if name not in told}
+    blender = told.get("blender")
     return reproduction_plan(
-        Preset.parse(config),
+        Preset.parse(settings, "The run's config.json"),
         Path(),
-        device=str(config.get("device", "auto")),
-        cycles=bool(int(config.get("cycles", 0))),
-        blender=Path(blender) if blender else None,
+        device=str(told.get("device", "auto")),
+        cycles=str(told.get("cycles", 0)) == "1",
+        blender=Path(str(blender)) if blender else None,
     )
 
 
@@ -66,12 +69,18 @@ def reproduction_plan(
         blender: which Blender draws them.
     """
     layout = Layout(folder)
-    sizes = _settings(WorldSizes, preset.world, "world")
+    sizes = preset.world
     jobs = Jobs(preset)
     steps = world_steps(layout, sizes, preset.seed, device=device)
     steps += [
         train_step(
-            layout, sizes, name, preset.size, _training(preset, name), preset.seed, device=device
+            layout,
+            sizes,
+            name,
+            preset.size,
+            preset.training.get(name, {}),
+            preset.seed,
+            device=device,
         )
         for name in preset.detectors
     ]
@@ -105,7 +114,7 @@ def reproduction_plan(
             score(f"cycles-{name}", folders, rendering)
     steps += scores
     steps.append(report_step(layout, [step.name for step in scores]))
-    return Plan(steps, threads=preset.threads, resources=preset.resources)
+    return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
 @dataclass(frozen=True)
@@ -179,8 +188,7 @@ class Jobs:
     def _job(self, kind: _Kind, repeat: int) -> AttackJob:
         preset = self._preset
         name = kind.name.with_repeat(repeat)
-        settings = _settings(AttackSettings, preset.attack, "attack")
-        steps = preset.attack_steps[kind.kind]
+        steps: int = getattr(preset.attack_steps, kind.kind)
         measured = name.magnitude in (None, preset.ladder_magnitude)
         climbs = repeat == 0 and not name.variant and measured
         rungs = [step for step in preset.ladder_steps if step < steps] if climbs else []
@@ -194,7 +202,10 @@ class Jobs:
         return AttackJob(
             name=str(name),
             settings=replace(
-                settings, steps=steps, seed=preset.seed + repeat, keep_at=tuple(rungs)
+                preset.attack,
+                steps=steps,
+                seed=next_seed(preset.seed, repeat),
+                keep_at=tuple(rungs),
             ),
             detectors=kind.detectors,
             texture=texture,
@@ -228,27 +239,3 @@ def _parts_of(detectors: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]
         for left_out in detectors:
             rest = tuple(detector for detector in detectors if detector != left_out)
             yield f"without_{left_out}", rest
-
-
-def _training(preset: Preset, name: str) -> TrainingChanges:
-    changes = dict(preset.training.get(name, {}))
-    _refuse_unknown(changes, TrainingSettings, f"training.{name}")
-    return changes
-
-
-def _settings(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
-    """Settings made of a preset's values; lists become tuples.
-
-    Raises:
-        ConfigurationError: a setting of another name.
-    """
-    _refuse_unknown(values, kind, where)
-    given = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
-    return kind(**given)
-
-
-def _refuse_unknown(values: Mapping[str, Any], kind: type[Any], where: str) -> None:
-    unknown = sorted(set(values) - set(kind.__dataclass_fields__))
-    if unknown:
-        known = ", ".join(kind.__dataclass_fields__)
-        raise ConfigurationError(f"The preset's {where} has {unknown[0]!r}; expected are {known}.")

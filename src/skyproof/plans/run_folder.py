@@ -18,31 +18,46 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import asdict
+
 from skyproof import __version__
-from skyproof.errors import RunFolderError
-from skyproof.files import is_leftover, read_json, write_json
+from skyproof.documents import read_document
+from skyproof.errors import RunFolderError, SkyproofError
+from skyproof.files import is_leftover, write_json
 from skyproof.layout import Layout
-from skyproof.plans.plan import Step
+from skyproof.plans.plan import Plan, Step
 from skyproof.plans.progress import FinishedJob
+from skyproof.results.stored import read_environment, read_timings
 
 __all__ = ["RunFolder"]
+
+_REMEDY = "remove it and give the same command again"
 
 
 class RunFolder:
     """A new run, or the same run again; nothing is written before `start`.
 
-    A run that has not finished a single stage may be given other settings: its first input was
-    wrong, and corrected.
+    A run may be given other settings as long as they change nothing of its finished steps: a
+    mistake that shows late is corrected, and what was made before it is kept.
 
     Args:
         path: the folder; made if missing.
         config: everything that decides the results, as plain JSON values.
+        plan: the steps that it stands for.
+        plan_of: gives the steps that another config stands for.
 
     Raises:
         RunFolderError: the folder holds another run or something else.
+        StoredFileError: the folder's `config.json` is damaged.
     """
 
-    def __init__(self, path: Path, config: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        config: dict[str, Any],
+        plan: Plan,
+        plan_of: Callable[[dict[str, Any]], Plan],
+    ) -> None:
         self.path = Path(path)
         self._layout = Layout(self.path)
         self._config = json.loads(json.dumps(config, default=str))
@@ -58,16 +73,17 @@ class RunFolder:
                     f"{self.path} is not empty and not a run of skyproof; choose another --out."
                 )
             return
-        stored = read_json(place)
-        if not isinstance(stored, dict):
-            raise RunFolderError(f"{place} is not that of a run; choose another --out.")
+        stored = read_document(place, dict[str, Any], "choose another --out")
         records = {place.name, self._layout.environment.name, self._layout.timings.name}
-        if stored != self._config and not entries <= records:
+        if stored == self._config or entries <= records:
+            return
+        if not _same_where_finished(stored, plan, plan_of):
             names = {*stored, *self._config}
             changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
             raise RunFolderError(
-                f"{self.path} holds a run with other settings ({', '.join(changed)}); choose "
-                "another --out, or remove the folder to start afresh."
+                f"{self.path} holds a run with other settings ({', '.join(changed)[:300]}) that "
+                "finished steps depend on; choose another --out, or remove the folder to start "
+                "afresh."
             )
 
     def start(self, device: str) -> None:
@@ -112,10 +128,15 @@ class RunFolder:
     def finish(self) -> None:
         """Notes when the run ended."""
         path = self._layout.environment
-        write_json(path, {**read_json(path), "finished": _now()})
+        stored = read_document(path, dict[str, Any], _REMEDY)
+        write_json(path, {**stored, "finished": _now()})
 
     def _times(self) -> list[dict[str, Any]]:
-        return read_json(self._layout.timings) if self._layout.timings.exists() else []
+        times = read_timings(self._layout.timings)
+        return [
+            {name: value for name, value in asdict(row).items() if value is not None}
+            for row in times
+        ]
 
     def _add_time(self, step: Step, seconds: float) -> None:
         rows = self._times()
@@ -128,7 +149,7 @@ class RunFolder:
 
     def _record_environment(self, device: str, seed: Any) -> None:
         path = self._layout.environment
-        stored = read_json(path) if path.exists() else {}
+        stored = read_environment(path)
         command = " ".join(["skyproof", *sys.argv[1:]])
         commands = [*stored.get("commands", []), command]
         record = {
@@ -148,6 +169,20 @@ class RunFolder:
             "commands": list(dict.fromkeys(commands)),
         }
         write_json(path, record)
+
+
+def _same_where_finished(
+    stored: dict[str, Any], plan: Plan, plan_of: Callable[[dict[str, Any]], Plan]
+) -> bool:
+    """Says whether a plan leaves everything as it is that a stored one has finished or begun."""
+    try:
+        before = plan_of(stored)
+    except SkyproofError:
+        # Settings that this version does not understand.
+        return False
+    made = {step.id: step.command for step in before.steps if step.is_begun()}
+    after = {step.id: step.command for step in plan.steps}
+    return all(after.get(name) == command for name, command in made.items())
 
 
 def _now() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,13 +16,21 @@ from typing import Any
 
 from skyproof.cli.console import say
 from skyproof.errors import RunFolderError
+from skyproof.files import Hold
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.progress import FinishedJob, failed_log, finished_jobs
 from skyproof.plans.run_folder import RunFolder
 from skyproof.plans.serial import duration
 from skyproof.plans.words import command_words
 
-__all__ = ["SNAKEFILE", "alone", "output_of", "run_side_by_side", "snakemake_words", "step_words"]
+__all__ = [
+    "SNAKEFILE",
+    "output_of",
+    "run_side_by_side",
+    "shell_line",
+    "snakemake_words",
+    "step_words",
+]
 
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 
@@ -34,6 +43,15 @@ _COMMANDS = {"control": "attack"}
 def step_words(step: Step) -> list[str]:
     """Returns the words of the command that does a step, without the program's own name."""
     return command_words(_COMMANDS.get(step.kind, step.kind), step.command)
+
+
+def shell_line(step: Step) -> Callable[[object], str]:
+    """Returns what Snakemake takes for the shell's words of a step: every one quoted.
+
+    It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
+    """
+    line = shlex.join([sys.executable, "-m", "skyproof", *step_words(step)])
+    return lambda wildcards: line
 
 
 def output_of(
@@ -69,29 +87,8 @@ def snakemake_words(folder: Path, config: Path, more: Mapping[str, str]) -> list
     return [*words, "--rerun-triggers", "mtime"]
 
 
-@contextmanager
-def alone(folder: Path) -> Iterator[int]:
-    """Holds the run folder's lock; a kill gives it back.
-
-    Raises:
-        RunFolderError: another run holds it.
-    """
-    # Windows has none, and must still run the other commands.
-    import fcntl
-
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise RunFolderError(
-                f"Another run is working in {folder}; wait for it, or choose another --out."
-            ) from error
-        yield file.fileno()
-
-
 def run_side_by_side(
-    plan: Plan, run: RunFolder, command: Sequence[str], cores: int, lock: int
+    plan: Plan, run: RunFolder, command: Sequence[str], cores: int, hold: Hold
 ) -> None:
     """Runs Snakemake on a plan, and prints a line per finished step.
 
@@ -100,7 +97,8 @@ def run_side_by_side(
         run: the run folder.
         command: Snakemake's words, options of its executor included.
         cores: how many steps run side by side, for the time left.
-        lock: the run folder's lock, which Snakemake holds as long as it lives.
+        hold: the run folder's lock, which Snakemake holds as long as it lives. It ends with this
+            process, however that ends (`skyproof.plans.watched`).
 
     Raises:
         RunFolderError: a step failed; names it and its log.
@@ -109,11 +107,20 @@ def run_side_by_side(
     before = set(_finished(run.path, plan))
     if before:
         say(f"  {len(before)} steps were finished before")
-    with open(place, "ab") as log, _stop_signals():
+    with open(place, "ab") as log, _stop_signals(), _pipe() as read_end:
         start = log.tell()
+        watched = [sys.executable, "-m", "skyproof.plans.watched", str(read_end)]
         # In a session of its own, so that Ctrl-C reaches it once, through us.
         child = subprocess.Popen(
-            command, stdout=log, stderr=log, start_new_session=True, pass_fds=[lock]
+            [*watched, str(hold.descriptor), *command],
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+            pass_fds=[read_end, hold.descriptor],
+        )
+        hold.note(
+            f"process {os.getpid()}, skyproof reproduce; its jobs are of process {child.pid}, "
+            f"which ends with it, or by: kill {child.pid}"
         )
         try:
             while child.poll() is None:
@@ -169,6 +176,17 @@ def _failure(folder: Path, text: str) -> str:
     said = [line.removeprefix("skyproof: ").strip() for line in lines if line.strip()]
     last = said[-1] if said else "it printed nothing"
     return f"A step failed ({last}); see {path}, then give the same command again to go on."
+
+
+@contextmanager
+def _pipe() -> Iterator[int]:
+    """Yields the read end of a pipe whose other end this process alone holds."""
+    read_end, write_end = os.pipe()
+    try:
+        yield read_end
+    finally:
+        os.close(read_end)
+        os.close(write_end)
 
 
 def _end(child: subprocess.Popen[Any]) -> None:

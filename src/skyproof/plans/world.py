@@ -62,9 +62,14 @@ class WorldSizes:
         for split in ("train", "test"):
             self.scenes(split).half_m(GSD_M)
 
-    def scenes(self, split: str) -> SceneSettings:
-        """Returns how the scenes of a split are drawn; one vehicle an image in an attack."""
-        usual = SceneSettings(size_px=self.image_px)
+    def scenes(self, split: str, image_px: int | None = None) -> SceneSettings:
+        """Returns how the scenes of a split are drawn; one vehicle an image in an attack.
+
+        Args:
+            split: its name.
+            image_px: image side; that of the run where not given.
+        """
+        usual = SceneSettings(size_px=image_px or self.image_px)
         if split == "train":
             # Some training images are empty, so that ground alone is learnt too.
             return replace(

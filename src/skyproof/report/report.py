@@ -5,8 +5,6 @@ The paper's tables are written beside it where they apply.
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,16 +14,17 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup
-from PIL import Image
+from msgspec import Struct
 
 from skyproof import words
-from skyproof.errors import StoredFileError
-from skyproof.files import inside, write_bytes
+from skyproof.documents import read_document
+from skyproof.errors import RunFolderError
+from skyproof.files import alone, inside, write_bytes
 from skyproof.layout import Layout
-from skyproof.pictures import open_picture, read_pixels
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
+from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, loss_figure, many_figure
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
@@ -93,14 +92,48 @@ def write_report(run_folder: str | Path) -> Path:
     """Writes `results.json` and `report.html` into a run folder and returns the page's path.
 
     Where the run has attacks of the paper, `tables/` is written as well. Parts of the page whose
-    files are missing are left out, and the page says so.
+    files are missing are left out, and the page says so. What was written before is replaced where
+    it is ours: `results.json` has our form, and beside one that has, page and tables are ours, too.
 
     Raises:
         StoredFileError: nothing was scored yet, or a file is damaged; names the file.
         ConfigurationError: the scores do not belong together.
         RunFolderError: the page cannot be written.
     """
+    layout = Layout(Path(run_folder))
     results = Results.open(run_folder)
+    # No other report may be written here at the same time; a whole run has a lock of its own.
+    with alone(layout.report):
+        _refuse_other_files(layout)
+        return _write(results, layout)
+
+
+def _refuse_other_files(layout: Layout) -> None:
+    """Keeps a report from replacing files that are not skyproof's.
+
+    Raises:
+        StoredFileError: `results.json` is not ours.
+        RunFolderError: there is a page, or there are tables, without results of ours.
+    """
+    if layout.results.exists():
+        read_document(layout.results, _Known, "move it away, it is not replaced")
+        return
+    for place in (layout.report, layout.tables):
+        if place.exists():
+            raise RunFolderError(
+                f"{place} is there without a results.json beside it, so it may not be of skyproof "
+                "and is not replaced; move it away."
+            )
+
+
+class _Known(Struct, frozen=True):
+    """The form of `results.json`."""
+
+    rows: list[dict[str, Any]]
+    checks: list[dict[str, Any]]
+
+
+def _write(results: Results, layout: Layout) -> Path:
     results.write()
     paper = paper_part(results)
     by_camouflage: dict[str, list[Headline]] = {}
@@ -131,11 +164,10 @@ def write_report(run_folder: str | Path) -> Path:
             settings=list(_flat(results.config.every)),
         )
     )
-    path = Layout(results.folder).report
-    write_bytes(path, page.encode())
+    write_bytes(layout.report, page.encode())
     if paper is not None:
-        _write_tables(Layout(results.folder).tables, paper)
-    return path
+        _write_tables(layout.tables, paper)
+    return layout.report
 
 
 def _environment() -> jinja2.Environment:
@@ -174,8 +206,8 @@ def _section(results: Results, headline: Headline, second: Headline | None = Non
         forest=Markup(forest_figure(headline)),
         pairs=_pairs(results, headline),
         pairs_detector=headline.detectors[0],
-        texture=_picture(results.pattern(name, "texture.png")),
-        on_vehicle=_picture(results.pattern(name, "on_vehicle.png")),
+        texture=embedded(results.pattern(name, "texture.png")),
+        on_vehicle=embedded(results.pattern(name, "on_vehicle.png")),
         loss=_attack_loss(results, headline),
         conditions=Markup(condition_figure(panels)) if panels else None,
         readings=_readings(panels),
@@ -214,7 +246,7 @@ def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Ex
     for headline in strongest.values():
         pairs = _pairs(results, headline, count=1)
         path = results.pattern(headline.camouflage, "on_vehicle.png")
-        sheet = _picture(path, lossless=False)
+        sheet = embedded(path, lossless=False)
         exhibits.append(_Exhibit(headline, pairs[0] if pairs else None, sheet))
     return exhibits
 
@@ -275,33 +307,10 @@ def _pairs(results: Results, headline: Headline, count: int | None = None) -> li
             f"{pair.found_after} after."
         )
         document = folder / "pairs.json"
-        original = _uri(inside(folder, pair.original, document))
-        adversarial = _uri(inside(folder, pair.adversarial, document))
+        original = embedded_jpeg(inside(folder, pair.original, document))
+        adversarial = embedded_jpeg(inside(folder, pair.adversarial, document))
         pictures.append(_Picture(pair.scene, original, adversarial, caption))
     return pictures
-
-
-def _uri(path: Path) -> str:
-    """Gives a JPEG file as a data URI."""
-    picture = open_picture(path, "score again")
-    with picture:
-        if picture.format != "JPEG":
-            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; score again.")
-    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
-def _picture(path: Path | None, *, lossless: bool = True) -> str | None:
-    """Gives a picture as a data URI: PNG where texels matter, else JPEG."""
-    if path is None:
-        return None
-    buffer = io.BytesIO()
-    picture = Image.fromarray(read_pixels(path, "score again"))
-    if lossless:
-        picture.save(buffer, "PNG", optimize=True)
-    else:
-        picture.save(buffer, "JPEG", quality=80)
-    kind = "png" if lossless else "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def _attack_loss(results: Results, headline: Headline) -> Markup | None:

@@ -67,12 +67,12 @@ class _Commands(Struct, frozen=True):
     commands: list[Text] = []
 
 
-class Timing(Struct, frozen=True):
+class Timing(Struct, frozen=True, kw_only=True):
     """One row of `timings.json`: how long a step took, and what memory it held."""
 
     stage: Label
-    seconds: Annotated[float, Meta(ge=0, le=1e9)]
     name: Label | None = None
+    seconds: Annotated[float, Meta(ge=0, le=1e9)]
     largest_memory_mb: Annotated[float, Meta(ge=0, le=1e9)] | None = None
 
 
