@@ -17,6 +17,7 @@ import pytest
 
 from skyproof.cycles.blender import Blender
 from skyproof.errors import ConfigurationError
+from skyproof.files import alone
 from tests.cli.conftest import Skyproof
 
 TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
@@ -149,7 +150,7 @@ def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:
         skyproof("reproduce", "--preset", TINY, "--out", tmp_path / "run").refused(
             "is being written by another process", str(os.getpid())
         )
-    (tmp_path / "run" / "scores").mkdir()
+    (tmp_path / "run" / "fleets").mkdir()
     changed = tmp_path / "tiny.json"
     changed.write_text(json.dumps({**json.loads(TINY.read_text()), "seed": 5}))
     skyproof("reproduce", "--preset", changed, "--out", tmp_path / "run").refused(
@@ -183,7 +184,8 @@ def test_a_wrong_world_is_refused_before_anything_is_written(
     assert not (tmp_path / "run").exists()
 
 
-def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_its_end_ends_all_processes(tmp_path: Path, number: signal.Signals) -> None:
     command = [
         sys.executable,
         "-m",
@@ -213,10 +215,17 @@ def test_an_interrupt_ends_all_processes(tmp_path: Path) -> None:
         time.sleep(0.05)
     below = psutil.Process(run.pid).children(recursive=True)
     assert len(below) >= 2  # Snakemake and a job
-    run.send_signal(signal.SIGINT)
-    assert run.wait(60) == 130
-    assert run.stderr is not None
-    assert run.stderr.read() == "skyproof: stopped; give the same command again to go on.\n"
+    run.send_signal(number)
+    if number == signal.SIGINT:
+        assert run.wait(60) == 130
+        assert run.stderr is not None
+        assert run.stderr.read() == "skyproof: stopped; give the same command again to go on.\n"
+    else:
+        # Nothing of ours runs after a kill but what watches.
+        assert run.wait(60) == -signal.SIGKILL
+        psutil.wait_procs(below, timeout=60)
+        with alone(tmp_path / "run"):
+            pass
     assert not [
         process
         for process in below

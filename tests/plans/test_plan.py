@@ -6,8 +6,9 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import get_type_hints, is_typeddict
 
 import pytest
 import tyro
@@ -20,7 +21,8 @@ from skyproof.plans.demo import Demo, demo_plan
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
 from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan
-from skyproof.plans.snakemake import SNAKEFILE, step_words
+from skyproof.plans.snakemake import SNAKEFILE, shell_line, step_words
+from skyproof.ranges import Fraction
 
 TINY_FILE = Path(__file__).with_name("tiny.json")
 TINY = json.loads(TINY_FILE.read_text())
@@ -68,7 +70,7 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     assert added == {"render/test-cycles", "score/cycles-000", "score/cycles-001"}
     assert plan.steps[-1].id == "report/report"
     # Neither transfers nor copies kept on the way.
-    wide = jobs(detectors=["a", "b"], textures=["U"], transfer=["T-U"])
+    wide = jobs(detectors=["retinanet", "faster_rcnn"], textures=["U"], transfer=["T-U"])
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
     # The first repeats and draws of each.
     more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
@@ -82,18 +84,19 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
 
 def test_repeats_seeds_transfer_and_masked():
     wide = jobs(
-        seed=7, detectors=["a", "b", "c"], textures=["U", "PixFcMa"], repeats=2, draws=2,
+        seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],
+        repeats=2, draws=2,
         transfer=["T-U"], magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]},
         score_batch=4, ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
         attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
     )  # fmt: skip
     first = [
-        "T-U", "T-PixFcMa", "T-U_on_a", "T-U_on_b", "T-U_on_c", "T-U_without_a", "T-U_without_b",
-        "T-U_without_c", "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
+        "T-U", "T-PixFcMa", "T-U_on_retinanet", "T-U_on_faster_rcnn", "T-U_on_yolov5",
+        "T-U_without_retinanet", "T-U_without_faster_rcnn", "T-U_without_yolov5", "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
     ]  # fmt: skip
     assert list(wide.attacks) == [f"{name}-{repeat}" for repeat in (0, 1) for name in first]
     assert {wide.attacks[f"{name}-1"].settings.seed for name in first} == {8}
-    assert wide.attacks["T-U_without_b-0"].detectors == ("a", "c")
+    assert wide.attacks["T-U_without_faster_rcnn-0"].detectors == ("retinanet", "yolov5")
     assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
     # Copies are kept below the last step, of the first repeat, at one magnitude, and not of
     # transfers.
@@ -109,8 +112,9 @@ def test_repeats_seeds_transfer_and_masked():
     assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
     assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
     # Two detectors: all but one is the other one, which is there already.
-    pair = jobs(detectors=["a", "b"], transfer=["T-U"])
-    assert [name for name in pair.attacks if "_" in name] == ["T-U_on_a-0", "T-U_on_b-0"]
+    pair = jobs(detectors=["retinanet", "faster_rcnn"], transfer=["T-U"])
+    on_one = [name for name in pair.attacks if "_" in name]
+    assert on_one == ["T-U_on_retinanet-0", "T-U_on_faster_rcnn-0"]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -279,8 +283,23 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
         ({"repeats": 0}, "repeats"),
         ({"cycles_repeats": 0}, "cycles_repeats"),
         ({"detectors": []}, "detector"),
-        ({"magnitudes": [0.2, 1.5]}, "1.5"),
-        ({"magnitudes": [0]}, "above 0"),
+        ({"sun": 1}, "no field 'sun'"),
+        ({"world": {**TINY["world"], "image_px": 31}}, "no room"),
+        ({"world": {**TINY["world"], "; touch x": 1}}, "no field '; touch x'"),
+        ({"attack": {"--out /elsewhere": 1}}, "no field"),
+        ({"training": {"retinanet": {"steps; touch x": 4}}}, "no field"),
+        ({"training": {"$(touch x)": {}}}, "training"),
+        ({"attack_image_px": "96; touch x"}, "attack_image_px"),
+        ({"attack_image_px": 400}, "attack_image_px"),
+        ({"resources": {"gpu": "1 --shell x"}}, "resources.gpu"),
+        ({"resources": {"shell": 1}}, "no field 'shell'"),
+        ({"seed": 2**63}, "64 bits"),
+        ({"repeats": 10**9}, "repeats"),
+        ({"transfer": ["T-U_x; touch y"]}, "transfer"),
+        ({"magnitudes": [1e-320, 1e300]}, "magnitudes"),
+        ({"combined_magnitudes": {"{x}": [0.2]}}, "constraints"),
+        ({"magnitudes": [0.2, 1.5]}, r"magnitudes\[1\]"),
+        ({"magnitudes": [0]}, r"magnitudes\[0\]"),
         ({"textures": ["LcFc"]}, "Lc and Fc"),
         ({"attack_steps": {"texture": 1}}, "attack_steps"),
     ],
@@ -300,3 +319,48 @@ def test_presets_by_name_or_file(tmp_path):
         read_preset(str(own))
     with pytest.raises(ConfigurationError, match="quick or paper"):
         read_preset("quik")
+
+
+NASTY = ["a b", "a'b", 'a"b', "a;touch x", "$(touch x)", "`touch x`", "a\nb", "{x}", "*", "~", "-"]
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_every_word_of_a_step_reaches_the_command_as_it_is(name):
+    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True, blender=Path(f"/{name}"))
+    for step in plan.steps:
+        line = shell_line(step)(None)
+        said = subprocess.run(
+            ["sh", "-c", f"printf '%s\\0' {line}"], capture_output=True, text=True, check=True
+        ).stdout.split("\0")[:-1]
+        assert said == [sys.executable, "-m", "skyproof", *step_words(step)]
+
+
+def test_names_of_options_come_from_fields_alone():
+    def known(kind, prefix=""):
+        for each in fields(kind):
+            yield f"--{prefix}{each.name}".replace("_", "-")
+            yield f"--{prefix}no-{each.name}".replace("_", "-")
+            value = get_type_hints(kind)[each.name]
+            if is_dataclass(value):
+                yield from known(value, f"{each.name}.")
+            if is_typeddict(value):
+                yield from (
+                    f"--{each.name}.{key}".replace("_", "-") for key in get_type_hints(value)
+                )
+
+    for preset in ("quick", "paper"):
+        for step in reproduction_plan(Preset.parse(read(preset)), Path(), cycles=True).steps:
+            options = {word for word in step_words(step) if word.startswith("--")}
+            assert options <= set(known(type(step.command))), step.id
+
+
+def test_a_plan_refuses_what_a_later_step_would_refuse():
+    @dataclass(frozen=True)
+    class Late:
+        share: Fraction = 2.0
+
+        def run(self):
+            raise AssertionError
+
+    with pytest.raises(ConfigurationError, match="share expects"):
+        Plan([Step("late", "late", Late(), (), (Path("x"),))])

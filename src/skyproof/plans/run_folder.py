@@ -73,7 +73,7 @@ class RunFolder:
                     f"{self.path} is not empty and not a run of skyproof; choose another --out."
                 )
             return
-        stored = read_document(place, dict[str, Any], "choose another --out")
+        stored: dict[str, Any] = read_document(place, dict[str, Any], "choose another --out")
         records = {place.name, self._layout.environment.name, self._layout.timings.name}
         if stored == self._config or entries <= records:
             return
@@ -128,7 +128,7 @@ class RunFolder:
     def finish(self) -> None:
         """Notes when the run ended."""
         path = self._layout.environment
-        stored = read_document(path, dict[str, Any], _REMEDY)
+        stored: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
         write_json(path, {**stored, "finished": _now()})
 
     def _times(self) -> list[dict[str, Any]]:
