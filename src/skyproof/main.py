@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -49,6 +50,27 @@ COMMANDS: dict[str, dict[str, str]] = {
 }
 
 
+_READER_GONE = 141
+_FREE_SPACE = "free space, then give the same command again"
+_IN_THE_WAY = "move away what is in its place, or choose another"
+_FORBIDDEN = "make it accessible, or choose another"
+_REMEDIES = {
+    errno.ENOSPC: _FREE_SPACE,
+    errno.EDQUOT: _FREE_SPACE,
+    errno.EFBIG: _FREE_SPACE,
+    errno.EROFS: "choose a place that can be written",
+    errno.EACCES: _FORBIDDEN,
+    errno.EPERM: _FORBIDDEN,
+    errno.ENOENT: "check the path",
+    errno.EEXIST: _IN_THE_WAY,
+    errno.ENOTDIR: _IN_THE_WAY,
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EISDIR: "give a file, not a folder",
+    errno.ELOOP: "check where its links lead",
+}
+"""What the user can do, by what the system says."""
+
+
 def main() -> None:
     """Runs the `skyproof` command."""
     # Many small operations stall when idle threads spin; this must be said before torch is
@@ -62,7 +84,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Parses and runs one command; returns the exit code.
 
     Returns:
-        0 when it is done, 2 for bad input, 130 when the user stopped it.
+        0 when it is done, 2 for bad input, 130 when the user stopped it, 141 when nobody reads
+        what it prints any more.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -79,9 +102,23 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except SkyproofError as error:
         say_error(str(error))
         return 2
+    except BrokenPipeError:
+        # Whoever read our words has gone, as `head` does; nothing may be written at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _READER_GONE
     except OSError as error:
-        what = error.filename or "A file"
-        say_error(f"{what} cannot be used: {error.strerror or error}; check it and try again.")
+        what = error.filename or "a file"
+        remedy = _REMEDIES.get(error.errno or 0, "check it and try again")
+        say_error(f"{what} cannot be used: {error.strerror or error}; {remedy}.")
+        return 2
+    except RecursionError:
+        say_error("a file given here is nested too deep; check the files, and give others.")
+        return 2
+    except MemoryError:
+        say_error(
+            "the memory is full; give smaller files, lower the batch size or the image size, or "
+            "use a machine with more of it."
+        )
         return 2
     except KeyboardInterrupt:
         say_error("stopped; give the same command again to go on.")

@@ -1,5 +1,8 @@
 """Options out of range are refused in one sentence, before anything is made."""
 
+import io
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from typing import Annotated, TypedDict
 
@@ -94,3 +97,64 @@ def test_numbers_out_of_range_are_refused(skyproof: Skyproof, tmp_path, monkeypa
     )
     skyproof(*words).refused(f"{option} expects")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            PermissionError(13, "Permission denied", "/a/b"),
+            "/a/b cannot be used: Permission denied",
+        ),
+        (OSError(30, "Read-only file system", "/a"), "choose a place that can be written"),
+        (OSError(28, "No space left on device", "/a"), "free space"),
+        (NotADirectoryError(20, "Not a directory", "/a/b"), "move away what is in its place"),
+        (OSError("odd"), "a file cannot be used: odd; check it and try again"),
+        (MemoryError(), "memory is full"),
+        (RecursionError(), "nested too deep"),
+    ],
+)
+def test_what_the_system_refuses_is_one_sentence(monkeypatch, capsys, error, words):
+    def fail(self):
+        raise error
+
+    monkeypatch.setattr(main, "load_command", lambda name: Probe)
+    monkeypatch.setattr(Probe, "run", fail)
+    assert main.run(["probe"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert words in said
+    assert "free space" in words or "free space" not in said
+
+
+def test_letters_that_a_terminal_lacks_are_shown(monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(main.sys, "stderr", stream)
+    main.say_error("a \u00e9")
+    assert stream.buffer.getvalue() == b"skyproof: a \\xe9\n"
+
+
+def test_a_reader_who_has_gone_is_no_error():
+    done = subprocess.run(
+        ["bash", "-c", f"{sys.executable} -m skyproof --help | true; echo ${{PIPESTATUS[0]}}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() in ("0", "141")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "..", "", "x" * 200])
+def test_a_camouflage_has_a_plain_name(skyproof: Skyproof, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    skyproof(
+        "score", "--detectors", "d", "--out", "out", "--original", "o", "--camouflaged", f"{name}=c"
+    ).refused("--camouflaged expects NAME=FOLDER")
+    assert not list(tmp_path.iterdir())
+
+
+def test_figures_of_a_bench_replace_nothing(skyproof: Skyproof, tmp_path):
+    (tmp_path / "mine.json").write_text("mine")
+    skyproof("bench", "--json", tmp_path / "mine.json").refused("mine.json exists already")
+    assert (tmp_path / "mine.json").read_text() == "mine"

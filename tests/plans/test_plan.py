@@ -92,7 +92,8 @@ def test_repeats_seeds_transfer_and_masked():
     )  # fmt: skip
     first = [
         "T-U", "T-PixFcMa", "T-U_on_retinanet", "T-U_on_faster_rcnn", "T-U_on_yolov5",
-        "T-U_without_retinanet", "T-U_without_faster_rcnn", "T-U_without_yolov5", "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
+        "T-U_without_retinanet", "T-U_without_faster_rcnn", "T-U_without_yolov5",
+        "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
     ]  # fmt: skip
     assert list(wide.attacks) == [f"{name}-{repeat}" for repeat in (0, 1) for name in first]
     assert {wide.attacks[f"{name}-1"].settings.seed for name in first} == {8}

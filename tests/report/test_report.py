@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.errors import StoredFileError
-from skyproof.files import read_json, write_json
+from skyproof.errors import RunFolderError, StoredFileError
+from skyproof.files import alone, read_json, write_json
 from skyproof.report.answer import answer
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
@@ -328,3 +328,69 @@ def test_numbers_as_words():
     assert interval(0.79, 0.88) == "79 to 88\u202f%"
     assert number(12345.6) == "12\u202f346"
     assert (probability(1e-9), probability(0.04)) == ("< 0.001", "0.040")
+
+
+def test_files_of_others_are_not_replaced(run_folder):
+    write_report(run_folder)
+    # Ours are replaced.
+    write_report(run_folder)
+    (run_folder / "results.json").unlink()
+    (run_folder / "report.html").write_text("my own page")
+    with pytest.raises(RunFolderError, match=r"report\.html is there without a results\.json"):
+        write_report(run_folder)
+    assert (run_folder / "report.html").read_text() == "my own page"
+    assert not (run_folder / "results.json").exists()
+    (run_folder / "report.html").unlink()
+    (run_folder / "results.json").write_text('{"mine": 1}')
+    with pytest.raises(StoredFileError, match=r"results\.json.* not replaced"):
+        write_report(run_folder)
+    assert (run_folder / "results.json").read_text() == '{"mine": 1}'
+
+
+def test_two_reports_at_once(run_folder):
+    with alone(run_folder / "report.html"), pytest.raises(RunFolderError, match="being written"):
+        write_report(run_folder)
+
+
+def test_a_link_out_of_the_run_is_not_shown(run_folder, tmp_path):
+    pairs = run_folder / "scores" / "main" / "pairs" / "original"
+    secret = tmp_path / "secret.jpg"
+    for picture in pairs.iterdir():
+        picture.rename(secret)
+        picture.symlink_to(secret)
+    with pytest.raises(StoredFileError, match="leads out of its folder"):
+        write_report(run_folder)
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("config.json", '{"seed": 1e999}'),
+        ("config.json", '{"imagery": {"a": 1}}'),
+        ("config.json", "[" * 100_000),
+        ("environment.json", '{"commands": "rm"}'),
+        ("timings.json", '[{"stage": "train", "seconds": -1}]'),
+        ("timings.json", '{"stage": 1}'),
+        ("scores/main/score.json", '{"thresholds": {"../x": 0.5}}'),
+        ("scores/main/score.json", '{"thresholds": {"a": "0.5"}}'),
+        ("scores/main/sets.json", '{"rows": [{"camouflage": "/etc"}]}'),
+        ("scores/main/pairs/pairs.json", '{"rows": [{"original": "../../x.jpg"}]}'),
+        ("scores/main/practicality.json", '{"rows": [{"name": "T-U"}]}'),
+        ("detectors/retinanet/steps.jsonl", '{"step": 1}'),
+        ("detectors/retinanet/steps.jsonl", '{"step": 1, "loss": NaN}'),
+        ("detectors/retinanet/detector.json", '{"threshold": "high"}'),
+        ("camouflages/T-U/camouflage.json", '{"record": {"attack": 5}}'),
+    ],
+)
+def test_damage_is_one_sentence_with_the_file(run_folder, file, content):
+    path = run_folder / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.name == "steps.jsonl":
+        (path.parent / "detector.json").write_text("{}")
+    path.write_text(content)
+    with pytest.raises(StoredFileError) as refused:
+        write_report(run_folder)
+    said = str(refused.value)
+    assert path.name in said
+    assert "\n" not in said
+    assert len(said) < 700

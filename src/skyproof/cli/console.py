@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 __all__ = ["progress_bar", "say", "say_error"]
 
@@ -15,14 +16,24 @@ _LINE_EVERY_S = 15.0
 
 def say(message: str) -> None:
     """Prints one line."""
-    print(message, flush=True)
+    _print(message, sys.stdout)
 
 
 def say_error(message: str) -> None:
     """Prints one line to standard error."""
     # Messages of libraries may hold line breaks, names in files what moves a terminal's cursor.
     line = "".join(sign if sign.isprintable() else "?" for sign in " ".join(message.split()))
-    print(f"skyproof: {line}", file=sys.stderr, flush=True)
+    _print(f"skyproof: {line}", sys.stderr)
+
+
+def _print(line: str, stream: Any) -> None:
+    try:
+        print(line, file=stream, flush=True)
+    except UnicodeEncodeError:
+        # A terminal without these letters, or the name of a file that is no text.
+        encoding = stream.encoding or "ascii"
+        shown = line.encode(encoding, "backslashreplace").decode(encoding)
+        print(shown, file=stream, flush=True)
 
 
 @contextmanager
