@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
 from skyproof.errors import ConfigurationError
-from skyproof.files import read_json
+from skyproof.files import alone, read_json
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -49,6 +50,7 @@ def test_second_call_changes_nothing(finished: Path, skyproof: Skyproof) -> None
         assert "finished" in answer.out
         assert str(finished / "report.html") in answer.out.replace("\n", "")
     assert {path: path.stat().st_mtime_ns for path in finished.rglob("*")} == before
+    skyproof("demo", "--out", finished, *TINY, "--gsd", 0.2).refused("--gsd", "--imagery")
     assert bytes_of(finished) == contents
 
 
@@ -60,7 +62,7 @@ def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof
         (["--attack.steps", 5], "attack"),
         (["--imagery", "/some/orthophoto.tif"], "imagery"),
         (["--frames", frames], "frames"),
-        (["--gsd", 0.2], "gsd"),
+        (["--sizes.test-images", 7], "sizes"),
     ):
         skyproof("demo", "--out", finished, *TINY, *flags).refused(
             str(finished), f"({name})", "another --out"
@@ -239,3 +241,33 @@ def test_a_missing_blender_is_said_before_anything_is_done(
     assert not (tmp_path / "run").exists()
     assert bytes_of(finished) == contents
     skyproof("demo", "--out", finished, *TINY, "--blender", "/opt/blender").refused("--cycles")
+
+
+def test_a_mistake_that_no_finished_step_depends_on_is_corrected(
+    tmp_path: Path, finished: Path, skyproof: Skyproof
+) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(finished, out)
+    for made in ("camouflages", "scores", "results.json", "report.html"):
+        path = out / made
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    kept = bytes_of(out / "detectors")
+    # What the attack needs changes; ground, images and detectors stay.
+    said = skyproof("demo", "--out", out, *TINY, "--attack.learning-rate", 0.01)
+    assert said.code == 0, said.err
+    assert "ground" not in said.out
+    assert bytes_of(out / "detectors") == kept
+    assert json.loads((out / "config.json").read_text())["attack"]["learning_rate"] == 0.01
+    # Now the attack is finished, too.
+    skyproof("demo", "--out", out, *TINY).refused("(attack)", "finished steps depend on")
+
+
+def test_any_seed_and_two_at_once(tmp_path: Path, skyproof: Skyproof) -> None:
+    out = tmp_path / "run"
+    with alone(out):
+        skyproof("demo", "--out", out, *TINY, "--seed", -1).refused(
+            "is being written by another process", str(os.getpid())
+        )
+    assert not out.exists()
+    said = skyproof("demo", "--out", out, *TINY, "--seed", -1)
+    assert said.code == 0, said.err

@@ -127,6 +127,10 @@ class Demo:
             raise ConfigurationError(
                 "--blender says which Blender draws for --cycles; give --cycles too."
             )
+        if self.gsd is not None and not self.imagery:
+            raise ConfigurationError(
+                "--gsd says how many metres a pixel of --imagery has; give --imagery too."
+            )
         device = choose_device(self.device)
         check_detectors(self.detectors)
         layout = Layout(self.out)
