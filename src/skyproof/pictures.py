@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyproof.errors import SkyproofError, StoredFileError
 
-__all__ = ["LARGEST_PX", "decoded", "open_picture", "read_pixels"]
+__all__ = ["LARGEST_PX", "decoded", "open_picture", "read_pixels", "whole_picture"]
 
 LARGEST_PX = 178_956_970
 """The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: what Pillow allows
@@ -97,6 +97,25 @@ def read_pixels(
     Raises:
         SkyproofError: as of `open_picture`, or the size is another.
     """
+    # One copy: a conversion copies even where there is nothing to convert.
+    return np.array(whole_picture(path, remedy, size_px=size_px, error=error))
+
+
+def whole_picture(
+    path: Path,
+    remedy: str,
+    *,
+    size_px: tuple[int, int] | None = None,
+    error: type[SkyproofError] = StoredFileError,
+) -> Image.Image:
+    """Decodes a whole picture as Pillow's, in RGB, for those who want parts of it.
+
+    Args:
+        path, remedy, size_px, error: as of `read_pixels`.
+
+    Raises:
+        SkyproofError: as of `read_pixels`.
+    """
     with open_picture(path, remedy, error=error) as picture:
         if size_px is not None and picture.size != size_px:
             width, height = picture.size
@@ -104,7 +123,7 @@ def read_pixels(
                 f"{path} has {width} x {height} px, expected are {size_px[0]} x {size_px[1]}; "
                 f"{remedy}."
             )
-        return decoded(picture, "RGB", str(path), remedy, error=error)
+        return _loaded(picture, "RGB", str(path), remedy, error)
 
 
 def decoded(
@@ -136,12 +155,18 @@ def decoded(
     # One that was made in memory has no format.
     if picture.format not in (None, "MPO", *_FORMATS, *also):
         raise error(f"{place} is a picture of the format {picture.format}; {remedy}.")
+    return np.array(_loaded(picture, mode, place, remedy, error))
+
+
+def _loaded(
+    picture: Image.Image, mode: str, place: str, remedy: str, error: type[SkyproofError]
+) -> Image.Image:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             picture.load()
             # A conversion copies even where there is nothing to convert.
-            return np.array(picture if picture.mode == mode else picture.convert(mode))
+            return picture if picture.mode == mode else picture.convert(mode)
     except Exception as damage:
         # As above.
         raise error(

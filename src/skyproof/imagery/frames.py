@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,11 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
 from skyproof.imagery.labels.text import IMAGE_SUFFIXES
+from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
+
+_REMEDY = "replace or remove it, or cut it into smaller frames"
 
 BORDER_PX = 40.0
 """Vehicles cut by an image's border are often not labelled: half a car's length at 6 cm, a whole
@@ -69,13 +71,7 @@ class FramePicture:
             yield tensor_of(source.resize((width, height), Image.Resampling.BICUBIC, box=box))
 
     def _decoded(self) -> Image.Image:
-        with _opened(self.path) as picture:
-            try:
-                # A conversion copies even where there is nothing to convert.
-                picture.load()
-                return picture if picture.mode == "RGB" else picture.convert("RGB")
-            except (OSError, SyntaxError, ValueError) as error:
-                raise _unreadable(self.path, error) from error
+        return whole_picture(self.path, _REMEDY, error=ImageryError)
 
 
 def read_frames_folder(
@@ -149,6 +145,12 @@ def read_frames_folder(
             max(1, round(width * gsd_m / target_gsd_m)),
             max(1, round(height * gsd_m / target_gsd_m)),
         )
+        if size[0] * size[1] > LARGEST_PX:
+            raise ImageryError(
+                f"{file} of {gsd_m} m per pixel would have {size[0]:,} x {size[1]:,} px at the "
+                f"detector's {target_gsd_m} m, more than {LARGEST_PX:,} pixels in all; check its "
+                "resolution, or cut it into smaller frames."
+            )
         scale = torch.tensor([size[0] / width, size[1] / height] * 2, dtype=torch.float32)
         pictures.append(FramePicture(file, source_size, size))
         boxes.append(truths * scale)
@@ -169,28 +171,10 @@ def _image_files(folder: Path, pattern: str) -> list[Path]:
 
 def _size_px(path: Path) -> tuple[int, int]:
     """Reads width and height of an image from its header."""
-    with _opened(path) as picture:
+    with open_picture(path, _REMEDY, error=ImageryError) as picture:
         if picture.mode[0] in "IF":
             raise ImageryError(
                 f"{path} has more than 8 bits per pixel; convert it (gdal_translate -ot Byte "
                 "-scale)."
             )
         return picture.size
-
-
-def _opened(path: Path) -> Image.Image:
-    try:
-        with warnings.catch_warnings():
-            # Aerial frames are large; only what Pillow refuses is too large.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            return Image.open(path)
-    except Image.DecompressionBombError as error:
-        raise ImageryError(
-            f"{path} is too large to be read at once ({error}); cut it into smaller frames."
-        ) from error
-    except (OSError, SyntaxError, ValueError) as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: Exception) -> ImageryError:
-    return ImageryError(f"{path} cannot be read as an image ({error}); replace or remove it.")

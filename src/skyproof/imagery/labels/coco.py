@@ -2,78 +2,95 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+import msgspec
+from msgspec import Meta
+
+from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
 from skyproof.imagery.labels.text import stem_once
+from skyproof.ranges import Coordinate
 
-__all__ = ["parse_coco_labels"]
+__all__ = ["read_coco_labels"]
+
+# Tools count, or give every row a name of its own.
+_Id = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)] | Annotated[str, Meta(max_length=200)]
+_Side = Annotated[float, Meta(ge=0, le=1e6)]
 
 
-def parse_coco_labels(document: Mapping[str, Any], path: Path) -> ImageLabels:
-    """Takes categories, images and boxes from a COCO document.
+class _Category(msgspec.Struct):
+    id: _Id
+    name: Annotated[str, Meta(max_length=200)]
+
+
+class _Image(msgspec.Struct):
+    id: _Id
+    file_name: Annotated[str, Meta(max_length=4000)]
+    width: _Side | None = None
+    height: _Side | None = None
+
+
+class _Annotation(msgspec.Struct):
+    image_id: _Id
+    category_id: _Id
+    bbox: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+    id: _Id | None = None
+    iscrowd: bool | Annotated[float, Meta(ge=0, le=1)] = 0
+
+
+class _Document(msgspec.Struct):
+    """COCO; what else a file holds (outlines, licences) is passed over."""
+
+    categories: list[_Category]
+    images: list[_Image]
+    annotations: list[_Annotation]
+
+
+def read_coco_labels(path: Path) -> ImageLabels:
+    """Takes categories, images and boxes from a COCO file.
 
     Crowds are to be ignored; outlines are not read.
-
-    Args:
-        document: of the file.
-        path: the file, for messages.
 
     Raises:
         ImageryError: a part of another form, an image or category that is not listed, or a box
             outside its image; names the annotation.
     """
-    try:
-        categories = {row["id"]: str(row["name"]) for row in document["categories"]}
-        stems: dict[Any, str] = {}
-        images: dict[str, list[Label]] = {}
-        sizes_px: dict[str, tuple[int, int]] = {}
-        for row in document["images"]:
-            stem = Path(row["file_name"]).stem
-            stem_once(stem, images, path)
-            stems[row["id"]], images[stem] = stem, []
-            if row.get("width") and row.get("height"):
-                sizes_px[stem] = int(row["width"]), int(row["height"])
-        rows = list(document["annotations"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ImageryError(
-            f"{path} lacks images, annotations or categories of COCO's form ({error!r}); correct "
-            "it."
-        ) from error
+    document: _Document = read_document(path, _Document, "correct it", error=ImageryError)
+    categories = {row.id: row.name for row in document.categories}
+    stems: dict[int | str, str] = {}
+    images: dict[str, list[Label]] = {}
+    sizes_px: dict[str, tuple[int, int]] = {}
+    for image in document.images:
+        # Of the name only the last part counts: no file is opened by it.
+        stem = Path(image.file_name).stem
+        stem_once(stem, images, path)
+        stems[image.id], images[stem] = stem, []
+        if image.width and image.height:
+            sizes_px[stem] = int(image.width), int(image.height)
     if not stems:
         raise ImageryError(f"{path} lists no images; give another file.")
-    for number, row in enumerate(rows, 1):
-        where = f"{path} annotation {row.get('id', number) if isinstance(row, dict) else number}"
-        try:
-            left, top, width, height = (float(value) for value in row["bbox"])
-            image_id = row["image_id"]
-            category_id = row["category_id"]
-            ignore = bool(row.get("iscrowd", 0))
-            if not all(map(math.isfinite, (left, top, width, height))):
-                raise ValueError("not finite")
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+    for number, row in enumerate(document.annotations, 1):
+        where = f"{path} annotation {number if row.id is None else row.id}"
+        if row.image_id not in stems:
             raise ImageryError(
-                f"{where} has no image_id, category_id and bbox [x, y, w, h]; correct it."
-            ) from error
-        if image_id not in stems:
-            raise ImageryError(
-                f"{where} belongs to image {image_id}, which is not listed; correct it."
+                f"{where} belongs to image {row.image_id}, which is not listed; correct it."
             )
-        if category_id not in categories:
+        if row.category_id not in categories:
             known = ", ".join(f"{key} ({name})" for key, name in categories.items()) or "none"
             raise ImageryError(
-                f"{where} has category {category_id} but the file lists {known}; correct it."
+                f"{where} has category {row.category_id} but the file lists {known[:500]}; correct "
+                "it."
             )
+        left, top, width, height = row.bbox
         if width <= 0 or height <= 0:
             raise ImageryError(f"{where} has a box without size; correct it.")
         right, bottom = left + width, top + height
         corners = (left, top), (right, top), (right, bottom), (left, bottom)
-        label = Label(categories[category_id], corners, ignore)
-        stem = stems[image_id]
+        label = Label(categories[row.category_id], corners, bool(row.iscrowd))
+        stem = stems[row.image_id]
         if stem in sizes_px:
             require_inside(label, sizes_px[stem], where)
         images[stem].append(label)

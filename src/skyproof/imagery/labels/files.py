@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
+import msgspec
+
+from skyproof.documents import read_document
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.coco import parse_coco_labels
+from skyproof.imagery.labels.coco import read_coco_labels
 from skyproof.imagery.labels.dota import is_dota_line, read_dota_labels
 from skyproof.imagery.labels.ground import read_ground_labels
 from skyproof.imagery.labels.label import Labels
@@ -19,6 +22,15 @@ _FORMS = (
     "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
     "YOLO text with a .names file or data.yaml, or a folder of DOTA text"
 )
+
+
+class _Kind(msgspec.Struct):
+    """What tells one form of JSON from another; the rest is not kept."""
+
+    type: Any = None
+    crs: Any = None
+    images: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
+    annotations: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
 
 
 def read_labels(path: Path) -> Labels:
@@ -42,18 +54,11 @@ def read_labels(path: Path) -> Labels:
         return read_ground_labels(path)
     if path.suffix.lower() not in (".json", ".geojson"):
         raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise ImageryError(
-            f"{path} line {error.lineno} is not JSON ({error.msg}); replace the file."
-        ) from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
-    if isinstance(document, dict) and document.get("type") == "FeatureCollection":
-        return read_ground_labels(path, document.get("crs"))
-    if isinstance(document, dict) and {"images", "annotations"} <= document.keys():
-        return parse_coco_labels(document, path)
+    kind: _Kind = read_document(path, _Kind, "replace the file", error=ImageryError)
+    if kind.type == "FeatureCollection":
+        return read_ground_labels(path, kind.crs)
+    if kind.images is not msgspec.UNSET and kind.annotations is not msgspec.UNSET:
+        return read_coco_labels(path)
     raise ImageryError(
         f"{path} is JSON but neither COCO nor a GeoJSON FeatureCollection; expected {_FORMS}."
     )

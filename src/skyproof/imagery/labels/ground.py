@@ -12,11 +12,15 @@ import numpy as np
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import GroundLabels, Label, Point
+from skyproof.imagery.labels.text import LARGEST_NUMBER
 
 __all__ = ["CLASS_KEYS", "UNNAMED", "read_ground_labels"]
 
 CLASS_KEYS = ("class", "category", "label", "type")
 """Properties that may say an object's class; the first that is there counts."""
+# How GeoPackages and Shapefiles begin; everything else is GeoJSON.
+_BEGINNINGS = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a"}
+
 UNNAMED = "vehicle"
 """The class of an object that says none."""
 
@@ -42,12 +46,19 @@ def read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
     # Loaded only where labels lie on the ground: it takes a second.
     import geopandas
 
+    known = _BEGINNINGS.get(path.suffix.lower())
+    if known is not None and not path.read_bytes()[: len(known)] == known:
+        raise ImageryError(
+            f"{path} is no {path.suffix.lower()} file inside; replace it, or name it as it is."
+        )
+    # GDAL is told which reader to take: others of them fetch from elsewhere.
+    place = path if known is not None else f"GeoJSON:{path}"
     try:
-        layers = geopandas.list_layers(path)
+        layers = geopandas.list_layers(place)
         with warnings.catch_warnings():
             # What GDAL complains of here is said below, by object.
             warnings.simplefilter("ignore")
-            frame = geopandas.read_file(path, layer=0, on_invalid="ignore")
+            frame = geopandas.read_file(place, layer=0, on_invalid="ignore")
     except Exception as error:  # GDAL, pyogrio, shapely and pyproj each raise their own types
         reason = " ".join(str(error).split())
         raise ImageryError(f"{path} cannot be read ({reason}); replace the file.") from error
@@ -94,7 +105,7 @@ def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
 
 
 def _corners(part: Any) -> tuple[Point, ...]:
-    if part.is_empty or not np.isfinite(part.bounds).all():
+    if part.is_empty or not (np.abs(part.bounds) <= LARGEST_NUMBER).all():
         return ()
     if part.geom_type == "Point":
         return ((part.x, part.y),)

@@ -7,24 +7,45 @@ import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.rasters import open_raster
 
 __all__ = [
     "IMAGE_SUFFIXES",
     "LABEL_FOLDERS",
+    "LARGEST_NUMBER",
     "finite_numbers",
     "image_of",
     "image_size_px",
+    "read_text",
     "stem_once",
     "text_lines",
 ]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+LARGEST_NUMBER = 1e9
+"""Pixels, metres or degrees: no label lies farther away."""
+
+_LARGEST_BYTES = 256 * 2**20
+
 LABEL_FOLDERS = ("labels", "labelTxt")
 """Names that stand where `images` stands in the path of an image, by Ultralytics and DOTA."""
+
+
+def read_text(path: Path) -> str:
+    """Reads a label file of any length a person could want.
+
+    Raises:
+        ImageryError: the file is missing, not text, or longer than 256 MiB.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise ImageryError(f"{path} is longer than 256 MiB; split the labels.")
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ImageryError(f"{path} is missing or not text ({error}); replace it.") from error
 
 
 def text_lines(path: Path) -> list[tuple[int, list[str]]]:
@@ -33,10 +54,7 @@ def text_lines(path: Path) -> list[tuple[int, list[str]]]:
     Raises:
         ImageryError: the file is missing, or not text.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImageryError(f"{path} is missing or not text ({error}); replace it.") from error
+    lines = read_text(path).splitlines()
     return [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip()]
 
 
@@ -44,11 +62,11 @@ def finite_numbers(words: Sequence[str]) -> list[float]:
     """Returns the words as numbers.
 
     Raises:
-        ValueError: one is not a finite number.
+        ValueError: one is no number, or farther from 0 than `LARGEST_NUMBER`.
     """
     values = [float(word) for word in words]
-    if not all(map(math.isfinite, values)):
-        raise ValueError("not a finite number")
+    if not all(math.isfinite(value) and abs(value) <= LARGEST_NUMBER for value in values):
+        raise ValueError("not a number of a label")
     return values
 
 
@@ -78,7 +96,7 @@ def image_size_px(path: Path) -> tuple[int, int]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as dataset:
+            with open_raster(path) as dataset:
                 return int(dataset.width), int(dataset.height)
     except (RasterioError, OSError, ValueError) as error:
         raise ImageryError(f"{path} cannot be read as an image; replace or remove it.") from error

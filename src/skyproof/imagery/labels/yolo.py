@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -13,6 +14,7 @@ from skyproof.imagery.labels.text import (
     finite_numbers,
     image_of,
     image_size_px,
+    read_text,
     stem_once,
     text_lines,
 )
@@ -111,10 +113,7 @@ def _label(
 
 
 def _classes(path: Path) -> tuple[str, ...]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImageryError(f"{path} cannot be read as text ({error}); replace it.") from error
+    text = read_text(path)
     names = (
         _yaml_names(text, path)
         if path.suffix == ".yaml"
@@ -128,11 +127,23 @@ def _classes(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
+class _PlainLoader(yaml.BaseLoader):
+    """Reads every value as text: a class may be called "no", and nothing is run.
+
+    A few aliases of aliases can stand for more than any memory holds, so that none are read.
+    """
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuses aliases."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has aliases, *name, which are not read")
+        return super().compose_node(parent, index)
+
+
 def _yaml_names(text: str, path: Path) -> list[str]:
     """Returns what stands under `names:`: a list, or numbers from 0 with names; else nothing."""
     try:
-        # Of this loader every value is text: a class may be called "no", and nothing is run.
-        document = yaml.load(text, yaml.BaseLoader)
+        document = yaml.load(text, _PlainLoader)
     except (yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ImageryError(f"{path} is not YAML ({reason}); correct it.") from error

@@ -19,6 +19,8 @@ from skyproof.scenes.splits import SPLITS, Split
 __all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
 
 FULL_SHARE = 0.98
+MOST_CELLS = 500_000
+"""Tiles of one grid, as many as a thousand square kilometres have at the usual size."""
 GLOBAL_FROM_TILES = 8
 SHRINK = 0.8
 
@@ -234,7 +236,19 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
 
 
 def cells_of(grid: Grid) -> list[Cell]:
-    """Lists the cells that the sources of a grid may fill, row by row, each a block of its own."""
+    """Lists the cells that the sources of a grid may fill, row by row, each a block of its own.
+
+    Raises:
+        ImageryError: they are more than `MOST_CELLS`.
+    """
+    ranges = [grid.places(extent, whole=False) for extent in grid.extents.values()]
+    count = sum(len(columns) * len(rows) for columns, rows in ranges)
+    if count > MOST_CELLS:
+        raise ImageryError(
+            f"The imagery of grid {grid.name} would become {count:,} tiles of {grid.size_px} px, "
+            f"more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
+            "(--tiling.size-px)."
+        )
     side_m = grid.size_px * grid.gsd_m
     seen: dict[tuple[int, int], list[int]] = {}
     covered: dict[tuple[int, int], float] = {}

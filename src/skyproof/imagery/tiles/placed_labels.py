@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import NDArray
 from rasterio.crs import CRS
+from rasterio.errors import CRSError
 
 from skyproof.datasets.coco import Annotation
 from skyproof.errors import ImageryError
@@ -78,9 +79,17 @@ class PlacedLabels:
         self._bins: dict[tuple[str, int, int], list[_Placed]] = defaultdict(list)
         self.notes: list[str] = []
         planes: dict[str, tuple[CRS | None, set[int]]] = {}
+        self._extents: dict[str, Extent] = {}
         for cell in cells:
-            planes.setdefault(plane_of(cell.crs, cell.sources), (cell.crs, set()))[1].update(
-                cell.sources
+            plane = plane_of(cell.crs, cell.sources)
+            planes.setdefault(plane, (cell.crs, set()))[1].update(cell.sources)
+            own = cell.extent
+            low, high = self._extents.get(plane, own)[:2], self._extents.get(plane, own)[2:]
+            self._extents[plane] = (
+                min(low[0], own[0]),
+                min(low[1], own[1]),
+                max(high[0], own[2]),
+                max(high[1], own[3]),
             )
         if isinstance(labels, GroundLabels):
             self.outside = self._place_ground(labels, planes)
@@ -108,7 +117,7 @@ class PlacedLabels:
                 f"{path} gives labels in map coordinates but no image says where it lies; give "
                 "georeferenced imagery."
             )
-        system = CRS.from_user_input(labels.crs)
+        system = _system(labels.crs, path)
         inside = np.zeros(count, bool)
         flat = [corner for label in labels.labels for corner in label.corners]
         for plane, (crs, numbers) in planes.items():
@@ -200,14 +209,14 @@ class PlacedLabels:
 
     def _add(self, plane: str, placed: Iterable[_Placed]) -> None:
         reach = self._settings.point_box_m / 2
+        left, bottom, right, top = self._extents[plane]
         for item in placed:
             xs, ys = zip(*item.label.corners, strict=True)
-            for column in range(
-                math.floor((min(xs) - reach) / BIN_M), math.floor((max(xs) + reach) / BIN_M) + 1
-            ):
-                for row in range(
-                    math.floor((min(ys) - reach) / BIN_M), math.floor((max(ys) + reach) / BIN_M) + 1
-                ):
+            if not all(map(math.isfinite, (*xs, *ys))):
+                continue
+            # A label may reach around the world; nobody asks beyond the cells.
+            for column in _bins(max(min(xs) - reach, left), min(max(xs) + reach, right)):
+                for row in _bins(max(min(ys) - reach, bottom), min(max(ys) + reach, top)):
                     self._bins[plane, column, row].append(item)
 
     def on(self, cell: Cell, owner: Int[NDArray[np.int32], "S S"]) -> list[Annotation]:
@@ -220,8 +229,8 @@ class PlacedLabels:
         plane = plane_of(cell.crs, cell.sources)
         left, bottom, right, top = cell.extent
         near: dict[int, _Placed] = {}
-        for column in range(math.floor(left / BIN_M), math.floor(right / BIN_M) + 1):
-            for row in range(math.floor(bottom / BIN_M), math.floor(top / BIN_M) + 1):
+        for column in _bins(left, right):
+            for row in _bins(bottom, top):
                 near |= {id(item): item for item in self._bins.get((plane, column, row), ())}
         inverse = ~cell.transform
         annotations = []
@@ -285,6 +294,21 @@ class PlacedLabels:
         return not (
             border <= x <= source.width_px - border and border <= y <= source.height_px - border
         )
+
+
+def _bins(low_m: float, high_m: float) -> range:
+    """Numbers the bins from one place to another; none where the second comes first."""
+    return range(math.floor(low_m / BIN_M), math.floor(high_m / BIN_M) + 1)
+
+
+def _system(name: str, path: object) -> CRS:
+    try:
+        return CRS.from_user_input(name)
+    except CRSError as error:
+        raise ImageryError(
+            f"{path} has a reference system that is not known here ({name[:100]}); convert it "
+            "(ogr2ogr -t_srs EPSG:4326)."
+        ) from error
 
 
 def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:

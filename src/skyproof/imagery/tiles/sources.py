@@ -20,6 +20,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.rasters import open_raster
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
@@ -149,7 +150,7 @@ class SourceReader:
         """Yields the opened image; a failure while it is read becomes an ImageryError."""
         with _one_sentence(path):
             if path not in self._open:
-                self._open[path] = rasterio.open(path)
+                self._open[path] = open_raster(path)
             self._open.move_to_end(path)
             while len(self._open) > OPEN_AT_ONCE:
                 self._open.popitem(last=False)[1].close()

@@ -1,0 +1,138 @@
+"""The one way to open a raster with GDAL: known formats, stated limits, nothing from elsewhere.
+
+A VRT names other files and may hold code; it may name images in its own folder and nothing else.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import rasterio
+from rasterio.errors import RasterioIOError
+from rasterio.io import DatasetReader
+
+from skyproof.errors import ImageryError
+from skyproof.pictures import LARGEST_PX
+
+__all__ = ["LARGEST_RASTER_PX", "open_raster"]
+
+LARGEST_RASTER_PX = 10**11
+"""Some 316,000 x 316,000: rasters are read window by window, so this is about time, not memory."""
+
+_BEGINNINGS = {
+    b"II*\0": "GTiff",
+    b"MM\0*": "GTiff",
+    b"II+\0": "GTiff",
+    b"MM\0+": "GTiff",
+    b"\xff\xd8\xff": "JPEG",
+    b"\x89PNG": "PNG",
+    b"\0\0\0\x0cjP  ": "JP2OpenJPEG",
+    b"\xff\x4f\xff\x51": "JP2OpenJPEG",
+}
+"""How files of the known formats begin; GDAL alone would try hundreds of readers."""
+
+_LARGEST_VRT_BYTES = 64 * 2**20
+_DEEPEST_VRT = 4
+# Elements or attributes that name a file, and those that hold code; GDAL ignores their case.
+_REFERENCES = {"sourcefilename", "sourcedataset"}
+_CODE = {"pixelfunctioncode", "pixelfunctionlanguage"}
+
+
+def open_raster(path: Path) -> DatasetReader:
+    """Opens a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT; what its name does not say is not tried.
+
+    Raises:
+        ImageryError: it is larger than `LARGEST_RASTER_PX`, or a part of it that has to be decoded
+            at once is larger than `LARGEST_PX`; a VRT holds code or names a file outside its
+            folder.
+        RasterioError: it cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".vrt":
+        return _limited(rasterio.open(path, driver=_driver(path)), path)
+    _check_vrt(path, path.resolve().parent, depth=1)
+    with rasterio.Env(GDAL_VRT_ENABLE_PYTHON="NO"):
+        return _limited(rasterio.open(path, driver="VRT"), path)
+
+
+def _driver(path: Path) -> str:
+    with path.open("rb") as file:
+        beginning = file.read(16)
+    for known, driver in _BEGINNINGS.items():
+        if beginning.startswith(known):
+            return driver
+    raise RasterioIOError("it is neither GeoTIFF, JPEG, PNG nor JPEG 2000")
+
+
+def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
+    """Closes and refuses what is too large, or keeps overviews elsewhere."""
+    try:
+        if dataset.width * dataset.height > LARGEST_RASTER_PX:
+            raise ImageryError(
+                f"{path} says that it has {dataset.width:,} x {dataset.height:,} px, more than "
+                f"{LARGEST_RASTER_PX:,} pixels in all; cut it into parts."
+            )
+        for rows, columns in dataset.block_shapes:
+            if rows * columns > LARGEST_PX:
+                raise ImageryError(
+                    f"{path} is stored in blocks of {columns:,} x {rows:,} px, more than "
+                    f"{LARGEST_PX:,} pixels that have to be read at once; convert it "
+                    "(gdal_translate -co TILED=YES)."
+                )
+        if "OVERVIEW_FILE" in dataset.tags(ns="OVERVIEWS"):
+            raise ImageryError(
+                f"{path} names a file with overviews, which is not read; convert it "
+                "(gdal_translate)."
+            )
+    except BaseException:
+        dataset.close()
+        raise
+    return dataset
+
+
+def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
+    """Refuses a VRT that holds code, or names anything but images inside a folder."""
+    for element in _elements(path):
+        own = {element.tag: element.text or "", **element.attrib}
+        named = {name.rpartition("}")[2].lower(): text.strip() for name, text in own.items()}
+        if _CODE & named.keys():
+            raise ImageryError(
+                f"{path} holds code that computes its pixels, which is not run; convert it to "
+                "GeoTIFF (gdal_translate)."
+            )
+        relative = element.get("relativeToVRT", "0").strip()
+        for name in sorted(_REFERENCES & named.keys()):
+            reference = named[name]
+            # GDAL looks from the folder of the VRT where it is told so, else from where we are.
+            base = path.resolve().parent if relative == "1" else Path.cwd()
+            source = (base / reference).resolve()
+            if not source.is_relative_to(folder):
+                raise ImageryError(
+                    f"{path} names {reference[:200]}, which is outside its folder and is not "
+                    "read; put VRT and images in one folder."
+                )
+            if not source.is_file():
+                raise ImageryError(f"{path} names {reference[:200]}, which is missing; add it.")
+            if source.suffix.lower() != ".vrt":
+                open_raster(source).close()
+                continue
+            if depth == _DEEPEST_VRT:
+                raise ImageryError(
+                    f"{path} is a VRT in more than {_DEEPEST_VRT} others; name its images directly."
+                )
+            _check_vrt(source, folder, depth=depth + 1)
+
+
+def _elements(path: Path) -> list[ElementTree.Element]:
+    """Parses a VRT; what a parser could take differently than GDAL is refused."""
+    if path.stat().st_size > _LARGEST_VRT_BYTES:
+        raise ImageryError(f"{path} is too long for a VRT; name its images directly.")
+    try:
+        text = path.read_text(encoding="utf-8")
+        if "<!DOCTYPE" in text.upper() or "<!ENTITY" in text.upper():
+            raise ValueError("it defines entities")
+        return list(ElementTree.fromstring(text).iter())
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(f"{path} is no VRT ({reason}); name its images directly.") from error
