@@ -15,11 +15,13 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
-from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.errors import ConfigurationError, NotFiniteError, RunFolderError, StoredFileError
+from skyproof.files import alone
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.settings import SceneSettings
+from skyproof.storage import read_tensors
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES = SceneSettings(size_px=96, vehicles_maximum=1)
@@ -289,9 +291,67 @@ def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
         {"preview_every": 0},
         {"checkpoint_every": 0},
         {"learning_rate": 0.0},
+        {"learning_rate": float("inf")},
+        {"learning_rate": 1e300},
+        {"steps": 10**9},
+        {"keep_at": (0,)},
+        {"keep_at": (301,)},
+        {"seed": 2**63},
     ],
     ids=lambda changed: next(iter(changed)),
 )
 def test_settings_that_cannot_work_are_refused(changed):
     with pytest.raises(ConfigurationError):
         AttackSettings(**changed)
+
+
+@pytest.mark.parametrize("seed", [-1, -(2**63), 2**63 - 1])
+def test_any_seed_of_64_bits_works(tmp_path, world, seed):
+    settings = dataclasses.replace(FEW, steps=1, seed=seed)
+    made = attack(start(), [StandIn()], world, settings, tmp_path)
+    assert made.cells.isfinite().all()
+
+
+class Breaking(StandIn):
+    """A detector whose loss, or its gradient alone, is no number from some call on."""
+
+    def __init__(self, first_bad, what="loss"):
+        super().__init__("breaking")
+        self.count, self.first_bad, self.what = 0, first_bad, what
+
+    def loss(self, images, targets):
+        self.count += 1
+        loss = super().loss(images, targets)
+        if self.count < self.first_bad:
+            return loss
+        if self.what == "loss":
+            return loss * float("nan")
+        if loss.requires_grad:
+            loss.register_hook(lambda gradient: gradient * float("nan"))
+        return loss
+
+
+@pytest.mark.parametrize(
+    ("first_bad", "what", "said"),
+    [
+        (1, "loss", "loss of the detector breaking is nan"),
+        (7, "loss", r"is nan at step 5; .*--settings\.learning-rate"),
+        (8, "gradient", "What step 6 left .* begin again in another folder"),
+    ],
+)
+def test_what_is_not_finite_stops_an_attack_and_is_not_stored(
+    tmp_path, world, first_bad, what, said
+):
+    with pytest.raises(NotFiniteError, match=said):
+        attack(start(), [Breaking(first_bad, what)], world, FEW, tmp_path)
+    assert not (tmp_path / "camouflage.json").exists()
+    if first_bad > 1:
+        tensors, record = read_tensors(tmp_path / "checkpoint.safetensors", "")
+        assert record["step"] == 3
+        assert all(value.isfinite().all() for value in tensors.values())
+
+
+def test_two_attacks_do_not_share_a_folder(tmp_path, world):
+    with alone(tmp_path), pytest.raises(RunFolderError, match="being written by another process"):
+        attack(start(), [StandIn()], world, FEW, tmp_path)
+    assert not list(tmp_path.iterdir())

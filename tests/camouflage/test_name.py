@@ -86,6 +86,11 @@ def test_a_foreign_name_has_variant_and_repeat():
         ("C-Fc-both@0.2", "names no camouflage"),
         ("U", "names no camouflage"),
         ("", "names no camouflage"),
+        ("T-U_../../x", "names no camouflage"),
+        ("T-U_a/b-1", "names no camouflage"),
+        ("T-U_a\0b", "names no camouflage"),
+        ("T-U_a\\b", "names no camouflage"),
+        ("T-U_" + "a" * 200, "at most 150 characters"),
     ],
 )
 def test_names_that_contradict_themselves_are_refused(text, said):

@@ -133,8 +133,8 @@ def test_detector_folder_of_another_version(copied, skyproof: Skyproof) -> None:
             json.dumps({**json.loads(good), "format": 99}),
             ("format 99", "train or import the detector again"),
         ),
-        (good[: len(good) // 2], ("cannot be read", "run its stage again")),
-        ("[]", ("format None", "train or import the detector again")),
+        (good[: len(good) // 2], ("is not JSON", "train or import the detector again")),
+        ("[]", ("expected an object, got a list", "train or import the detector again")),
         (json.dumps({**json.loads(good), "name": "other"}), ("unknown detector",)),
     ):
         card.write_text(bad)
@@ -144,9 +144,7 @@ def test_detector_folder_of_another_version(copied, skyproof: Skyproof) -> None:
     card.write_text(good)
     damaged = folder / "detectors" / "retinanet" / "weights.safetensors"
     damaged.write_bytes(weights[:1000])
-    skyproof("demo", "--out", folder, *TINY).refused(
-        str(damaged), "train or import the detector again"
-    )
+    skyproof("demo", "--out", folder, *TINY).refused(str(damaged), "train the detector again")
     damaged.unlink()
     skyproof("demo", "--out", folder, *TINY).refused(str(damaged), "is missing")
     damaged.write_bytes(weights)
@@ -191,7 +189,7 @@ def test_settings_that_cannot_work(tmp_path: Path, skyproof: Skyproof) -> None:
         (["--device", "meta"], "--device meta"),
         (["--device", "toaster"], "--device toaster"),
         (["--training.validate-every", 0], "validate-every expects a whole number from 1"),
-        (["--training.steps", 0], "validate-every expects a whole number from 1"),
+        (["--training.steps", 0], "--training.steps expects a whole number from 1"),
         (["--attack.steps", 0], "attack"),
         (["--sizes.test-images", 0], "--sizes"),
         (["--sizes.tiles", 3, 0, 2, 3], "--sizes"),

@@ -221,3 +221,20 @@ def test_a_fleet_without_paint_is_refused(
     fleet.parts.fill_(Part.GLASS)
     fleet.save(tmp_path / "bare")
     attack("T-Ma", "--fleet", tmp_path / "bare").refused("covers nothing", "leave out Ma")
+
+
+def test_a_control_never_lands_among_foreign_files_or_elsewhere(
+    tmp_path: Path, skyproof: Skyproof
+) -> None:
+    out = tmp_path / "made"
+    mine = out / "R-U-0" / "texture.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("precious")
+    skyproof("attack", "R-U-0", "--out", out).refused("R-U-0 exists already")
+    assert mine.read_text() == "precious"
+    skyproof("attack", "R-U_../../x", "--out", out).refused("names no camouflage")
+    skyproof("attack", "T-U_/etc/x", "--out", out).refused("names no camouflage")
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+    for seed in (-1, -(2**63), 2**63 - 1):
+        assert skyproof("attack", "R-U", "--out", tmp_path / str(seed), "--settings.seed", seed)
+        assert (tmp_path / str(seed) / "R-U" / "camouflage.json").exists()

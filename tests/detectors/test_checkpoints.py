@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import zipfile
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -129,3 +130,55 @@ def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
         read_checkpoint(tmp_path / "none.pt")
     assert state_of(network_of({"epoch": 3})) == {}
     assert state_of(network_of([1, 2])) == {}
+
+
+class Command:
+    """Would run when it is unpickled in the usual way."""
+
+    def __reduce__(self) -> Any:
+        return os.system, ("true",)
+
+
+def test_the_reader_never_advises_to_run_a_file(tmp_path: Path) -> None:
+    torch.save({"a": Command()}, tmp_path / "x.pt", _use_new_zipfile_serialization=False)
+    with pytest.raises(StoredFileError, match="more than tensors and plain values") as caught:
+        read_checkpoint(tmp_path / "x.pt")
+    assert "weights_only" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    torch.jit.save(torch.jit.script(nn.Linear(1, 1)), tmp_path / "script.pt")
+    with pytest.raises(StoredFileError, match="compiled program"):
+        read_checkpoint(tmp_path / "script.pt")
+
+
+def test_a_packed_archive_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    torch.save({"a": torch.zeros(10**6)}, tmp_path / "x.pt")
+    with (
+        zipfile.ZipFile(tmp_path / "x.pt") as plain,
+        zipfile.ZipFile(tmp_path / "packed.pt", "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        for name in plain.namelist():
+            packed.writestr(name, plain.read(name))
+    with pytest.raises(StoredFileError, match="packed archive"):
+        read_checkpoint(tmp_path / "packed.pt")
+
+
+def test_a_tensor_of_any_size_in_a_few_bytes_is_refused(tmp_path: Path) -> None:
+    torch.save({"a": torch.zeros(1).expand(10**12)}, tmp_path / "x.pt")
+    content = read_checkpoint(tmp_path / "x.pt")
+    with pytest.raises(StoredFileError, match=r"tensor a claims the shape \[1000000000000\]"):
+        state_of(network_of(content))
+
+
+def test_a_network_that_holds_itself_is_refused() -> None:
+    network = StandIn()
+    network.__dict__["_modules"] = {"again": network}
+    with pytest.raises(StoredFileError, match="holds itself"):
+        state_of(network)
+    # Each holds the next twice: few objects, and walks without end.
+    last = StandIn()
+    for _ in range(60):
+        above = StandIn()
+        above.__dict__["_modules"] = {"a": last, "b": last}
+        last = above
+    with pytest.raises(StoredFileError, match="parts, or holds itself"):
+        state_of(last)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,14 @@ from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.detectors.weights import weights_digest
-from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.errors import (
+    ConfigurationError,
+    NotFiniteError,
+    RunFolderError,
+    StoredFileError,
+)
+from skyproof.files import alone
+from skyproof.storage import read_tensors
 
 SETTINGS = TrainingSettings(
     steps=6, batch_size=2, learning_rate=1e-3, validate_every=3, checkpoint_every=2
@@ -158,3 +166,92 @@ def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
 def test_every_detector_has_a_preset() -> None:
     names, sizes = ("retinanet", "faster_rcnn", "yolov5"), ("slim", "full")
     assert set(TRAINING_PRESETS) == {(name, size) for name in names for size in sizes}
+
+
+def test_a_training_that_diverges_stops_with_a_sentence_and_keeps_its_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    detector = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(0))
+    usual = detector.loss
+    calls = []
+
+    def diverging(images: torch.Tensor, targets: list[torch.Tensor]) -> torch.Tensor:
+        calls.append(1)
+        loss = usual(images, targets)
+        return loss * float("nan") if len(calls) == 5 else loss
+
+    monkeypatch.setattr(detector, "loss", diverging)
+    settings = replace(SETTINGS, checkpoint_every=2)
+    with pytest.raises(NotFiniteError, match=r"is nan .* at step 5; .*--settings\.learning-rate"):
+        train(
+            detector,
+            TRAINING,
+            VALIDATION,
+            settings,
+            tmp_path,
+            generator=torch.Generator().manual_seed(0),
+        )
+    tensors, record = read_tensors(tmp_path / "checkpoint.safetensors", "")
+    assert record["step"] == 4
+    assert not (tmp_path / "detector.json").exists()
+    assert all(value.isfinite().all() for value in tensors.values())
+
+
+def test_weights_that_are_not_finite_are_not_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mean or deviation may break in a layer that training itself does not read."""
+    detector = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(0))
+    usual = detector.loss
+
+    def breaking(images: torch.Tensor, targets: list[torch.Tensor]) -> torch.Tensor:
+        next(
+            value for name, value in detector.named_buffers() if name.endswith("running_var")
+        ).fill_(float("inf"))
+        return usual(images, targets)
+
+    monkeypatch.setattr(detector, "loss", breaking)
+    with pytest.raises(NotFiniteError, match=r"What step \d+ left .* begin again"):
+        train(
+            detector,
+            TRAINING,
+            VALIDATION,
+            replace(SETTINGS, checkpoint_every=2),
+            tmp_path,
+            generator=torch.Generator().manual_seed(0),
+        )
+    assert not (tmp_path / "detector.json").exists()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"steps": 0},
+        {"steps": 10**9},
+        {"learning_rate": math.inf},
+        {"learning_rate": 1e300},
+        {"weight_decay": -1.0},
+        {"warm_up": 1.5},
+        {"largest_gradient_norm": 0.0},
+        {"average_decay": 1.0},
+        {"jitter": math.nan},
+    ],
+    ids=str,
+)
+def test_settings_out_of_range_are_refused(changed: dict[str, float]) -> None:
+    with pytest.raises(ConfigurationError, match=f"^{next(iter(changed))} expects"):
+        replace(SETTINGS, **changed)  # type: ignore[arg-type]
+
+
+def test_two_trainings_do_not_share_a_folder(tmp_path: Path) -> None:
+    detector = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(0))
+    with alone(tmp_path), pytest.raises(RunFolderError, match="being written by another process"):
+        train(
+            detector,
+            TRAINING,
+            VALIDATION,
+            SETTINGS,
+            tmp_path,
+            generator=torch.Generator().manual_seed(0),
+        )
+    assert not list(tmp_path.iterdir())

@@ -219,3 +219,77 @@ def test_the_nearest_triangle_is_seen() -> None:
                     depths[face] = a[2] + u * (b - a)[2] + v * (c - a)[2]
             expected = int(depths.argmin()) if np.isfinite(depths).any() else -1
             assert seen.face[row, column] == expected
+
+
+def test_a_mesh_reads_no_file_outside_its_places(tmp_path: Path) -> None:
+    mesh = tmp_path / "models/bus/meshes/bus.obj"
+    secret = tmp_path / "home/secret.png"
+    for path in (mesh, secret, tmp_path / "home/secret.mtl"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    assert find_texture(mesh, str(secret)) is None
+    assert find_texture(mesh, f"file://{secret}") is None
+    assert find_texture(mesh, "../../../home/secret.png") is None
+    assert find_texture(mesh, "../../../home/secret.mtl") is None
+    assert find_texture(mesh, "model://../home/secret.png") is None
+    (mesh.parent / "link.png").symlink_to(secret)
+    assert find_texture(mesh, "link.png") is None
+    assert find_texture(mesh, "a" * 5000) is None
+    assert find_texture(mesh, "a\0.png") is None
+    # Outside the mesh's folder pictures only.
+    beside = tmp_path / "models/bus/textures/other.mtl"
+    beside.parent.mkdir()
+    beside.touch()
+    assert find_texture(mesh, "../textures/other.mtl") is None
+    assert find_texture(mesh, "other.mtl") is None
+
+
+_LAUGHS = "".join(f'<!ENTITY l{level} "{f"&l{level - 1};" * 10}">' for level in range(1, 10))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "car.dae",
+            f'<!-- <COLLADA --><!DOCTYPE x [<!ENTITY l0 "ha">{_LAUGHS}]><COLLADA>&l9;</COLLADA>',
+            "declares XML entities",
+        ),
+        (
+            "car.dae",
+            '<!DOCTYPE x [<!ENTITY f SYSTEM "/etc/passwd">]><COLLADA>&f;</COLLADA>',
+            "declares XML entities",
+        ),
+        (
+            "car.gltf",
+            '{"asset": {"version": "2.0"}, "accessors": [{"count": 1000000000000, '
+            '"componentType": 5126, "type": "VEC3"}], "bufferViews": []}',
+            r"accessors\[0\]\.count|accessors\[...\]\.count",
+        ),
+        ("car.zip", "PK", "none of the meshes that are read"),
+        ("car.urdf", "<robot/>", "none of the meshes that are read"),
+    ],
+)
+def test_a_mesh_takes_no_memory_without_end(
+    tmp_path: Path, name: str, content: str, said: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ConfigurationError, match=said):
+        read_mesh(tmp_path / name)
+
+
+def test_a_part_that_is_shown_without_end_is_refused(tmp_path: Path) -> None:
+    """Every node shows the one below twice: a few lines are 2^30 vehicles."""
+    nodes = "".join(
+        f'<node id="n{level}"><instance_node url="#n{level - 1}"/>'
+        f'<instance_node url="#n{level - 1}"/></node>'
+        for level in range(1, 30)
+    )
+    (tmp_path / "car.dae").write_text(
+        f'<COLLADA><library_nodes><node id="n0"/>{nodes}</library_nodes>'
+        '<library_visual_scenes><visual_scene id="s"><node><instance_node url="#n29"/></node>'
+        '</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene>'
+        "</COLLADA>"
+    )
+    with pytest.raises(ConfigurationError, match="more than 100,000 nodes"):
+        read_mesh(tmp_path / "car.dae")

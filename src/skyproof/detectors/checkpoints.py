@@ -199,10 +199,10 @@ def _what_came(path: Path) -> str:
         with zipfile.ZipFile(path) as archive:
             names = {name.rpartition("/")[2] for name in archive.namelist()}
             packed = any(entry.compress_type for entry in archive.infolist())
-        if packed:
-            return "it is a packed archive, and torch.save packs nothing"
         if "constants.pkl" in names:
             return "it is a compiled program (TorchScript)"
+        if packed:
+            return "it is a packed archive, and torch.save packs nothing"
         return (
             "it is damaged, or names what no checkpoint needs"
             if "data.pkl" in names
