@@ -1,6 +1,7 @@
 """Whole or not at all."""
 
 import errno
+import json
 import math
 import os
 import signal
@@ -17,8 +18,6 @@ from skyproof.files import (
     finished_folder,
     inside,
     is_leftover,
-    read_json,
-    read_jsonl,
     refuse_existing,
     refuse_foreign,
     write_beside,
@@ -127,19 +126,12 @@ def test_refuse_foreign(tmp_path: Path) -> None:
         refuse_foreign(tmp_path / "steps.jsonl", ())
 
 
-def test_json_round_trip_and_damage(tmp_path: Path) -> None:
+def test_json_round_trip(tmp_path: Path) -> None:
     write_json(tmp_path / "a.json", {"ä": [1, None]})
-    assert read_json(tmp_path / "a.json") == {"ä": [1, None]}
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"ä": [1, None]}
     write_jsonl(tmp_path / "a.jsonl", [1, {"b": 2}])
-    assert read_jsonl(tmp_path / "a.jsonl") == [1, {"b": 2}]
-    (tmp_path / "bad.json").write_bytes(b"\xff{")
-    for read in (read_json, read_jsonl):
-        with pytest.raises(StoredFileError, match=r"none\.json is missing"):
-            read(tmp_path / "none.json")
-        with pytest.raises(StoredFileError, match=r"bad\.json cannot be read"):
-            read(tmp_path / "bad.json")
-        with pytest.raises(StoredFileError, match="cannot be read"):
-            read(tmp_path)
+    lines = (tmp_path / "a.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line) for line in lines] == [1, {"b": 2}]
 
 
 def test_unwritable_place_is_named(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ held-out frames adds a line to RUN/looks.jsonl.
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Sequence
@@ -35,7 +36,7 @@ from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.detectors.matching import match_images
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
-from skyproof.files import finished_folder, read_jsonl, write_json, write_jsonl
+from skyproof.files import finished_folder, write_json, write_jsonl
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles
@@ -223,7 +224,9 @@ class RealityGap:
         # The one that saw no pixel of any photograph.
         folders.insert(len(DETECTORS), self.out / "trials" / "recipe" / "retinanet")
         looks = self.out / "looks.jsonl"
-        past = list(read_jsonl(looks)) if looks.exists() else []
+        past = (
+            [json.loads(line) for line in looks.read_text().splitlines()] if looks.exists() else []
+        )
         write_jsonl(
             looks, [*past, {"time": time.strftime("%Y-%m-%d %H:%M"), "detectors": len(folders)}]
         )

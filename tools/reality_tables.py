@@ -5,6 +5,7 @@ python tools/reality_tables.py --run RUN --out docs/results/reality
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import matplotlib
 import tyro
 from reality_gap import Trial
 
-from skyproof.files import read_json, write_beside, write_json
+from skyproof.files import write_beside, write_json
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -35,10 +36,12 @@ class RealityTables:
 
     def write(self) -> None:
         """Reads, writes."""
-        trials = [read_json(path) for path in sorted(self.run.glob("trials/*/check.json"))]
+        trials = [
+            json.loads(path.read_text()) for path in sorted(self.run.glob("trials/*/check.json"))
+        ]
         # Trials of before a setting existed had its default.
         trials = [{**row, "trial": {**asdict(Trial()), **row["trial"]}} for row in trials]
-        final = read_json(self.run / "final.json")
+        final = json.loads((self.run / "final.json").read_text())
         self.out.mkdir(parents=True, exist_ok=True)
         write_json(self.out / "trials.json", {"rows": trials})
         write_json(self.out / "final.json", final)

@@ -323,32 +323,3 @@ def to_json(path: Path, value: Any, indent: int | None = None) -> str:
             f"{path} would hold a number that is not finite; nothing was written. Lower the "
             "learning rate, or look for the input that is out of range."
         ) from error
-
-
-def read_json(path: Path, *, leave_out: str | None = None) -> Any:
-    """Reads JSON. (Goes: `skyproof.documents` takes its place.)"""
-
-    def thinned(mapping: dict[str, Any]) -> dict[str, Any]:
-        mapping.pop(str(leave_out), None)
-        return mapping
-
-    hook = None if leave_out is None else thinned
-    return _read(path, lambda text: json.loads(text, object_hook=hook))
-
-
-def read_jsonl(path: Path) -> list[Any]:
-    """Reads one JSON value a line. (Goes: `skyproof.documents` takes its place.)"""
-    return _read(path, lambda text: [json.loads(line) for line in text.splitlines() if line])
-
-
-def _read(path: Path, parse: Any) -> Any:
-    try:
-        return parse(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise StoredFileError(
-            f"{path} is missing; run the stage that writes it, or give another folder."
-        ) from error
-    except (ValueError, OSError) as error:
-        raise StoredFileError(
-            f"{path} cannot be read ({error}); remove it and run its stage again."
-        ) from error

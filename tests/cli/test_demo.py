@@ -12,7 +12,7 @@ import pytest
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
 from skyproof.errors import ConfigurationError
-from skyproof.files import alone, read_json
+from skyproof.files import alone
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -182,15 +182,15 @@ def test_cycles_is_added_to_a_finished_demo(
     assert changed == {"results.json", "report.html", "environment.json", "timings.json"}
     added = {"/".join(name.split("/")[:2]) for name in after.keys() - before.keys()}
     assert added == {"datasets/test-cycles", "scores/test-cycles"}
-    rows = read_json(folder / "results.json")["rows"]
+    rows = json.loads((folder / "results.json").read_text())["rows"]
     # The stand-in draws the same pictures, so all but the name must come out the same.
     half = len(rows) // 2
     assert [{**row, "renderer": "cycles"} for row in rows[:half]] == rows[half:]
     assert rows[:half] == json.loads(before["results.json"])["rows"]
     assert "which the attack never saw" in (folder / "report.html").read_text()
     assert "Cycles" not in page
-    assert read_json(folder / "environment.json")["finished"]
-    times = read_json(folder / "timings.json")
+    assert json.loads((folder / "environment.json").read_text())["finished"]
+    times = json.loads((folder / "timings.json").read_text())
     assert {(row["stage"], row["name"]) for row in times} >= {
         ("render", "test-cycles"),
         ("score", "test-cycles"),

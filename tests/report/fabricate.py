@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from skyproof.files import read_json, write_json, write_jsonl
+from skyproof.files import write_json, write_jsonl
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import count_tiles, write_tiles
@@ -222,7 +222,7 @@ def fabricate_cycles(folder):
     write_sets(cycles / "sets.json", sets)
     write_record(cycles, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="cycles"))
     seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
-    rows = read_json(first / "checks.json")["rows"]
+    rows = json.loads((first / "checks.json").read_text())["rows"]
     clean = [row | seen for row in rows if row["dataset"] == "rendered test"]
     named = [row | {"dataset": "Blender Cycles test"} for row in clean]
     write_json(cycles / "checks.json", {"rows": named})

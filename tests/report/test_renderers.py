@@ -5,6 +5,7 @@ It also compares the two.
 
 import base64
 import io
+import json
 import re
 import shutil
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyproof.files import read_json, write_json
+from skyproof.files import write_json
 from skyproof.paper.cycles import cycles_columns
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.renderers import survival
@@ -64,7 +65,7 @@ def table_of(page, caption):
 
 
 def rows_of(folder, camouflage, renderer, match="centre_1m"):
-    rows = read_json(folder / "results.json")["rows"]
+    rows = json.loads((folder / "results.json").read_text())["rows"]
     return {
         row["detector"]: row
         for row in rows
@@ -124,7 +125,9 @@ def test_detectors_are_checked_on_the_images_of_both(run_folder, page):
     }
     # Images by Blender are not real ones.
     clean = run_folder / "scores" / "main" / "checks.json"
-    rows = [row for row in read_json(clean)["rows"] if row["dataset"] == "rendered test"]
+    rows = [
+        row for row in json.loads(clean.read_text())["rows"] if row["dataset"] == "rendered test"
+    ]
     write_json(clean, {"rows": rows})
     assert "No real annotated images were tested" not in page
     assert "No real annotated images were tested" in write_report(run_folder).read_text()

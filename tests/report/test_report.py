@@ -3,6 +3,7 @@
 Its numbers, its honesty, and what it does without optional parts are looked at.
 """
 
+import json
 import re
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from skyproof.errors import RunFolderError, StoredFileError
-from skyproof.files import alone, read_json, write_json
+from skyproof.files import alone, write_json
 from skyproof.report.answer import answer
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
@@ -53,13 +54,15 @@ def words_of(page):
 
 def test_the_numbers_are_those_of_the_results(fabricated, page):
     text = words_of(page)
-    for row in read_json(fabricated / "results.json")["rows"]:
+    for row in json.loads((fabricated / "results.json").read_text())["rows"]:
         for key in ("easr", "net_easr", "random_easr"):
             if row[key] is not None and row["detector"] == "mean":
                 assert percent(row[key]).replace("\u202f", " ") in text
         assert percent(row["asr"], 1).replace("\u202f", " ") in text
     mean = next(
-        r for r in read_json(fabricated / "results.json")["rows"] if r["detector"] == "mean"
+        r
+        for r in json.loads((fabricated / "results.json").read_text())["rows"]
+        if r["detector"] == "mean"
     )
     limits = interval(mean["easr_low"], mean["easr_high"]).replace("\u202f", " ")
     assert f"hides {percent(mean['easr'])} (95 % interval {limits})".replace("\u202f", " ") in text
@@ -73,7 +76,7 @@ def first_lines(page):
 
 def change_checks(folder, change):
     path = folder / "scores" / "main" / "checks.json"
-    rows = [changed for row in read_json(path)["rows"] if (changed := change(row))]
+    rows = [changed for row in json.loads(path.read_text())["rows"] if (changed := change(row))]
     write_json(path, {"rows": rows})
 
 
@@ -115,7 +118,7 @@ def test_synthetic_ground_with_a_check_on_real_images(page, run_folder):
 
 @pytest.mark.parametrize("checked", [True, False])
 def test_real_ground(run_folder, checked):
-    config = read_json(run_folder / "config.json")
+    config = json.loads((run_folder / "config.json").read_text())
     write_json(run_folder / "config.json", config | {"imagery": ["Selwyn 2012"]})
     change_checks(run_folder, lambda row: row if checked or not row["real"] else None)
     real = rebuilt(run_folder)
@@ -261,7 +264,7 @@ def test_the_ground_is_read_where_it_is_recorded(run_folder):
     assert "It is not recorded what the ground is." not in text
     assert "over real imagery (Selwyn 2012.tif)" in text
     shutil.rmtree(run_folder / "backgrounds")
-    record = read_json(run_folder / "scores" / "main" / "score.json")
+    record = json.loads((run_folder / "scores" / "main" / "score.json").read_text())
     write_json(run_folder / "scores" / "main" / "score.json", record | {"sources": ["procedural"]})
     assert "over procedurally generated ground" in words_of(rebuilt(run_folder))
 
@@ -269,14 +272,14 @@ def test_the_ground_is_read_where_it_is_recorded(run_folder):
 def test_a_single_score_folder_is_reported_too(run_folder):
     page = rebuilt(run_folder / "scores" / "main")
     assert page.count("Chosen by hash") == 6
-    assert read_json(run_folder / "scores" / "main" / "results.json")["rows"]
+    assert json.loads((run_folder / "scores" / "main" / "results.json").read_text())["rows"]
 
 
 def test_checks_alone_are_reported(run_folder):
     score = run_folder / "scores" / "main"
     for name in ("tiles.parquet", "sets.json", "outcomes.parquet"):
         (score / name).unlink()
-    record = read_json(score / "score.json")
+    record = json.loads((score / "score.json").read_text())
     write_json(score / "score.json", record | {"renderer": None})
     text = words_of(rebuilt(run_folder)).replace("\u202f", " ")
     assert "No camouflage was compared here." in text
@@ -300,7 +303,7 @@ def test_it_says_what_each_detector_was_trained_on(page):
 
 
 def test_text_from_files_is_escaped(run_folder):
-    config = read_json(run_folder / "config.json")
+    config = json.loads((run_folder / "config.json").read_text())
     write_json(run_folder / "config.json", config | {"title": "<script>alert(1)</script>"})
     assert "<script>" not in rebuilt(run_folder)
 
