@@ -155,3 +155,36 @@ def test_a_map_of_another_size_is_damage(tmp_path):
 def test_a_missing_folder_is_one_error_that_names_it(tmp_path):
     with pytest.raises(StoredFileError, match="nowhere"):
         load_camouflage(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"name": "T-U_../../x"}, "name: expected a plain name"),
+        ({"name": "T-Blue"}, "Unknown texture constraints"),
+        ({"blocks": 10**9}, "blocks: expected a whole number <= 512"),
+        ({"blocks": 5, "name": "T-Pix"}, "divides the map"),
+        ({"colours": 10**9}, "colours: expected a whole number <= 256"),
+        ({"colours": 5}, "expects free colours, got 5"),
+        ({"name": "T-Fc"}, "expects fixed colours, got None"),
+        (
+            {
+                "kind": "Combination",
+                "turn_steps": None,
+                "shape": {"kind": "DisplacementMap", "name": "S-O@0.1", "frozen_parts": True},
+                "texture": {"kind": "Combination", "name": "T-U"},
+            },
+            "texture.kind",
+        ),
+    ],
+    ids=str,
+)
+def test_a_hostile_description_is_one_sentence(tmp_path, change, said):
+    stored(tmp_path / "one")
+    path = tmp_path / "one" / "camouflage.json"
+    document = json.loads(path.read_text())
+    document["camouflage"] |= change
+    path.write_text(json.dumps(document))
+    with pytest.raises(StoredFileError, match=said) as caught:
+        load_camouflage(tmp_path / "one")
+    assert "\n" not in str(caught.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -394,3 +395,22 @@ def test_every_architecture_builds(monkeypatch: pytest.MonkeyPatch) -> None:
         for architecture in ARCHITECTURES:
             network = ImportedDetector("mine", replace(PLAN, architecture=architecture)).network
             assert network.vehicle_classes == (2,)
+
+
+@needs_yolo
+@pytest.mark.parametrize(
+    "row",
+    [
+        [-1, 100, "Conv", [8192, 3, 1]],
+        [-1, 1, "nn.Upsample", ["None", 4096, "nearest"]],
+    ],
+    ids=str,
+)
+def test_a_network_of_any_size_is_refused_before_it_takes_memory(row: list[Any]) -> None:
+    plan = yolo_plan("yolov8n.yaml", [0])
+    layers = json.loads(json.dumps(plan.architecture))
+    layers["backbone"][0] = row
+    with pytest.raises(
+        ConfigurationError, match=r"more than 1,000,000,000 numbers|cannot build the network"
+    ):
+        ImportedDetector("mine", replace(plan, architecture=layers))

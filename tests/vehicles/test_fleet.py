@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from safetensors.torch import load_file, save_file
 
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.vehicles.export import export_glb
@@ -162,3 +163,46 @@ def test_glb_file_counts_v_from_the_top(tmp_path: Path) -> None:
     nose, tail = position[:, 2].argmax(), position[:, 2].argmin()
     assert uv[nose, 1] == pytest.approx(0.0, abs=1e-6)
     assert uv[tail, 1] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"ids": ["../../x"] * 5}, r"ids\[0\]: expected a plain name"),
+        ({"ids": ["a", "b", "c", "d", "a"]}, "the vehicle a is there twice"),
+        ({"ids": []}, "ids: expected a list of length >= 1"),
+        ({"ids": ["a"]}, "expects vertices of"),
+        ({"settings": {"count": 10**9}}, "count expects|settings.count: expected"),
+        ({"settings": {"cuont": 5}}, "no field 'cuont'"),
+        ({"sources": {"a": 5}}, "sources"),
+        ({"format": True}, "format True"),
+    ],
+    ids=str,
+)
+def test_a_hostile_description_is_one_sentence(tmp_path: Path, change: dict, said: str) -> None:
+    _fleet().save(tmp_path / "fleet")
+    path = tmp_path / "fleet" / "fleet.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(StoredFileError, match=said) as caught:
+        Fleet.load(tmp_path / "fleet")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("vertices", 1e6, "more than 100 m"),
+        ("vertices", float("nan"), "not finite"),
+        ("parts", 99, "part labels above 6"),
+    ],
+)
+def test_hostile_numbers_of_a_fleet_are_refused(
+    tmp_path: Path, name: str, value: float, said: str
+) -> None:
+    _fleet().save(tmp_path / "fleet")
+    path = tmp_path / "fleet" / "fleet.safetensors"
+    tensors = load_file(path)
+    tensors[name].view(-1)[7] = value
+    save_file(tensors, path)
+    with pytest.raises(StoredFileError, match=said):
+        Fleet.load(tmp_path / "fleet")
