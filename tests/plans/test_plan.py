@@ -285,7 +285,7 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
         ({"cycles_repeats": 0}, "cycles_repeats"),
         ({"detectors": []}, "detector"),
         ({"sun": 1}, "no field 'sun'"),
-        ({"world": {**TINY["world"], "image_px": 31}}, "no room"),
+        ({"world": {**TINY["world"], "image_px": 31}}, "image_px"),
         ({"world": {**TINY["world"], "; touch x": 1}}, "no field '; touch x'"),
         ({"attack": {"--out /elsewhere": 1}}, "no field"),
         ({"training": {"retinanet": {"steps; touch x": 4}}}, "no field"),

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from skyproof.cli.ground import Ground, tiling_for_images
 from skyproof.cli.render import Render
@@ -15,7 +17,7 @@ from skyproof.cli.vehicles import Vehicles
 from skyproof.imagery.settings import SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.ranges import Count, Fraction, ImageSide, check_ranges
+from skyproof.ranges import Count, Fraction, check_ranges
 from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
@@ -47,7 +49,8 @@ class WorldSizes:
         parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
     """
 
-    image_px: ImageSide = 192
+    # Detectors take no smaller ones.
+    image_px: Annotated[int, Meta(ge=96, le=16_384)] = 192
     tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
     vehicles: tuple[Count, Count, Count, Count] = (64, 16, 32, 32)
     training_images: Count = 2000
