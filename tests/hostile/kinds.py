@@ -1,0 +1,158 @@
+"""Every kind of document, each with the cheapest command that reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tests.hostile.sandbox import Kind
+from tests.hostile.world import DEMO
+
+__all__ = ["CARDS", "DATASETS", "GROUND", "LABELS", "PRESETS", "RUNS"]
+__all__ += ["SCENES", "SCORES", "TEXTS"]
+
+ON_CPU = ("--device", "cpu")
+
+
+def render(inputs: Path, out: Path, *more: object) -> Sequence[object]:
+    words = ["render", "--scenes", inputs / "scenes/test.jsonl", *ON_CPU, "--out", out / "new"]
+    words += ["--backgrounds", inputs / "backgrounds", "--fleet", inputs / "fleets/test"]
+    return [*words, *more]
+
+
+def scenes(inputs: Path, out: Path) -> Sequence[object]:
+    words = ["scenes", "--backgrounds", inputs / "backgrounds", "--fleet", inputs / "fleets/test"]
+    sizes = ["--count", 1, "--settings.size-px", 96, "--settings.vehicles-maximum", 1]
+    return [*words, *sizes, "--settings.vehicles-minimum", 1, "--out", out / "new.jsonl"]
+
+
+def adjust(inputs: Path, out: Path) -> Sequence[object]:
+    return ["adjust", out / "copy", "--noise", 0.1]
+
+
+def drop(inputs: Path, out: Path) -> Sequence[object]:
+    return ["adjust", out / "copy", "--drop", "epsg2193-e1550005-n5190000"]
+
+
+def cut(inputs: Path, out: Path, *more: object) -> Sequence[object]:
+    size = ("--tiling.size-px", 40)
+    return ["ground", inputs / "imagery", "--out", out / "new", *size, *more]
+
+
+def labelled(name: str) -> Callable[[Path, Path], Sequence[object]]:
+    def words(inputs: Path, out: Path) -> Sequence[object]:
+        given = ["--labels.path", inputs / "labels" / name, "--labels.classes", "car"]
+        return cut(inputs, out, *given)
+
+    return words
+
+
+def clear(inputs: Path, out: Path) -> Sequence[object]:
+    return ["clear", inputs / "tiled", "--out", out / "new", *ON_CPU, "--method", "telea"]
+
+
+def export(form: str) -> Callable[[Path, Path], Sequence[object]]:
+    def words(inputs: Path, out: Path) -> Sequence[object]:
+        place = out / ("new.json" if form in ("coco", "geojson") else "new")
+        folder = inputs / ("tiled/test" if form == "geojson" else "datasets/test")
+        return ["export", folder, "--format", form, "--out", place]
+
+    return words
+
+
+def score(inputs: Path, out: Path) -> Sequence[object]:
+    words = ["score", "--detectors", inputs / "detectors/retinanet", "--out", out / "new"]
+    return [
+        *words,
+        "--frames",
+        f"{inputs / 'datasets/validation'}@0.125",
+        "--frame-classes",
+        "vehicle",
+        *ON_CPU,
+    ]
+
+
+def compare(inputs: Path, out: Path) -> Sequence[object]:
+    words = ["score", "--detectors", inputs / "detectors/retinanet", "--out", out / "new"]
+    words += ["--original", inputs / "datasets/test", *ON_CPU]
+    return [*words, "--camouflaged", f"T-U={inputs / 'worn'}"]
+
+
+def train(inputs: Path, out: Path) -> Sequence[object]:
+    words = ["train", "--detector", "retinanet", "--data", inputs / "datasets/train"]
+    words += ["--validation", inputs / "datasets/train", "--settings.steps", 1, *ON_CPU]
+    words += ["--settings.batch-size", 1, "--settings.validate-every", 1]
+    return [*words, "--settings.checkpoint-every", 1, "--out", out / "new"]
+
+
+def worn(inputs: Path, out: Path) -> Sequence[object]:
+    return render(inputs, out, "--camouflage", inputs / "camouflages/R-U-0")
+
+
+def mix(inputs: Path, out: Path) -> Sequence[object]:
+    return ["vehicles", inputs / "fleets/test", inputs / "fleets/train", "--out", out / "new"]
+
+
+def draw_fixed(inputs: Path, out: Path) -> Sequence[object]:
+    palette = ("--palette", inputs / "palette.json")
+    return ["attack", "R-Fc", "--out", out / "new", *palette, *ON_CPU]
+
+
+def report(inputs: Path, out: Path) -> Sequence[object]:
+    return ["report", "--run-folder", out / "copy"]
+
+
+def demo(inputs: Path, out: Path) -> Sequence[object]:
+    return ["demo", "--out", out / "copy", *DEMO]
+
+
+def reproduce(inputs: Path, out: Path) -> Sequence[object]:
+    words = ["reproduce", "--preset", inputs / "preset.json", "--out", out / "new", *ON_CPU]
+    return [*words, "--cores", 1, "--dry-run"]
+
+
+SCENES = [
+    Kind("scenes", "scenes/test.jsonl", render, lines=True),
+    Kind("fleet", "fleets/test/fleet.json", mix),
+    Kind("fleet of scenes", "fleets/test/fleet.json", scenes),
+]
+GROUND = [
+    Kind("index, adjusted", "backgrounds/index.json", adjust, copied="backgrounds"),
+    Kind("index, rendered", "backgrounds/index.json", render),
+    Kind("index, cleared", "tiled/index.json", clear),
+    Kind("places of tiles", "tiled/index.geojson", drop, copied="tiled"),
+    Kind("record of clearing", "cleared/clearing.json", drop, copied="cleared"),
+    Kind("annotations, cleared", "tiled/test/annotations.json", clear),
+]
+DATASETS = [
+    Kind("annotations, to COCO", "datasets/test/annotations.json", export("coco")),
+    Kind("annotations, to YOLO", "datasets/test/annotations.json", export("yolo")),
+    Kind("annotations, to DOTA", "datasets/test/annotations.json", export("dota")),
+    Kind("annotations, to the map", "tiled/test/annotations.json", export("geojson")),
+    Kind("annotations, scored", "datasets/validation/annotations.json", score),
+    Kind("annotations, compared", "datasets/test/annotations.json", compare),
+    Kind("annotations, trained on", "datasets/train/annotations.json", train),
+]
+LABELS = [
+    Kind("COCO labels", "labels/coco.json", labelled("coco.json")),
+    Kind("GeoJSON labels", "labels/points.geojson", labelled("points.geojson")),
+]
+TEXTS = [
+    Kind("YOLO text", "labels/yolo/photo.txt", labelled("yolo")),
+    Kind("YOLO classes", "labels/yolo/data.yaml", labelled("yolo")),
+    Kind("DOTA text", "labels/dota/photo.txt", labelled("dota")),
+]
+CARDS = [
+    Kind("card of a detector", "detectors/retinanet/detector.json", score),
+    Kind("camouflage", "camouflages/R-U-0/camouflage.json", worn),
+    Kind("palette", "palette.json", draw_fixed),
+]
+SCORES = [
+    Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test")
+    for name in ("score", "sets", "checks", "pairs/pairs", "practicality")
+]
+RUNS = [
+    Kind(f"run with {name}", f"{name}.json", demo, copied=".")
+    for name in ("config", "environment", "timings")
+]
+PRESETS = [Kind("preset", "preset.json", reproduce)]

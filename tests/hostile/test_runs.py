@@ -1,0 +1,21 @@
+"""Run folders that a demo goes on with."""
+
+import pytest
+
+from tests.hostile.documents import try_any_json, try_damage, try_mutations
+from tests.hostile.kinds import RUNS
+from tests.hostile.sandbox import Kind, Sandbox
+
+pytestmark = pytest.mark.parametrize("kind", RUNS, ids=str)
+
+
+def test_any_json(sandbox: Sandbox, kind: Kind) -> None:
+    try_any_json(sandbox, kind, 15)
+
+
+def test_one_mutation(sandbox: Sandbox, kind: Kind) -> None:
+    try_mutations(sandbox, kind, 50)
+
+
+def test_damaged_bytes(sandbox: Sandbox, kind: Kind) -> None:
+    try_damage(sandbox, kind, 15)

@@ -1,0 +1,99 @@
+"""The tiny world: a run of the demo, tiled imagery, labels of every form, a palette, a preset."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import rasterio
+from PIL import Image
+from rasterio.transform import from_origin
+
+from skyproof.main import run
+from skyproof.plans.preset import PRESETS
+from tests.imagery.made import smooth_noise
+
+__all__ = ["DEMO", "make_world"]
+
+DEMO = (
+    "--sizes.image-px 96 --sizes.tiles 1 1 1 1 --sizes.vehicles 1 1 1 1 --sizes.training-images 6 "
+    "--sizes.validation-images 2 --sizes.test-images 2 --sizes.training-vehicles 2 "
+    "--sizes.random-draws 1 --training.steps 2 --training.batch-size 1 --training.validate-every 2 "
+    "--training.checkpoint-every 2 --attack.steps 2 --attack.batch-size 1 "
+    "--attack.checkpoint-every 2 --detectors retinanet --device cpu"
+).split()
+
+_SIDE_PX = 160
+_EAST, _NORTH = 1_550_000.0, 5_190_000.0
+_BOXES = [(20, 20, 30, 14), (90, 100, 30, 14)]
+
+YOLO_TEXT = "0 0.3 0.3 0.1 0.1\n1 0.15 0.15 0.25 0.15 0.25 0.25 0.15 0.25\n"
+CLASSES = "train: images\nnames:\n  0: car\n  1: bus\nnc: 2\n"
+DOTA_TEXT = (
+    "imagesource:GoogleEarth\ngsd:0.125\n"
+    "20 20 50 20 50 34 20 34 car 0\n90 100 120 100 120 114 90 114 bus 1\n"
+)
+
+
+def make_world(folder: Path) -> None:
+    """Writes everything below a folder that is not there yet."""
+    command = ["demo", "--out", str(folder), *DEMO]
+    assert run(command) == 0
+    imagery = folder / "imagery"
+    imagery.mkdir()
+    _write_photo(imagery / "photo.tif")
+    _write_labels(folder / "labels", imagery / "photo.tif")
+    tiled = ["ground", imagery, "--out", folder / "tiled", "--tiling.size-px", 40]
+    tiled += ["--labels.path", folder / "labels" / "coco.json", "--labels.classes", "car"]
+    assert run(list(map(str, tiled))) == 0
+    clear = ["clear", folder / "tiled", "--out", folder / "cleared", "--device", "cpu"]
+    assert run(list(map(str, clear))) == 0
+    worn = ["render", "--scenes", folder / "scenes/test.jsonl", "--device", "cpu"]
+    worn += ["--backgrounds", folder / "backgrounds", "--fleet", folder / "fleets/test"]
+    worn += ["--camouflage", folder / "camouflages/T-U", "--out", folder / "worn"]
+    assert run(list(map(str, worn))) == 0
+    palette = {"colours_srgb": [[90, 100, 80], [120, 110, 90], [60, 70, 50]]}
+    (folder / "palette.json").write_text(json.dumps(palette))
+    shutil.copy(PRESETS["quick"], folder / "preset.json")
+
+
+def _write_photo(path: Path) -> None:
+    place = {"crs": "EPSG:2193", "transform": from_origin(_EAST, _NORTH, 0.125, 0.125)}
+    profile = {"driver": "GTiff", "count": 3, "dtype": "uint8", **place}
+    with rasterio.open(path, "w", width=_SIDE_PX, height=_SIDE_PX, **profile) as file:
+        file.write(smooth_noise(_SIDE_PX, _SIDE_PX))
+
+
+def _write_labels(folder: Path, photo: Path) -> None:
+    folder.mkdir()
+    coco = {
+        "categories": [{"id": 1, "name": "car"}, {"id": 7, "name": "bus"}],
+        "images": [{"id": 3, "file_name": "photo.tif", "width": _SIDE_PX, "height": _SIDE_PX}],
+        "annotations": [
+            {"id": number, "image_id": 3, "category_id": 1, "bbox": list(box), "iscrowd": 0}
+            for number, box in enumerate(_BOXES)
+        ],
+    }
+    (folder / "coco.json").write_text(json.dumps(coco))
+    points = [(_EAST + 0.125 * x, _NORTH - 0.125 * y) for x, y, _, _ in _BOXES]
+    geojson = {
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "EPSG:2193"}},
+        "features": [
+            {
+                "type": "Feature",
+                "properties": {"class": "car"},
+                "geometry": {"type": "Point", "coordinates": list(point)},
+            }
+            for point in points
+        ],
+    }
+    (folder / "points.geojson").write_text(json.dumps(geojson))
+    (folder / "yolo").mkdir()
+    (folder / "yolo" / "data.yaml").write_text(CLASSES)
+    (folder / "yolo" / "photo.txt").write_text(YOLO_TEXT)
+    with Image.open(photo) as picture:
+        picture.save(folder / "yolo" / "photo.png")
+    (folder / "dota").mkdir()
+    (folder / "dota" / "photo.txt").write_text(DOTA_TEXT)
