@@ -1,4 +1,4 @@
-"""A tiny world with every kind of document, made once; the tests put hostile ones in their place."""
+"""A tiny world with every kind of document, made once; tests put hostile ones in their place."""
 
 from __future__ import annotations
 

@@ -119,23 +119,23 @@ SCENES = [
 GROUND = [
     Kind("index, adjusted", "backgrounds/index.json", adjust, copied="backgrounds"),
     Kind("index, rendered", "backgrounds/index.json", render),
-    Kind("index, cleared", "tiled/index.json", clear),
+    Kind("index, cleared", "tiled/index.json", clear, slow=True),
     Kind("places of tiles", "tiled/index.geojson", drop, copied="tiled"),
     Kind("record of clearing", "cleared/clearing.json", drop, copied="cleared"),
-    Kind("annotations, cleared", "tiled/test/annotations.json", clear),
+    Kind("annotations, cleared", "tiled/test/annotations.json", clear, slow=True),
 ]
 DATASETS = [
     Kind("annotations, to COCO", "datasets/test/annotations.json", export("coco")),
     Kind("annotations, to YOLO", "datasets/test/annotations.json", export("yolo")),
     Kind("annotations, to DOTA", "datasets/test/annotations.json", export("dota")),
     Kind("annotations, to the map", "tiled/test/annotations.json", export("geojson")),
-    Kind("annotations, scored", "datasets/validation/annotations.json", score),
-    Kind("annotations, compared", "datasets/test/annotations.json", compare),
-    Kind("annotations, trained on", "datasets/train/annotations.json", train),
+    Kind("annotations, scored", "datasets/validation/annotations.json", score, slow=True),
+    Kind("annotations, compared", "datasets/test/annotations.json", compare, slow=True),
+    Kind("annotations, trained on", "datasets/train/annotations.json", train, slow=True),
 ]
 LABELS = [
     Kind("COCO labels", "labels/coco.json", labelled("coco.json")),
-    Kind("GeoJSON labels", "labels/points.geojson", labelled("points.geojson")),
+    Kind("GeoJSON labels", "labels/points.geojson", labelled("points.geojson"), slow=True),
 ]
 TEXTS = [
     Kind("YOLO text", "labels/yolo/photo.txt", labelled("yolo")),
@@ -143,12 +143,12 @@ TEXTS = [
     Kind("DOTA text", "labels/dota/photo.txt", labelled("dota")),
 ]
 CARDS = [
-    Kind("card of a detector", "detectors/retinanet/detector.json", score),
+    Kind("card of a detector", "detectors/retinanet/detector.json", score, slow=True),
     Kind("camouflage", "camouflages/R-U-0/camouflage.json", worn),
     Kind("palette", "palette.json", draw_fixed),
 ]
 SCORES = [
-    Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test")
+    Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)
     for name in ("score", "sets", "checks", "pairs/pairs", "practicality")
 ]
 RUNS = [

@@ -40,6 +40,7 @@ class Kind:
         copied: a folder of the inputs that the command changes in place; it works on a copy in the
             output folder, which is the second argument of `words`.
         lines: the document has one JSON value a line.
+        slow: the command takes half a second or more; fewer examples are tried.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Kind:
     words: Callable[[Path, Path], Sequence[object]]
     copied: str | None = None
     lines: bool = False
+    slow: bool = False
 
     def __str__(self) -> str:
         return self.name

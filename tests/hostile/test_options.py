@@ -53,6 +53,8 @@ def _plain(hint: Any) -> Any:
 def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
     """A small call of a command."""
     detector = inputs / "detectors/retinanet"
+    imported = ["--vehicle-classes", "3", "--validation", inputs / "datasets/test"]
+    imported += ["--out", out / "new"]
     calls: dict[str, Sequence[object]] = {
         "demo": ["demo", "--out", out / "new", *DEMO, "--imagery", inputs / "nowhere.tif"],
         "reproduce": ["reproduce", "--preset", inputs / "nowhere.json", "--out", out / "new"],
@@ -65,8 +67,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
         "train": kinds.train(inputs, out),
-        "import": ["import", inputs / "palette.json", "--kind", "torchvision", "--vehicle-classes"]
-        + ["3", "--validation", inputs / "datasets/test", "--out", out / "new"],
+        "import": ["import", inputs / "palette.json", "--kind", "torchvision", *imported],
         "attack": ["attack", "R-PixFc", "--palette", inputs / "palette.json", "--out", out / "new"],
         "score": ["score", "--detectors", detector, "--out", out / "new"],
         "sample-size": ["sample-size"],

@@ -16,13 +16,16 @@ from tests.imagery.made import smooth_noise
 
 __all__ = ["DEMO", "make_world"]
 
-DEMO = (
-    "--sizes.image-px 96 --sizes.tiles 1 1 1 1 --sizes.vehicles 1 1 1 1 --sizes.training-images 6 "
-    "--sizes.validation-images 2 --sizes.test-images 2 --sizes.training-vehicles 2 "
-    "--sizes.random-draws 1 --training.steps 2 --training.batch-size 1 --training.validate-every 2 "
-    "--training.checkpoint-every 2 --attack.steps 2 --attack.batch-size 1 "
-    "--attack.checkpoint-every 2 --detectors retinanet --device cpu"
-).split()
+_SIZES = "image-px 96,tiles 1 1 1 1,vehicles 1 1 1 1,training-images 6,validation-images 2"
+_SIZES += ",test-images 2,training-vehicles 2,random-draws 1"
+_STEPS = "steps 2,batch-size 1,checkpoint-every 2"
+DEMO = [
+    *(f"--sizes.{size}" for size in _SIZES.split(",")),
+    *(f"--training.{value}" for value in (*_STEPS.split(","), "validate-every 2")),
+    *(f"--attack.{value}" for value in _STEPS.split(",")),
+    "--detectors retinanet --device cpu",
+]
+DEMO = [word for option in DEMO for word in option.split(" ")]
 
 _SIDE_PX = 160
 _EAST, _NORTH = 1_550_000.0, 5_190_000.0
