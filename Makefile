@@ -18,7 +18,7 @@ demo-cycles: $(VENV)/demo.ok $(BLENDER)/blender.ok
 blender: $(BLENDER)/blender.ok
 
 test: $(VENV)/test.ok
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadgroup
 
 check: $(VENV)/test.ok
 	$(BIN)/ruff check .

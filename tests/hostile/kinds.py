@@ -112,7 +112,7 @@ def reproduce(inputs: Path, out: Path) -> Sequence[object]:
 
 
 SCENES = [
-    Kind("scenes", "scenes/test.jsonl", render, lines=True),
+    Kind("scenes", "scenes/test.jsonl", render, lines=True, called=("fleet",)),
     Kind("fleet", "fleets/test/fleet.json", mix),
     Kind("fleet of scenes", "fleets/test/fleet.json", scenes),
 ]
@@ -155,4 +155,4 @@ RUNS = [
     Kind(f"run with {name}", f"{name}.json", demo, copied=".")
     for name in ("config", "environment", "timings")
 ]
-PRESETS = [Kind("preset", "preset.json", reproduce)]
+PRESETS = [Kind("preset", "preset.json", reproduce, called=("preset", "--"))]

@@ -41,6 +41,7 @@ class Kind:
             output folder, which is the second argument of `words`.
         lines: the document has one JSON value a line.
         slow: the command takes half a second or more; fewer examples are tried.
+        called: what a sentence may call the document, beside its file name.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Kind:
     copied: str | None = None
     lines: bool = False
     slow: bool = False
+    called: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return self.name
@@ -107,7 +109,7 @@ class Sandbox:
         RAN[kind.name] += 1
         if answer.code == 2:
             answer.assert_one_sentence()
-            named = (document.name, str(document.parent), str(self.inputs))
+            named = (*kind.called, document.name, str(document.parent), str(self.inputs))
             assert any(name in answer.err for name in named), answer.err
         else:
             assert answer.code == 0, answer
