@@ -47,7 +47,7 @@ def _written(sandbox: Sandbox, kind: Kind, value: Any) -> bytes:
 
 
 def _try(sandbox: Sandbox, kind: Kind, contents: st.SearchStrategy[bytes], count: int) -> None:
-    @examples(count // 3 if kind.slow else count)
+    @examples(count // 4 if kind.slow else count)
     @given(contents)
     def run(content: bytes) -> None:
         sandbox.try_document(kind, content)

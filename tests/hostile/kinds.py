@@ -134,13 +134,13 @@ DATASETS = [
     Kind("annotations, trained on", "datasets/train/annotations.json", train, slow=True),
 ]
 LABELS = [
-    Kind("COCO labels", "labels/coco.json", labelled("coco.json")),
+    Kind("COCO labels", "labels/coco.json", labelled("coco.json"), slow=True),
     Kind("GeoJSON labels", "labels/points.geojson", labelled("points.geojson"), slow=True),
 ]
 TEXTS = [
-    Kind("YOLO text", "labels/yolo/photo.txt", labelled("yolo")),
-    Kind("YOLO classes", "labels/yolo/data.yaml", labelled("yolo")),
-    Kind("DOTA text", "labels/dota/photo.txt", labelled("dota")),
+    Kind("YOLO text", "labels/yolo/photo.txt", labelled("yolo"), slow=True),
+    Kind("YOLO classes", "labels/yolo/data.yaml", labelled("yolo"), slow=True),
+    Kind("DOTA text", "labels/dota/photo.txt", labelled("dota"), slow=True),
 ]
 CARDS = [
     Kind("card of a detector", "detectors/retinanet/detector.json", score, slow=True),

@@ -10,12 +10,12 @@ pytestmark = pytest.mark.parametrize("kind", LABELS, ids=str)
 
 
 def test_any_json(sandbox: Sandbox, kind: Kind) -> None:
-    try_any_json(sandbox, kind, 15)
+    try_any_json(sandbox, kind, 12)
 
 
 def test_one_mutation(sandbox: Sandbox, kind: Kind) -> None:
-    try_mutations(sandbox, kind, 50)
+    try_mutations(sandbox, kind, 40)
 
 
 def test_damaged_bytes(sandbox: Sandbox, kind: Kind) -> None:
-    try_damage(sandbox, kind, 15)
+    try_damage(sandbox, kind, 12)
