@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -138,6 +139,9 @@ class Attack:
                 palette=palette,
                 settings=self.camouflage,
             )
+            # Snakemake makes the folder of a file that a step is to leave; only an empty one goes.
+            with suppress(OSError):
+                folder.rmdir()
             with finished_folder(folder) as partial:
                 save_camouflage(partial, control, {"seed": seed})
 
