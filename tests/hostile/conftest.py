@@ -25,10 +25,15 @@ def ran_here() -> set[str]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keeps these tests in one process: they share a world, and are counted together."""
-    for item in items:
-        if "/hostile/" in item.nodeid:
-            item.add_marker(pytest.mark.xdist_group("hostile"))
+    """Keeps these tests in one process, first of all: they share a world, and are counted last.
+
+    They take long together, so that another process has all the rest to do meanwhile.
+    """
+    hostile = [item for item in items if "/hostile/" in item.nodeid]
+    for item in hostile:
+        item.add_marker(pytest.mark.xdist_group("hostile"))
+    hostile.sort(key=lambda item: "test_summary" in item.nodeid)
+    items[:] = [*hostile, *(item for item in items if "/hostile/" not in item.nodeid)]
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -40,7 +40,7 @@ def test_any_json(sandbox: Sandbox) -> None:
 
 
 def test_one_mutation(sandbox: Sandbox) -> None:
-    try_mutations(sandbox, KIND, 200)
+    try_mutations(sandbox, KIND, 60)
 
 
 def test_damaged_bytes(sandbox: Sandbox) -> None:
