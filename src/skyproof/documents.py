@@ -49,7 +49,7 @@ def read_document(
     Args:
         path: the file.
         kind: what it must hold, such as a dataclass, or `dict[str, Any]`.
-        remedy: what the error advises, such as "sample the scenes again".
+        remedy: what the error advises, such as "copy the file again".
         error: the class of the error.
 
     Raises:

@@ -232,9 +232,7 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
         if entry.name not in ours and not is_leftover(entry)
     )
     if foreign:
-        raise RunFolderError(
-            f"{folder} holds files that are not of this stage ({foreign[0]}); choose another --out."
-        )
+        raise RunFolderError(f"{folder} holds something else ({foreign[0]}); choose another --out.")
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:
@@ -320,6 +318,6 @@ def to_json(path: Path, value: Any, indent: int | None = None) -> str:
         return json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False)
     except ValueError as error:
         raise NotFiniteError(
-            f"{path} would hold a number that is not finite; nothing was written. Lower the "
+            f"{path} would hold a number that is not finite and was not written; lower the "
             "learning rate, or look for the input that is out of range."
         ) from error

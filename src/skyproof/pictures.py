@@ -34,7 +34,7 @@ def open_picture(
 
     Args:
         path: a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file.
-        remedy: what the error advises, such as "replace or remove it".
+        remedy: what the error advises, such as "replace it, or leave it out".
         error: the class of the error.
         also: further formats of Pillow's.
 

@@ -38,7 +38,7 @@ def write_tensors(
     broken = _not_finite(plain)
     if broken is not None:
         raise NotFiniteError(
-            f"{path} would hold numbers that are not finite ({broken}); nothing was written. Lower "
+            f"{path} would hold numbers that are not finite ({broken}) and was not written; lower "
             "the learning rate."
         )
     metadata = None if record is None else {"record": to_json(path, record)}
@@ -65,7 +65,8 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
             text = (file.metadata() or {}).get("record", "{}")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
-        raise StoredFileError(f"{path} is damaged ({error}); {remedy}.") from error
+        reason = getattr(error, "strerror", None) or "it is no whole safetensors file"
+        raise StoredFileError(f"{path} is damaged ({reason}); {remedy}.") from error
     record: dict[str, Any] = parse_document(
         text.encode(), dict[str, Any], f"{path} has a record that", remedy
     )

@@ -352,6 +352,9 @@ def test_what_is_not_finite_stops_an_attack_and_is_not_stored(
 
 
 def test_two_attacks_do_not_share_a_folder(tmp_path, world):
+    def work():
+        raise AssertionError("worked beside somebody else")
+
     with alone(tmp_path), pytest.raises(RunFolderError, match="being written by another process"):
-        attack(start(), [StandIn()], world, FEW, tmp_path)
+        attack(start(), [StandIn()], world, FEW, tmp_path, record=work)
     assert not list(tmp_path.iterdir())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.name import CamouflageName
@@ -145,11 +145,21 @@ def test_damage_is_one_error_that_names_the_file(tmp_path, name, spoil):
         load_camouflage(tmp_path / "one")
 
 
-def test_a_map_of_another_size_is_damage(tmp_path):
+def test_the_first_misfit_of_the_tensors_is_named(tmp_path):
     stored(tmp_path / "one")
-    save_file({"cells": torch.zeros(3, 8, 8)}, tmp_path / "one" / "camouflage.safetensors")
-    with pytest.raises(StoredFileError, match=r"camouflage\.safetensors"):
-        load_camouflage(tmp_path / "one")
+    path = tmp_path / "one" / "camouflage.safetensors"
+    good = load_file(path)
+    (wanted,) = good
+    shape = list(good[wanted].shape)
+    for tensors, said in (
+        ({wanted: torch.zeros(3, 8, 8)}, f"{wanted} has the shape [3, 8, 8], expected {shape}"),
+        ({}, f"it lacks {wanted}"),
+        ({**good, "more": torch.zeros(1)}, "it holds 'more' too"),
+    ):
+        save_file(tensors, path)
+        with pytest.raises(StoredFileError) as caught:
+            load_camouflage(tmp_path / "one")
+        assert f"{path} does not fit camouflage.json ({said}); copy" in str(caught.value)
 
 
 def test_a_missing_folder_is_one_error_that_names_it(tmp_path):

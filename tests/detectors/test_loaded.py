@@ -83,7 +83,7 @@ def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
         ({"name": "faster_rcnn"}, "does not fit"),
         ({"threshold": "high"}, "threshold: expected a number, got text"),
         ({"threshold": 1e300}, "threshold: expected a number <= 1"),
-        ({"gsd_m": 0}, "gsd_m: expected a number > 0"),
+        ({"gsd_m": 0}, "gsd_m: expected a number >= 0.001"),
         ({"name": "../../x"}, "name: expected a plain name"),
         ({"image_size_px": [10**9, 1]}, r"image_size_px\[0\]: expected a whole number <= 16384"),
         ({"brought": {"kind": "torchvision"}}, "brought: the field architecture is missing"),

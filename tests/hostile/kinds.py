@@ -112,7 +112,7 @@ def reproduce(inputs: Path, out: Path) -> Sequence[object]:
 
 
 SCENES = [
-    Kind("scenes", "scenes/test.jsonl", render, lines=True, called=("fleet", "of tile ")),
+    Kind("scenes", "scenes/test.jsonl", render, lines=True, called=("fleet",)),
     Kind("fleet", "fleets/test/fleet.json", mix),
     Kind("fleet of scenes", "fleets/test/fleet.json", scenes),
 ]

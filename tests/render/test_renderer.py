@@ -6,7 +6,9 @@ import math
 import pytest
 import torch
 
+from skyproof.errors import StoredFileError
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.scene import Placement
@@ -183,6 +185,12 @@ def test_a_vehicle_outside_the_image_changes_nothing_and_is_not_visible():
     )
     assert float(frames.visible_px) == float(frames.visible_fraction) == 0.0
     assert not frames.masks.any()
+
+
+def test_a_background_that_is_missing_is_told_with_its_scene(tmp_path):
+    backgrounds = write_procedural_backgrounds(tmp_path / "ground", {"test": 1}, 140, seed=0)
+    with pytest.raises(StoredFileError, match=r"^The scene b lacks .*/ground has no tile 'tile'"):
+        photographs(backgrounds, [scene(name="b")], torch.device("cpu"))
 
 
 def test_scenes_without_vehicles_are_their_photographs():

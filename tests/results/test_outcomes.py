@@ -67,7 +67,9 @@ def test_bad_files_are_named(tmp_path):
 def test_a_table_of_values_that_cannot_be_is_refused(tmp_path, changes):
     path = tmp_path / "outcomes.parquet"
     write_outcomes(path, [outcome(), outcome(**changes)])
-    with pytest.raises(StoredFileError, match=r"outcomes\.parquet .*; score again\.") as refused:
+    with pytest.raises(
+        StoredFileError, match=r"outcomes\.parquet .*; copy .* or score again\."
+    ) as refused:
         read_outcomes(path)
     assert len(str(refused.value)) < 600
 

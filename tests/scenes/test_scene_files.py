@@ -79,4 +79,4 @@ def test_a_scene_that_cannot_be_is_one_sentence_with_its_place(tmp_path, change,
     with pytest.raises(StoredFileError, match=words) as caught:
         read_scenes(path)
     assert str(caught.value).startswith(str(path))
-    assert str(caught.value).endswith("; sample the scenes again.")
+    assert str(caught.value).endswith("; copy the file again, or sample the scenes again.")

@@ -44,7 +44,7 @@ def attack(
     settings: AttackSettings,
     folder: str | Path,
     *,
-    record: Mapping[str, Any] | None = None,
+    record: Callable[[], Mapping[str, Any]] | None = None,
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> Camouflage:
     """Optimises the camouflage so that the ensemble's losses against an empty truth fall.
@@ -63,7 +63,8 @@ def attack(
         settings: steps, batch, learning rate, seed.
         folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage (see
             `save_camouflage`).
-        record: further facts to store with the camouflage.
+        record: gives further facts to store with the camouflage; asked before the first step, when
+            nobody else can begin in the folder any more, and not where it is finished.
         on_step: called with each row of `steps.jsonl`.
 
     Returns:
@@ -101,10 +102,11 @@ def attack(
         # Somebody else may have finished it in the meantime.
         if (folder / "camouflage.json").exists():
             return _finished(camouflage, folder, identity)
+        more = record() if record else {}
         loop.resume()
         with frozen(detectors):
             facts = _take_steps(camouflage, detectors, world, settings, loop)
-        save_camouflage(folder, camouflage, {"attack": identity, **facts, **(record or {})})
+        save_camouflage(folder, camouflage, {"attack": identity, **facts, **more})
         loop.forget()
     return camouflage
 

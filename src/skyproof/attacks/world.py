@@ -42,9 +42,13 @@ class AttackWorld:
 
     def __post_init__(self) -> None:
         if not self.renderer.differentiable:
-            raise ConfigurationError("An attack needs a differentiable renderer.")
+            raise ConfigurationError(
+                "An attack expects a differentiable renderer; give TorchRenderer."
+            )
         if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
-            raise ConfigurationError("An attack needs exactly one vehicle per image.")
+            raise ConfigurationError(
+                "An attack expects exactly one vehicle per image; give scenes with one."
+            )
 
     @classmethod
     def open(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from skyproof.storage import read_tensors, write_tensors
 __all__ = ["load_camouflage", "read_record", "save_camouflage"]
 
 _FORMAT = 2
-_REMEDY = "make the camouflage again"
+_REMEDY = "copy the whole folder again, or make the camouflage again"
 
 
 def save_camouflage(
@@ -70,12 +71,10 @@ def load_camouflage(folder: str | Path) -> Camouflage:
         ) from error
     weights = Path(folder) / "camouflage.safetensors"
     tensors, _ = read_tensors(weights, _REMEDY)
-    try:
-        camouflage.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise StoredFileError(
-            f"{weights} does not fit camouflage.json ({_flat(error)}); {_REMEDY}."
-        ) from error
+    misfit = _misfit(camouflage.state_dict(), tensors)
+    if misfit:
+        raise StoredFileError(f"{weights} does not fit camouflage.json ({misfit}); {_REMEDY}.")
+    camouflage.load_state_dict(tensors)
     return camouflage.requires_grad_(False)
 
 
@@ -118,6 +117,16 @@ def _read(folder: str | Path) -> _Document:
     path = Path(folder) / "camouflage.json"
     check_format(path, _FORMAT, _REMEDY)
     return read_document(path, _Document, _REMEDY)
+
+
+def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
+    """Says in a few words the first difference between two sets of tensors; else nothing."""
+    for name, tensor in wanted.items():
+        if name not in given:
+            return f"it lacks {name}"
+        if given[name].shape != tensor.shape:
+            return f"{name} has the shape {[*given[name].shape]}, expected {[*tensor.shape]}"
+    return next((f"it holds {name[:100]!r} too" for name in given if name not in wanted), "")
 
 
 def _flat(error: Exception) -> str:

@@ -187,9 +187,10 @@ class Attack:
             texture=load_camouflage(self.texture) if self.texture else None,
             settings=self.camouflage,
         ).to(device)
-        folder = self.out / str(name)
-        finished = (folder / "camouflage.json").exists()
-        signs = {} if finished else sign_test(camouflage, models, world, self.settings)
+
+        def signs() -> dict[str, Any]:
+            return {"sign_test": sign_test(camouflage, models, world, self.settings)}
+
         with progress_bar(f"attack {name}") as update:
 
             def show(row: dict[str, Any]) -> None:
@@ -200,7 +201,7 @@ class Attack:
                 models,
                 world,
                 self.settings,
-                folder,
-                record={"sign_test": signs},
+                self.out / str(name),
+                record=signs,
                 on_step=show,
             )

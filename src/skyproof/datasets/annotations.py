@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 ANNOTATIONS = "annotations.json"
-REMEDY = "write the dataset again"
+REMEDY = "copy the whole folder again, or make the dataset again"
 
 _Length = Annotated[float, Meta(ge=0, le=1e9)]
 

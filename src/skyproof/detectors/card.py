@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 FOLDER_FORMAT = 1
-_REMEDY = "train or import the detector again"
+_REMEDY = "copy the whole folder again, or train or import the detector again"
 
 _Side = Annotated[int, Meta(ge=0, le=16_384)]
 _Word = Annotated[str, Meta(max_length=100)]

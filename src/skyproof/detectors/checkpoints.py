@@ -113,7 +113,7 @@ def state_of(network: Any) -> dict[str, Tensor]:
         if value.numel() * value.element_size() > value.untyped_storage().nbytes():
             raise StoredFileError(
                 f"The checkpoint's tensor {name[:100]} claims the shape {list(value.shape)[:8]}, "
-                "more than the file holds of it; give a file as torch.save writes it."
+                "more than its file holds; give a file as torch.save writes it."
             )
     for prefix in _PREFIXES:
         if found and all(name.startswith(prefix) for name in found):

@@ -208,11 +208,15 @@ def _ultralytics(
     names = values.get("names")
     listed = dict(enumerate(names)) if isinstance(names, list | tuple) else names
     if not isinstance(listed, dict) or len(listed) > _MOST_CLASSES:
-        raise StoredFileError(f"{path} lacks its class names; save it again.")
+        raise StoredFileError(
+            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
+        )
     found = [listed.get(index) for index in range(len(listed))]
     classes = [name for name in found if isinstance(name, str)]
     if len(classes) < len(found):
-        raise StoredFileError(f"{path} lacks its class names; save it again.")
+        raise StoredFileError(
+            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
+        )
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]
     if missing or not checkpoint.vehicle_classes:
         raise ConfigurationError(

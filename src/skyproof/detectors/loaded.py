@@ -70,7 +70,7 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     folder = Path(folder)
     card, stored_digest = read_card_and_digest(folder / "detector.json")
     path = folder / "weights.safetensors"
-    tensors, _ = read_tensors(path, "train the detector again or copy the whole folder")
+    tensors, _ = read_tensors(path, "copy the whole folder again, or train the detector again")
     try:
         detector = _of_card(card)
     except ConfigurationError as error:
@@ -86,8 +86,8 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
         detector.load_state_dict(tensors)
     except RuntimeError as error:
         raise StoredFileError(
-            f"{path} does not fit a {card.size} {card.name} of this version; train the detector, "
-            "or import it, again."
+            f"{path} does not fit a {card.size} {card.name} of this version; copy the whole folder "
+            "again, or train or import the detector again."
         ) from error
     if weights_digest(detector) != stored_digest:
         raise StoredFileError(

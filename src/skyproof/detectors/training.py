@@ -109,7 +109,7 @@ def train(
         settings.checkpoint_every,
         parts,
         other=_OTHER,
-        remedy="remove it and train again",
+        remedy=f"remove {folder} and train again",
         on_row=on_step,
     )
     with alone(folder):

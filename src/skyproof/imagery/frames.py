@@ -21,7 +21,7 @@ from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
 
-_REMEDY = "replace or remove it, or cut it into smaller frames"
+_REMEDY = "replace it, leave it out, or cut it into smaller frames"
 
 BORDER_PX = 40.0
 """Vehicles cut by an image's border are often not labelled: half a car's length at 6 cm, a whole

@@ -170,7 +170,9 @@ class Demo:
         if settings.get("imagery") == "procedural":
             settings["imagery"] = []
         content = json.dumps(settings).encode()
-        stored: Demo = parse_document(content, Demo, "config.json", "choose another --out")
+        stored: Demo = parse_document(
+            content, Demo, str(self.out / "config.json"), "choose another --out"
+        )
         here = replace(
             stored, out=self.out, device=self.device, cycles=self.cycles, blender=self.blender
         )

@@ -69,7 +69,9 @@ class Reproduce:
         from skyproof.plans.snakemake import run_side_by_side, snakemake_words
 
         name, path, preset = read_preset(self.preset)
-        values: dict[str, Any] = read_document(path, dict[str, Any], "restore it")
+        values: dict[str, Any] = read_document(
+            path, dict[str, Any], "give quick, paper, or a file of their form"
+        )
         cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
         if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
             raise ConfigurationError(

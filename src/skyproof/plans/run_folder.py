@@ -31,7 +31,7 @@ from skyproof.results.stored import read_environment, read_timings
 
 __all__ = ["RunFolder"]
 
-_REMEDY = "remove it and give the same command again"
+_REMEDY = "move it away and give the same command again"
 
 
 class RunFolder:

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
@@ -34,9 +35,19 @@ class Backgrounds(Protocol):
 def photographs(
     backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device
 ) -> Float[Tensor, "B 3 H W"]:
-    """The scenes' photographs without vehicles, sRGB."""
-    windows = [backgrounds.window(scene.background, scene.camera.size_px) for scene in scenes]
-    return torch.stack(windows).to(device)
+    """The scenes' photographs without vehicles, sRGB.
+
+    Raises:
+        StoredFileError: the background set lacks a scene's background; names the scene.
+    """
+    return torch.stack([_photograph(backgrounds, scene) for scene in scenes]).to(device)
+
+
+def _photograph(backgrounds: Backgrounds, scene: Scene) -> Float[Tensor, "3 H W"]:
+    try:
+        return backgrounds.window(scene.background, scene.camera.size_px)
+    except StoredFileError as error:
+        raise StoredFileError(f"The scene {scene.id} lacks its background: {error}") from error
 
 
 class TorchRenderer:

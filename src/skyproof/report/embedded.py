@@ -13,13 +13,15 @@ from skyproof.pictures import open_picture, read_pixels
 
 __all__ = ["embedded", "embedded_jpeg"]
 
+_REMEDY = "copy the whole folder again, or score again"
+
 
 def embedded_jpeg(path: Path) -> str:
     """Gives a JPEG file as a data URI."""
-    picture = open_picture(path, "score again")
+    picture = open_picture(path, _REMEDY)
     with picture:
         if picture.format != "JPEG":
-            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; score again.")
+            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {_REMEDY}.")
     return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
@@ -28,7 +30,7 @@ def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
     if path is None:
         return None
     buffer = io.BytesIO()
-    picture = Image.fromarray(read_pixels(path, "score again"))
+    picture = Image.fromarray(read_pixels(path, _REMEDY))
     if lossless:
         picture.save(buffer, "PNG", optimize=True)
     else:

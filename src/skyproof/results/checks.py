@@ -82,7 +82,7 @@ def read_checks(path: Path) -> list[Check]:
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    rows: list[_Stored] = read_rows(path, _Stored, "score again")
+    rows: list[_Stored] = read_rows(path, _Stored, "copy the whole folder again, or score again")
     return [
         Check(
             detector=row.detector,

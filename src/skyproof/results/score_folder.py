@@ -73,7 +73,7 @@ class _Account(Struct, frozen=True):
     rows: list[Practicality]
 
 
-_REMEDY = "score again"
+_REMEDY = "copy the whole folder again, or score again"
 
 
 def is_pictured(name: CamouflageName) -> bool:

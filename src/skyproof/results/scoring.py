@@ -119,8 +119,8 @@ class _Pairs:
                 map(len, dataset.boxes)
             ):
                 raise StoredFileError(
-                    f"{place} has other images or vehicles than its scenes.jsonl says; write the "
-                    "dataset again."
+                    f"{place} has other images or vehicles than its scenes.jsonl says; copy the "
+                    "whole folder again, or make the dataset again."
                 )
         return cls(before, after, [original, *map(Path, camouflaged.values())])
 

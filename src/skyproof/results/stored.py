@@ -44,7 +44,7 @@ Label = Annotated[str, Meta(min_length=1, max_length=300)]
 Text = Annotated[str, Meta(max_length=10_000)]
 """Some sentences, or a command."""
 
-_REMEDY = "restore the file that skyproof wrote, or remove it"
+_REMEDY = "copy the whole folder again, or move this file away"
 
 
 class RunConfig(Struct, frozen=True):

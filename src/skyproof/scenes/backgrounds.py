@@ -40,7 +40,7 @@ FORMAT_VERSION: Literal[1] = 1
 CACHE_BYTES = 256 * 2**20
 
 _INDEX = "index.json"
-_REMEDY = "prepare the backgrounds again"
+_REMEDY = "copy the whole folder again, or cut the backgrounds again"
 _Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
 
 
@@ -89,7 +89,7 @@ class _Index:
         files: set[str] = set()
         for tile in self.tiles:
             if tile.id in ids or tile.file in files:
-                raise StoredFileError(f"two tiles are called {tile.id} or share {tile.file}")
+                raise StoredFileError(f"two tiles are called {tile.id}, or are {tile.file}")
             if not tile.file.endswith(".png"):
                 raise StoredFileError(f"the tile {tile.id} is no .png file")
             ids.add(tile.id)
@@ -147,8 +147,8 @@ class BackgroundSet:
         """
         if tile_id not in self._tiles:
             raise StoredFileError(
-                f"{self.folder} has no tile {tile_id!r}; "
-                "use the background set the scenes were sampled on."
+                f"{self.folder} has no tile {tile_id!r}; give the background set that the scenes "
+                "were sampled on."
             )
         return self._tiles[tile_id]
 
@@ -195,9 +195,9 @@ class BackgroundSet:
         right, bottom = window.centre_x_px + reach, window.centre_y_px + reach
         if min(left, top) < -0.5 or right > pixels.shape[2] + 0.5 or bottom > pixels.shape[1] + 0.5:
             raise StoredFileError(
-                f"A window of {size_px} px reaches out of tile {window.tile} of "
-                f"{tuple(pixels.shape[1:])} px; "
-                "use the background set the scenes were sampled on."
+                f"{self.folder} has a tile {window.tile} of {pixels.shape[2]} x {pixels.shape[1]} "
+                f"px, and a window of {size_px} px reaches out of it; give the background set that "
+                "the scenes were sampled on."
             )
         quarters = round(window.rotation_rad / (math.pi / 2))
         corner_x, corner_y = window.centre_x_px - half, window.centre_y_px - half
@@ -267,8 +267,7 @@ class BackgroundSet:
         if not fitting:
             raise ConfigurationError(
                 f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that "
-                "size needs; "
-                "choose a smaller image or prepare larger tiles."
+                "size needs; choose a smaller image or cut larger tiles."
             )
         roomy = [tile for tile in fitting if min(tile.width_px, tile.height_px) >= room]
         tiles = roomy or fitting

@@ -153,7 +153,7 @@ def read_scenes(path: Path) -> list[Scene]:
         StoredFileError: the file is missing, not JSON lines, of another form or out of range; two
             scenes share an id; or they differ in image size or resolution.
     """
-    remedy = "sample the scenes again"
+    remedy = "copy the file again, or sample the scenes again"
     scenes: list[Scene] = read_lines(path, Scene, remedy)
     if not scenes:
         raise StoredFileError(f"{path} holds no scene; {remedy}.")

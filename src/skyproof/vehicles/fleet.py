@@ -29,7 +29,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 __all__ = ["Fleet", "FleetSettings", "mix_fleets", "sample_fleet"]
 
 _FORMAT_VERSION = 1
-_REMEDY = "make the fleet again"
+_REMEDY = "copy the whole folder again, or make the fleet again"
 # No vertex of a road vehicle lies farther from its middle.
 _LARGEST_M = 100.0
 
@@ -192,8 +192,8 @@ class Fleet:
             return self.ids.index(vehicle_id)
         except ValueError:
             raise ConfigurationError(
-                f"No vehicle {vehicle_id!r} in this fleet of {len(self)} ({self.ids[0]} ... "
-                f"{self.ids[-1]})."
+                f"No vehicle {vehicle_id!r} in a fleet of {len(self)} ({self.ids[0]} ... "
+                f"{self.ids[-1]}); give the fleet that the scenes were sampled with."
             ) from None
 
 

@@ -41,6 +41,8 @@ __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
 
 RECORD = "clearing.json"
 
+_REMEDY = "copy the whole folder again, or clear the imagery again"
+
 
 @dataclass
 class Cleared:
@@ -187,12 +189,10 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         )
     if (folder / RECORD).is_file():
         path = folder / RECORD
-        record: dict[str, Any] = read_document(path, dict[str, Any], "clear the imagery again")
+        record: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
         before = record.get("rejected", [])
         if not isinstance(before, list) or not all(isinstance(name, str) for name in before):
-            raise StoredFileError(
-                f"{path}, rejected: expected a list of tiles; clear the imagery again."
-            )
+            raise StoredFileError(f"{path}, rejected: expected a list of tiles; {_REMEDY}.")
         write_json(path, {**record, "rejected": sorted({*before, *ids})})
     copy_ground_index(folder, folder, {tile.id for tile in kept})
     write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor)

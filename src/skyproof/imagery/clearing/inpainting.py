@@ -50,7 +50,8 @@ def apply_inpainting(
     except RuntimeError as error:
         reason = " ".join(str(error).split())[-300:]
         raise ImageryError(
-            f"The inpainting {name} failed on a tile of {tuple(image.shape)} ({reason})."
+            f"The inpainting {name} failed on a tile of {tuple(image.shape)} ({reason}); "
+            "give another one with --inpainting, or leave it out."
         ) from error
     if (
         not isinstance(filled, Tensor)

@@ -300,7 +300,7 @@ def _write_texts(
         text = "".join(f"{line}\n" for line in lines(image))
         (partial / folder / f"{image.file.stem}.txt").write_text(text, encoding="utf-8")
         if not image.file.is_file():
-            raise StoredFileError(f"{image.file} is missing; write the dataset again.")
+            raise StoredFileError(f"{image.file} is missing; {REMEDY}.")
         shutil.copyfile(image.file, partial / "images" / image.file.name)
         progress(number, len(data.images))
 

@@ -60,8 +60,8 @@ def read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
             warnings.simplefilter("ignore")
             frame = geopandas.read_file(place, layer=0, on_invalid="ignore")
     except Exception as error:  # GDAL, pyogrio, shapely and pyproj each raise their own types
-        reason = " ".join(str(error).split())
-        raise ImageryError(f"{path} cannot be read ({reason}); replace the file.") from error
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(f"{path} cannot be read ({reason}); give another file.") from error
     if len(layers) > 1:
         raise ImageryError(f"{path} holds {len(layers)} layers; give a file of one (ogr2ogr).")
     if frame.empty or "geometry" not in frame:

@@ -97,7 +97,7 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
     if unknown is not None:
         known = ", ".join(labels.classes) or "none at all"
         raise ImageryError(
-            f"{where} has no class {unknown!r}; it names {known}. Choose among these."
+            f"{where} has no class {unknown!r}; choose from those that it names: {known[:500]}."
         )
 
 

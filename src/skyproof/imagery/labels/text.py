@@ -44,8 +44,13 @@ def read_text(path: Path) -> str:
         if path.stat().st_size > _LARGEST_BYTES:
             raise ImageryError(f"{path} is longer than 256 MiB; split the labels.")
         return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise ImageryError(f"{path} is missing; give label text (.txt) in UTF-8.") from error
     except (OSError, ValueError) as error:
-        raise ImageryError(f"{path} is missing or not text ({error}); replace it.") from error
+        reason = getattr(error, "strerror", None) or "it is not UTF-8"
+        raise ImageryError(
+            f"{path} is not text that can be read ({reason}); give label text in UTF-8."
+        ) from error
 
 
 def text_lines(path: Path) -> list[tuple[int, list[str]]]:
@@ -99,7 +104,9 @@ def image_size_px(path: Path) -> tuple[int, int]:
             with open_raster(path) as dataset:
                 return int(dataset.width), int(dataset.height)
     except (RasterioError, OSError, ValueError) as error:
-        raise ImageryError(f"{path} cannot be read as an image; replace or remove it.") from error
+        raise ImageryError(
+            f"{path} cannot be read as an image; replace it, or leave it out."
+        ) from error
 
 
 def stem_once(stem: str, known: Collection[str], where: Path) -> None:

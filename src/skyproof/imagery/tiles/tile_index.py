@@ -25,7 +25,7 @@ __all__ = ["GROUND_INDEX", "cells_like", "copy_ground_index", "read_places", "wr
 
 GROUND_INDEX = "index.geojson"
 
-_REMEDY = "tile the imagery again"
+_REMEDY = "copy the whole folder again, or cut the imagery again"
 # Others of PROJ's and GDAL's names of systems are files and addresses.
 _System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
 

@@ -13,7 +13,10 @@ import pyarrow.parquet as pq
 
 from skyproof.errors import StoredFileError
 
-__all__ = ["read_table"]
+__all__ = ["REMEDY", "read_table"]
+
+REMEDY = "copy the whole folder again, or score again"
+"""What is advised where a table of scores is not as it was written."""
 
 _MOST_ROWS = 10_000_000
 _LARGEST_BYTES = 2**32
@@ -35,7 +38,7 @@ def read_table(
             `schema`, or values that are missing or out of their limits.
     """
     if not path.exists():
-        raise StoredFileError(f"{path} is missing; score again, or give another run folder.")
+        raise StoredFileError(f"{path} is missing; {REMEDY}, or give another run folder.")
     try:
         table = _read(path, schema)
         for name in schema.names:
@@ -49,7 +52,7 @@ def read_table(
     except Exception as error:
         # The readers of Parquet meet damage with many exceptions.
         said = f"is not a readable Parquet file ({' '.join(str(error).split())[:200]})"
-    raise StoredFileError(f"{path} {said.rstrip('.')}; score again.")
+    raise StoredFileError(f"{path} {said.rstrip('.')}; {REMEDY}.")
 
 
 class _Unfit(Exception):
@@ -61,8 +64,8 @@ def _read(path: Path, schema: pa.Schema) -> pa.Table:
     metadata = pq.read_metadata(path)
     stored = metadata.schema.to_arrow_schema()
     if not stored.equals(schema):
-        difference = sorted(set(schema.names) ^ set(stored.names)) or "types"
-        raise _Unfit(f"has other columns than this version writes ({difference})")
+        differing = ", ".join(sorted(set(schema.names) ^ set(stored.names))) or "their types"
+        raise _Unfit(f"has other columns than this version writes ({differing[:200]})")
     size = sum(
         metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)
     )

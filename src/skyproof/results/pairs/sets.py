@@ -50,4 +50,4 @@ def read_sets(path: Path) -> list[SetScore]:
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    return read_rows(path, SetScore, "score again")
+    return read_rows(path, SetScore, "copy the whole folder again, or score again")

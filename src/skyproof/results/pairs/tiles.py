@@ -20,7 +20,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Name
 from skyproof.results.pairs.outcomes import Match, Outcome
-from skyproof.results.pairs.parquet import read_table
+from skyproof.results.pairs.parquet import REMEDY, read_table
 
 __all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
 
@@ -142,7 +142,7 @@ def read_tiles(path: Path) -> TileCounts:
     place = np.array([index_of[name] for name in names[4]], dtype=np.int64)[codes[4]]
     repeated = len(np.unique(which * len(tiles) + place)) < len(which)
     if repeated or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
-        raise StoredFileError(f"{path} holds counts that contradict each other; score again.")
+        raise StoredFileError(f"{path} holds counts that contradict each other; {REMEDY}.")
     dense = np.zeros((len(keys), len(tiles), 4), dtype=np.int64)
     dense[which, place] = counts
     order = np.argsort(first)
