@@ -135,5 +135,5 @@ def test_a_damaged_checkpoint_is_one_sentence(tmp_path, damage):
 def test_an_identity_is_compared_as_json_has_it(tmp_path):
     refuse_other(tmp_path, {"sizes": [1, 2]}, {"sizes": (1, 2)}, "another run")
     for stored in (None, [], {"sizes": [1, 3]}):
-        with pytest.raises(RunFolderError, match="holds another run; choose another folder"):
+        with pytest.raises(RunFolderError, match="holds another run; choose another --out"):
             refuse_other(tmp_path, stored, {"sizes": (1, 2)}, "another run")

@@ -206,7 +206,7 @@ def refuse_existing(path: Path) -> None:
     # A link that leads nowhere is the user's, too.
     if os.path.lexists(path):
         raise RunFolderError(
-            f"{path} exists already and is not overwritten; choose another --out or remove it "
+            f"{path} exists already and is not overwritten; choose another --out, or move it away "
             "first."
         )
 

@@ -100,10 +100,7 @@ class Loop:
                 part.load_state_dict(_joined(name, tensors, record.plain))
         except Exception as error:
             # Whatever a library makes of values that are not its own.
-            reason = " ".join(str(error).split())[:200]
-            raise StoredFileError(
-                f"{path} does not fit this run ({reason}); {self.remedy}."
-            ) from error
+            raise StoredFileError(f"{path} does not fit this run; {self.remedy}.") from error
         self.facts = record.facts
         self.step = record.step
         self.rows = [row for row in self._stored_rows() if row["step"] <= self.step]
@@ -213,7 +210,9 @@ def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: st
         RunFolderError: the two identities differ.
     """
     if stored != json.loads(json.dumps(wanted)):
-        raise RunFolderError(f"{folder} holds {other}; choose another folder or remove it first.")
+        raise RunFolderError(
+            f"{folder} holds {other}; choose another --out, or move it away first."
+        )
 
 
 def _split(path: str, value: Any, tensors: dict[str, Tensor], plain: dict[str, Any]) -> None:

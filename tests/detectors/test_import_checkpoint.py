@@ -128,7 +128,7 @@ def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) 
         ({"vehicle_classes": ("car",)}, "keeps no names"),
         ({"vehicle_classes": ()}, "got none"),
         ({"gsd_m": 0.0}, "--gsd"),
-        ({"gsd_m": 1000.0}, "--gsd expects a number above 0 up to 100"),
+        ({"gsd_m": 1000.0}, "--gsd expects a number from 0.001 up to 100"),
         ({"gsd_m": float("inf")}, "--gsd expects a number"),
         ({"gsd_m": 100.0}, "out of reason"),
         ({"kind": "detectron2"}, "detectron2"),

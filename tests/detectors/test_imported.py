@@ -399,6 +399,27 @@ def test_every_architecture_builds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @needs_yolo
 @pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ([-1, 1, "Conv", [16, 99, 2]], "kernel_size 99, expected 1 to 31"),
+        ([-1, 1, "Conv", [16, 3, 0]], "stride 0, expected 1 to 8"),
+        ([-1, 1, "Conv", [16, 3, 2, 4000]], "padding 4000, expected 0 to 31"),
+        ([-1, 1, "Conv", [16, 3, 2, 1, 1, 99]], "dilation 99, expected 1 to 8"),
+        ([-1, 1, "nn.ZeroPad2d", [[0, 4000, 0, 0]]], "padding 4000, expected 0 to 31"),
+        ([-1, 1, "nn.MaxPool2d", [99, 2, 0]], "kernel_size 99, expected 1 to 31"),
+    ],
+    ids=str,
+)
+def test_a_layer_with_a_wide_window_is_refused(row: list[Any], message: str) -> None:
+    plan = yolo_plan("yolov8n.yaml", [0])
+    layers = json.loads(json.dumps(plan.architecture))
+    layers["backbone"][0] = row
+    with pytest.raises(ConfigurationError, match=message):
+        ImportedDetector("mine", replace(plan, architecture=layers))
+
+
+@needs_yolo
+@pytest.mark.parametrize(
     "row",
     [
         [-1, 100, "Conv", [8192, 3, 1]],

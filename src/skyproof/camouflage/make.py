@@ -41,7 +41,9 @@ def make_camouflage(
     name = CamouflageName.parse(name) if isinstance(name, str) else name
     settings = settings or CamouflageSettings()
     if name.kind == "other":
-        raise ConfigurationError(f"{name} names no camouflage that skyproof can make.")
+        raise ConfigurationError(
+            f"{name} names no camouflage that can be made; see skyproof attack --help."
+        )
     made: Camouflage
     if name.order == "seq":
         made = Combination(name, _finished(texture, name), DisplacementMap(name))

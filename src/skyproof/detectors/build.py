@@ -38,7 +38,9 @@ def _build(name: str, size: str) -> TrainableDetector:
 
         return YoloV5Detector(size)
     if name not in DETECTOR_NAMES:
-        raise ConfigurationError(f"A detector is one of {', '.join(DETECTOR_NAMES)}, not {name!r}.")
+        raise ConfigurationError(
+            f"{name[:100]!r} is no detector; choose from {', '.join(DETECTOR_NAMES)}."
+        )
     from skyproof.detectors.torchvision_detectors import FasterRcnnDetector, RetinaNetDetector
 
     return RetinaNetDetector(size) if name == "retinanet" else FasterRcnnDetector(size)

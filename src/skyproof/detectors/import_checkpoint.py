@@ -122,7 +122,10 @@ def import_detector(
             "checkpoint from before its training broke."
         )
     blueprint = read(checkpoint, network, state, scale)
-    detector = ImportedDetector(name, blueprint)
+    try:
+        detector = ImportedDetector(name, blueprint)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
     _load(detector, state, checkpoint)
     detector.eval().requires_grad_(False).to(device)
     scores = validate(detector, validation)

@@ -41,6 +41,8 @@ CLASS_GAIN = 0.5
 # Of a network that is built from a stranger's architecture: 4 GB of weights, and as many numbers in
 # all its answers to one image of 256 px.
 MOST_NUMBERS = 10**9
+# Of any layer's window. Memory is bounded by MOST_NUMBERS; a wide window computes without end.
+_WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilation": (1, 8)}
 
 
 class YoloV5Detector(TrainableDetector):
@@ -170,8 +172,7 @@ class YoloNetwork(TrainableDetector):
                 # Whatever a row of numbers can bring about in another library.
                 raise ConfigurationError(
                     "the installed Ultralytics cannot build the network "
-                    f"({str(error)[:200]}); install the version "
-                    "that trained it."
+                    f"({' '.join(str(error).split())[:200]}); install the version that trained it."
                 ) from error
 
     def loss(
@@ -232,6 +233,7 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
     try:
         with torch.device("meta"), torch.no_grad():
             layers, kept = parse_model(plan, ch=3, verbose=False)
+            _refuse_wide_windows(layers)
             count = sum(parameter.numel() for parameter in layers.parameters())
             answer: Any = torch.zeros(1, 3, 256, 256)
             # The head's own answers are as small as what it is given.
@@ -246,6 +248,8 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
                 answers.append(answer if layer.i in kept else None)
                 if count > MOST_NUMBERS:
                     break
+    except ConfigurationError:
+        raise
     except Exception as error:
         # Whatever a row of numbers can bring about in another library.
         raise ConfigurationError(
@@ -256,6 +260,24 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
         raise ConfigurationError(
             f"the network would hold more than {MOST_NUMBERS:,} numbers; no detector needs so many."
         )
+
+
+def _refuse_wide_windows(layers: torch.nn.Module) -> None:
+    """Refuses layers that look at far more of an image at once than those of a detector do.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    for layer in layers.modules():
+        for name, (least, most) in _WINDOWS.items():
+            value = getattr(layer, name, None)
+            sides = value if isinstance(value, tuple | list) else [value]
+            wide = [s for s in sides if isinstance(s, int) and not least <= s <= most]
+            if wide:
+                raise ConfigurationError(
+                    f"the network has a layer with {name} {wide[0]}, expected {least} to {most}; "
+                    "give the architecture of a detector."
+                )
 
 
 def _upright(half: Tensor, angles: Tensor) -> Tensor:

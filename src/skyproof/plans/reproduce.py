@@ -150,7 +150,9 @@ class Reproduce:
             done = subprocess.run(words, capture_output=True, text=True)
         if done.returncode:
             said = " ".join(done.stderr.split())[-400:]
-            raise ConfigurationError(f"Snakemake refuses this plan: {said}")
+            raise ConfigurationError(
+                f"Snakemake refuses this plan ({said.rstrip('.')}); mend what it names."
+            )
         say(f"Steps: {_listed(plan)}.")
         say("By hand, or with options for a cluster's executor:")
         say("  " + shlex.join(snakemake_words(self.out, path, more)) + " --cores 2")

@@ -174,7 +174,7 @@ def _failure(folder: Path, text: str) -> str:
     if path.exists():
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     said = [line.removeprefix("skyproof: ").strip() for line in lines if line.strip()]
-    last = said[-1] if said else "it printed nothing"
+    last = said[-1].rstrip(".") if said else "it printed nothing"
     return f"A step failed ({last}); see {path}, then give the same command again to go on."
 
 

@@ -59,7 +59,8 @@ class _Document:
         )
         if array is None or accessor is None:
             raise ConfigurationError(
-                f"{self.path} names the source {reference}, which it does not hold."
+                f"{self.path} names the source {str(reference)[:200]}, which it does not hold; "
+                "export it again."
             )
         return np.array((array.text or "").split(), float).reshape(
             -1, int(accessor.get("stride", "1"))
