@@ -68,7 +68,7 @@ def measure_texture(
     """
     if block_px is not None and (block_px < 1 or TEXTURE_SIZE % block_px):
         raise ConfigurationError(
-            f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}."
+            f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}; give a divisor."
         )
     painted = (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
     colour, colours = _numbered_colours(texture)

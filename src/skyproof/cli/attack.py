@@ -77,8 +77,8 @@ class Attack:
         still = [name for name in names if name.magnitude == 0 and not name.random]
         if still:
             raise ConfigurationError(
-                f"{still[0]} has magnitude 0, which leaves every shape as it is: there is nothing "
-                "to learn."
+                f"{still[0]} has magnitude 0, with which there is nothing to learn; give a "
+                "magnitude above 0."
             )
         learnt = [name for name in names if not name.random]
         drawn = [name for name in names if name.random]

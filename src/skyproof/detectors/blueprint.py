@@ -141,21 +141,24 @@ def check_layers(architecture: Any) -> None:
     except (msgspec.ValidationError, RecursionError) as error:
         raise ConfigurationError(
             "expected an Ultralytics architecture with rows of backbone and head "
-            f"({' '.join(str(error).split())[:200]})."
+            f"({' '.join(str(error).split())[:200]}); give the network of a detector."
         ) from error
     *names, head = [name for _, _, name, _ in (*read.backbone, *read.head)]
     unknown = next((name for name in names if name not in _LAYERS), None)
     if unknown is not None:
         raise ConfigurationError(
-            f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers."
+            f"the network has a layer {unknown!r}, which is not one of Ultralytics' plain layers; "
+            "give a detector of such."
         )
     if head not in HEADS:
         raise ConfigurationError(
-            f"the network ends in {head!r}, not in one of {', '.join(HEADS)}: no vehicle boxes."
+            f"the network ends in {head!r}, not in one of {', '.join(HEADS)}; give one that "
+            "finds boxes."
         )
     if read.activation is not None and not _ACTIVATION.fullmatch(read.activation):
         raise ConfigurationError(
-            f"the network's activation {read.activation!r} is not that of a plain layer."
+            f"the network's activation {read.activation!r} is not that of a plain layer; give "
+            "a detector of such."
         )
     if read.channels != 3:
         raise ConfigurationError(
@@ -171,7 +174,10 @@ def plain_architecture(stored: Any) -> dict[str, Any]:
         ConfigurationError: as `check_layers`.
     """
     if not isinstance(stored, Mapping):
-        raise ConfigurationError("expected an Ultralytics architecture, got none.")
+        raise ConfigurationError(
+            "expected an Ultralytics architecture, got none; give a checkpoint as Ultralytics "
+            "saves it."
+        )
     check_layers(stored)
     known = _Architecture.__struct_fields__
     return {

@@ -64,7 +64,8 @@ class ImportedDetector(TrainableDetector):
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):
             raise ConfigurationError(
-                f"{self.name} was imported and is not trained here: its loss knows no vehicles."
+                f"{self.name} was imported, so that its loss knows no vehicles; train it "
+                "where it came from."
             )
         return self.network.loss(self._scaled(images), targets)
 

@@ -276,7 +276,8 @@ def check_validation(validation: Dataset) -> None:
     """
     if not any(len(boxes) for boxes in validation.boxes):
         raise ConfigurationError(
-            "Validation expects at least one vehicle: without one no threshold can be chosen."
+            "Validation expects at least one vehicle, to choose a threshold by; give images "
+            "with some."
         )
 
 
