@@ -155,7 +155,7 @@ def _take_steps(
         # Asked once for both: a graphics processor has to be waited for.
         if not torch.isfinite(loss.detach() + norm):
             raise NotFiniteError(
-                f"The training loss is {float(loss):g} and its gradient {float(norm):g} at step "
+                f"The training loss is {loss.item():g} and its gradient {float(norm):g} at step "
                 f"{step}; train again in another folder, with a lower --settings.learning-rate "
                 f"than {settings.learning_rate:g}."
             )
