@@ -47,6 +47,10 @@ def write_beside(path: Path) -> Iterator[Path]:
         RunFolderError: the disk is full or not writable; names `path` and the remedy.
     """
     path = Path(path)
+    if is_leftover(path):
+        # It is the temporary path of somebody who will give it its name.
+        yield path
+        return
     # The suffix is kept last, because libraries choose a format by it.
     temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:

@@ -66,5 +66,5 @@ def test_fleets_share_no_vehicle_and_come_from_seeds_of_their_own(tmp_path, skyp
     assert torch.equal(again.textures, fleets["test"].textures)
     plain = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(4))
     assert not torch.equal(plain.vertices, fleets["train"].vertices)
-    with pytest.raises(ConfigurationError, match="at least 1"):
-        Vehicles(tmp_path / "none", counts=(1, 1, 0, 1))
+    none = ("vehicles", "--out", tmp_path / "none", "--counts", 1, 1, 0, 1)
+    skyproof(*none).refused("--counts", "from 1")

@@ -168,9 +168,7 @@ def test_a_failing_step_is_named_with_its_last_words(tmp_path: Path, skyproof: S
     (out / "backgrounds" / "index.json").write_text("{")
     (out / "config.json").write_text(json.dumps({"preset": "broken", **tiny}))
     answer = skyproof("reproduce", "--preset", broken, "--out", out, "--cores", 2)
-    answer.refused(
-        "A step failed (", "index.json cannot be read", str(out / "logs"), "same command"
-    )
+    answer.refused("A step failed (", "index.json is not JSON", str(out / "logs"), "same command")
 
 
 def test_a_wrong_world_is_refused_before_anything_is_written(
