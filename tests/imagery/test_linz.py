@@ -108,7 +108,7 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
 
 def test_the_command_refuses_in_one_sentence(tmp_path, export, capsys):
     for words, message in (
-        (["--tiling.size-px", "0"], "at least 1 px"),
+        (["--tiling.size-px", "0"], "--tiling.size-px expects a whole number from 1"),
         (["--labels.path", str(tmp_path / "none.geojson")], "none.geojson is missing"),
         (["--source.crs", "moon"], "--source.crs expects"),
     ):
