@@ -108,7 +108,7 @@ def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     stored = bytes_of(out)
     assert set(stored) == {"detector.json", "steps.jsonl", "weights.safetensors"}
     assert skyproof(*call, "--out", out).code == 0
-    skyproof(*call, "--out", out, "--seed", 1).refused(str(out), "another folder")
+    skyproof(*call, "--out", out, "--seed", 1).refused(str(out), "choose another --out")
     assert bytes_of(out) == stored
     mine = tmp_path / "mine"
     mine.mkdir()

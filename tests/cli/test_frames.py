@@ -103,5 +103,7 @@ def test_folders_that_are_none(folder):
         read_frames([f"{folder}t@0.1"], CLASSES, 0.125)
     with pytest.raises(ImageryError, match="nothing is missing; give labels as"):
         read_frames([f"{folder}:{folder}/nothing@0.1"], CLASSES, 0.125)
-    with pytest.raises(ImageryError, match="has no class 'lorry'; it names car"):
+    with pytest.raises(
+        ImageryError, match="has no class 'lorry'; choose from those that it names: car"
+    ):
         read_frames([f"{folder}@0.1"], ["lorry"], 0.125)

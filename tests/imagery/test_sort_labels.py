@@ -128,5 +128,7 @@ def test_a_pixel_of_rounding_and_corners_beyond_the_edge_are_allowed():
 def test_an_unknown_class_is_answered_with_those_there_are():
     labels = ImageLabels(("car", "bus"), {}, {})
     require_classes(labels, ["bus"], "labels")
-    with pytest.raises(ImageryError, match="labels has no class 'lorry'; it names car, bus"):
+    with pytest.raises(
+        ImageryError, match="labels has no class 'lorry'; choose from those that it names: car, bus"
+    ):
         require_classes(labels, ["car", "lorry"], "labels")

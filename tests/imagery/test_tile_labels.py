@@ -161,7 +161,11 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
 @pytest.mark.parametrize(
     ("labels", "settings", "message"),
     [
-        (pixels(box(0, 0, 5, 5)), {"classes": ("lorry",)}, "no class 'lorry'; it names car, truck"),
+        (
+            pixels(box(0, 0, 5, 5)),
+            {"classes": ("lorry",)},
+            "no class 'lorry'; choose from those that it names: car, truck",
+        ),
         (pixels(box(0, 0, 5, 5)), {"classes": ()}, r"--labels\.classes"),
         (pixels(box(900, 900, 910, 910)), {}, "None of the 1 labels"),
         (pixels(box(0, 0, 5, 5), stem="z"), {}, "none of these is among the imagery"),
