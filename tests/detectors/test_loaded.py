@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from detector_images import NAMES
 from safetensors.torch import load_file, save_file
 
 from skyproof.detectors.build import build_detector
@@ -61,6 +63,21 @@ def test_round_trip(folder: Path) -> None:
         "detector.json",
         "weights.safetensors",
     ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_wide_network_comes_back_from_its_folder_and_fits_no_other_size(
+    name: str, tmp_path: Path
+) -> None:
+    original = build_detector(name, "wide", generator=torch.Generator().manual_seed(1))
+    card = replace(CARD, name=name, size="wide")
+    save_detector(tmp_path, original, card)
+    loaded = load_detector(tmp_path)
+    assert loaded.card == card
+    assert weights_digest(loaded.detector) == weights_digest(original)
+    save_detector(tmp_path, original, replace(card, size="slim"))
+    with pytest.raises(StoredFileError, match=f"does not fit a slim {name}"):
+        load_detector(tmp_path)
 
 
 def test_digest_sees_parameters_and_buffers(stored: Path) -> None:

@@ -160,10 +160,38 @@ def test_same_generator_same_weights_and_global_state_untouched() -> None:
     assert torch.equal(state, torch.get_rng_state())
 
 
+@pytest.mark.parametrize(
+    ("name", "first_numbers"), [("retinanet", 0.733099), ("faster_rcnn", 0.659226)]
+)
+def test_a_seed_gives_slim_networks_the_initial_weights_it_always_gave(
+    name: str, first_numbers: float
+) -> None:
+    # One number of each kernel: they say both the shapes and the order in which all were drawn,
+    # and not how a processor rounds.
+    detector = build_detector(name, "slim", generator=torch.Generator().manual_seed(5))
+    kernels = [kernel.flatten()[0] for kernel in detector.parameters() if kernel.ndim > 1]
+    assert float(torch.stack(kernels).detach().abs().sum()) == pytest.approx(
+        first_numbers, rel=1e-4
+    )
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_full_size_gives_finite_losses_and_detections(name: str) -> None:
+def test_wide_networks_have_two_to_four_times_the_parameters_of_slim_ones(name: str) -> None:
+    slim, wide = (
+        sum(
+            parameter.numel()
+            for parameter in build_detector(name, size, generator=torch.Generator()).parameters()
+        )
+        for size in ("slim", "wide")
+    )
+    assert 2 <= wide / slim <= 4
+
+
+@pytest.mark.parametrize("size", ["wide", "full"])
+@pytest.mark.parametrize("name", NAMES)
+def test_larger_sizes_give_finite_losses_and_gradients(name: str, size: str) -> None:
     detector = (
-        build_detector(name, "full", generator=torch.Generator().manual_seed(0))
+        build_detector(name, size, generator=torch.Generator().manual_seed(0))
         .eval()
         .requires_grad_(False)
     )

@@ -164,7 +164,7 @@ def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_detector_has_a_preset() -> None:
-    names, sizes = ("retinanet", "faster_rcnn", "yolov5"), ("slim", "full")
+    names, sizes = ("retinanet", "faster_rcnn", "yolov5"), ("slim", "wide", "full")
     assert set(TRAINING_PRESETS) == {(name, size) for name in names for size in sizes}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
+from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed
 
@@ -26,7 +26,7 @@ class Train:
         data: dataset folder to train on.
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.
-        size: slim (for a CPU) or full (for a GPU).
+        size: slim (for a CPU), wide (for a CPU, more parameters in more time) or full (for a GPU).
         settings: what is to differ from the usual settings of this detector and size, such as
             `--settings.steps 300`.
         seed: decides weights, order and augmentation.
@@ -53,8 +53,8 @@ class Train:
         if (self.detector, self.size) not in TRAINING_PRESETS:
             known = ", ".join(sorted({name for name, _ in TRAINING_PRESETS}))
             raise ConfigurationError(
-                f"expected a detector out of {known} in size slim or full, got {self.detector} "
-                f"{self.size}."
+                f"expected a detector out of {known} in a size out of {', '.join(SIZES)}, got "
+                f"{self.detector} {self.size}."
             )
         settings = replace(TRAINING_PRESETS[self.detector, self.size], **self.settings)
         device = choose_device(self.device)

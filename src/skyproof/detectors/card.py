@@ -37,7 +37,7 @@ class DetectorCard:
     Attributes:
         name: as tables show it: "retinanet", "faster_rcnn" or "yolov5" of ours; of another
             detector the name it was given.
-        size: "slim" or "full" of ours, "brought" of an imported one, empty of a black box.
+        size: "slim", "wide" or "full" of ours, "brought" of an imported one, empty of a black box.
         threshold: frozen score threshold, chosen for the largest F1 on clean validation images.
         gsd_m: metres per pixel of the images it takes.
         image_size_px: height and width of the first training image, at most those of a training

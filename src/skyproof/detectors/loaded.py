@@ -13,6 +13,7 @@ import torch
 from skyproof.detectors.build import DETECTOR_NAMES, build_detector
 from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.settings import SIZES
 from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.storage import read_tensors, write_tensors
@@ -74,7 +75,7 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     try:
         detector = _of_card(card)
     except ConfigurationError as error:
-        if card.brought is None and card.name in DETECTOR_NAMES and card.size in ("slim", "full"):
+        if card.brought is None and card.name in DETECTOR_NAMES and card.size in SIZES:
             raise
         raise StoredFileError(
             f"{folder / 'detector.json'} names an unknown detector: {error}"

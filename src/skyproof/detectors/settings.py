@@ -3,13 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 from msgspec import Meta
 
+from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
 
-__all__ = ["TRAINING_PRESETS", "TrainingChanges", "TrainingSettings"]
+__all__ = [
+    "SIZES",
+    "TRAINING_PRESETS",
+    "Size",
+    "TrainingChanges",
+    "TrainingSettings",
+    "check_size",
+]
+
+# Of our own networks: two for a CPU, one for a GPU.
+Size = Literal["slim", "wide", "full"]
+SIZES: tuple[Size, ...] = get_args(Size)
+
+
+def check_size(size: str) -> None:
+    """Refuses a size that no network of ours has.
+
+    Raises:
+        ConfigurationError: it is none of `SIZES`.
+    """
+    if size not in SIZES:
+        raise ConfigurationError(
+            f"expected a detector size out of {', '.join(SIZES)}, got {size[:100]!r}."
+        )
 
 
 @dataclass(frozen=True)
@@ -77,6 +101,9 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
     ("retinanet", "slim"): replace(_CPU, steps=800),
     ("faster_rcnn", "slim"): _CPU,
     ("yolov5", "slim"): _CPU,
+    ("retinanet", "wide"): replace(_CPU, steps=800),
+    ("faster_rcnn", "wide"): _CPU,
+    ("yolov5", "wide"): _CPU,
     ("retinanet", "full"): _GPU,
     ("faster_rcnn", "full"): _GPU,
     ("yolov5", "full"): _GPU,

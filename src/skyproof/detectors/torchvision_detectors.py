@@ -33,8 +33,8 @@ from skyproof.detectors.common import (
     suppress,
 )
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
-from skyproof.detectors.slim import FEATURE_CHANNELS, SlimBackbone
-from skyproof.errors import ConfigurationError
+from skyproof.detectors.settings import check_size
+from skyproof.detectors.slim import WIDTHS, SlimBackbone
 
 __all__ = [
     "POSITIVES_PER_VEHICLE",
@@ -58,7 +58,7 @@ POSITIVES_PER_VEHICLE = 8.0
 # not saturate: the sum is about 60 per vehicle for the trained slim detector.
 EMPTY_PROPOSAL_DIVISOR = 64.0
 PRIOR_PROBABILITY = 0.01
-PROPOSALS = {"slim": 100, "full": 300}
+PROPOSALS = {"slim": 100, "wide": 100, "full": 300}
 
 
 class TorchvisionDetector(TrainableDetector):
@@ -96,8 +96,8 @@ class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
-            scratch).
+        size: "slim" or "wide" (two pyramid levels, strides 8 and 16), or "full" (ResNet-50 FPN v2,
+            from scratch).
     """
 
     name = "retinanet"
@@ -159,8 +159,8 @@ class FasterRcnnDetector(TorchvisionDetector):
     regions' cross-entropy is the mean over all proposals.
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
-            scratch).
+        size: "slim" or "wide" (two pyramid levels, strides 8 and 16), or "full" (ResNet-50 FPN v2,
+            from scratch).
     """
 
     name = "faster_rcnn"
@@ -312,15 +312,17 @@ def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
 
 
 def _build_retinanet(size: str) -> RetinaNet:
+    check_size(size)
     if size == "full":
         model = retinanet_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=1)
         thirds = tuple(tuple(side * 2 ** (step / 3) for step in range(3)) for side in FULL_SIDES_PX)
         model.anchor_generator = AnchorGenerator(thirds, (FULL_RATIOS,) * len(thirds))
         return model
-    _check_slim(size)
+    widths = WIDTHS[size]
     anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
+    # Before the backbone: the order decides which initial weights a seed gives.
     head = RetinaNetHead(
-        FEATURE_CHANNELS,
+        widths.pyramid,
         anchors.num_anchors_per_location()[0],
         1,
         norm_layer=partial(nn.GroupNorm, 8),
@@ -328,14 +330,15 @@ def _build_retinanet(size: str) -> RetinaNet:
     for branch in (head.classification_head, head.regression_head):
         # Two of torchvision's four convolutions are enough for one class and halve the time.
         branch.conv = branch.conv[:2]
-    return RetinaNet(SlimBackbone(), num_classes=1, anchor_generator=anchors, head=head)
+    return RetinaNet(SlimBackbone(widths), num_classes=1, anchor_generator=anchors, head=head)
 
 
 def _build_faster_rcnn(size: str) -> FasterRCNN:
+    check_size(size)
     limits = {
         f"rpn_{stage}_nms_top_n_{mode}": count
         for mode in ("train", "test")
-        for stage, count in (("pre", 3 * PROPOSALS.get(size, 0)), ("post", PROPOSALS.get(size, 0)))
+        for stage, count in (("pre", 3 * PROPOSALS[size]), ("post", PROPOSALS[size]))
     }
     if size == "full":
         model = fasterrcnn_resnet50_fpn_v2(
@@ -345,18 +348,18 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
             tuple((side,) for side in FULL_SIDES_PX), (FULL_RATIOS,) * len(FULL_SIDES_PX)
         )
     else:
-        _check_slim(size)
+        widths = WIDTHS[size]
         anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
         model = FasterRCNN(
-            SlimBackbone(),
+            SlimBackbone(widths),
             rpn_anchor_generator=anchors,
-            rpn_head=RPNHead(FEATURE_CHANNELS, anchors.num_anchors_per_location()[0]),
+            rpn_head=RPNHead(widths.pyramid, anchors.num_anchors_per_location()[0]),
             rpn_fg_iou_thresh=0.6,
             # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is
             # enough.
             box_roi_pool=ops.MultiScaleRoIAlign(["0", "1"], output_size=5, sampling_ratio=1),
-            box_head=TwoMLPHead(FEATURE_CHANNELS * 5 * 5, 192),
-            box_predictor=FastRCNNPredictor(192, 2),
+            box_head=TwoMLPHead(widths.pyramid * 5 * 5, widths.region),
+            box_predictor=FastRCNNPredictor(widths.region, 2),
             **limits,
         )
         for layer in model.rpn.head.conv.modules():
@@ -367,8 +370,3 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
         model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY)
     )
     return model
-
-
-def _check_slim(size: str) -> None:
-    if size != "slim":
-        raise ConfigurationError(f'A detector size is "slim" or "full", not "{size}".')

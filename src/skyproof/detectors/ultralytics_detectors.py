@@ -29,11 +29,13 @@ from torch.nn import functional
 from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
 __all__ = ["YoloNetwork", "YoloV5Detector"]
 
-MODEL_FILES = {"slim": "yolov5n.yaml", "full": "yolov5s.yaml"}
+# Of the layers in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
+WIDTH_FACTORS = {"slim": 0.25, "wide": 0.375, "full": 0.5}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
@@ -51,7 +53,8 @@ class YoloV5Detector(TrainableDetector):
     It is built from its YAML file, without weights, and never fused.
 
     Args:
-        size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
+        size: "slim" (YOLOv5n, 2.5 M parameters), "wide" (each layer one and a half times as wide,
+            5.3 M) or "full" (YOLOv5s, 9.1 M).
 
     Raises:
         ConfigurationError: ultralytics is not installed, or another size.
@@ -62,14 +65,16 @@ class YoloV5Detector(TrainableDetector):
 
     def __init__(self, size: str) -> None:
         super().__init__()
-        if size not in MODEL_FILES:
-            raise ConfigurationError(f'A detector size is "slim" or "full", not "{size}".')
+        check_size(size)
         self.size = size
         with _quiet_import():
-            from ultralytics.nn.tasks import DetectionModel
+            from ultralytics.nn.tasks import DetectionModel, yaml_model_load
             from ultralytics.utils import DEFAULT_CFG
 
-            self.model = DetectionModel(MODEL_FILES[size], nc=1, verbose=False)
+            architecture = yaml_model_load("yolov5n.yaml")
+            depth, _, most_channels = architecture["scales"]["n"]
+            architecture["scales"]["n"] = [depth, WIDTH_FACTORS[size], most_channels]
+            self.model = DetectionModel(architecture, nc=1, verbose=False)
         self.model.args = DEFAULT_CFG
         self._criterion: Any = None
 

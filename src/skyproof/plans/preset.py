@@ -15,7 +15,7 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import tiling_for_images
-from skyproof.detectors.settings import TrainingChanges
+from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import parse_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.plans.world import GSD_M, WorldSizes
@@ -69,7 +69,7 @@ class Preset:
     Attributes:
         seed: of everything; repeat k of an attack takes seed + k.
         detectors: attacked together, judged one by one (section 3.2).
-        size: of the detectors, slim or full.
+        size: of the detectors, slim, wide or full.
         world: how much ground, how many vehicles and scenes.
         training: per detector, what differs from its usual `TrainingSettings`.
         attack: how everything is learnt; steps, seed and kept copies are said elsewhere here.
@@ -94,7 +94,7 @@ class Preset:
 
     seed: Seed
     detectors: Annotated[tuple[Known, ...], Meta(min_length=1, max_length=3)]
-    size: Literal["slim", "full"]
+    size: Size
     world: WorldSizes
     training: Mapping[Known, TrainingChanges]
     attack: AttackSettings

@@ -99,11 +99,16 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
                 "case for them. Detectors that the pattern was not optimised against may lose "
                 "fewer vehicles; that is not measured here."
             )
-    slim = [
-        words.detector_name(name) for name, card in results.detectors.items() if card.size == "slim"
-    ]
-    if slim:
-        sentences.append(f"{', '.join(slim)}: reduced (slim) versions, not the published networks.")
+    for size in ("slim", "wide"):
+        names = [
+            words.detector_name(name)
+            for name, card in results.detectors.items()
+            if card.size == size
+        ]
+        if names:
+            sentences.append(
+                f"{', '.join(names)}: reduced ({size}) versions, not the published networks."
+            )
     if every:
         sentences.append(
             "McNemar's test treats vehicles as independent; where a tile holds many, trust the "
