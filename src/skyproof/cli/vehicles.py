@@ -14,7 +14,12 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.ranges import Seed
 from skyproof.scenes.splits import SPLITS
-from skyproof.vehicles.settings import VehicleCount, WrapSettings
+from skyproof.vehicles.settings import (
+    CATALOGUE_PAINTS,
+    PaintVariety,
+    VehicleCount,
+    WrapSettings,
+)
 
 if TYPE_CHECKING:
     from skyproof.vehicles.fleet import Fleet
@@ -46,6 +51,8 @@ class Vehicles:
         counts: how many vehicles are drawn per split (train, validation, attack, test), where no
             sources are given.
         seed: seed of the vehicles drawn.
+        paints: which shares of the fleets train and validation are painted otherwise than real
+            vehicles are; attack and test wear catalogue paints.
         wrapping: how meshes are read and named.
     """
 
@@ -53,6 +60,7 @@ class Vehicles:
     sources: Positional[tuple[Path, ...]] = ()
     counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (64, 16, 32, 32)
     seed: Seed = 0
+    paints: PaintVariety = field(default_factory=PaintVariety)
     wrapping: WrapSettings = field(default_factory=WrapSettings)
 
     def run(self) -> None:
@@ -64,6 +72,7 @@ class Vehicles:
             self._draw()
 
     def _draw(self) -> None:
+        from skyproof.camouflage.patterned import lay_patterns
         from skyproof.randomness import generator_of
         from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
@@ -71,13 +80,16 @@ class Vehicles:
             # Numbers go on from split to split: no vehicle is in two of them.
             first_number = 0
             for split, count in zip(SPLITS, self.counts, strict=True):
+                # Detectors learn from the first two; the others stand for real vehicles.
+                paints = self.paints if split in ("train", "validation") else CATALOGUE_PAINTS
                 with progress_bar(f"vehicles {split}") as update:
                     fleet = sample_fleet(
-                        FleetSettings(count=count, first_number=first_number),
+                        FleetSettings(count=count, first_number=first_number, paints=paints),
                         generator=generator_of(self.seed, "fleet", split),
                         progress=update,
                     )
-                fleet.save(folder / split)
+                patterns = generator_of(self.seed, "patterns", split)
+                lay_patterns(fleet, generator=patterns).save(folder / split)
                 first_number += count
         say(f"Fleets of {', '.join(map(str, self.counts))} vehicles: {self.out.resolve()}")
 

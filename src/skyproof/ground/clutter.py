@@ -10,7 +10,6 @@ import numpy as np
 from skyproof.ground.canvas import (
     Array,
     Canvas,
-    Colour,
     Patch,
     Place,
     beside,
@@ -18,24 +17,24 @@ from skyproof.ground.canvas import (
     reflectance,
     textured,
 )
+from skyproof.vehicles.paints import PAINT_SHARES, PAINT_TONES
 
 __all__ = ["CLUTTER", "add_air_conditioner", "add_clutter", "add_lamp_post", "add_manhole"]
 
-CONTAINER_COLOURS: tuple[Colour, ...] = (
-    (140, 50, 40),
-    (40, 76, 120),
-    (50, 96, 70),
-    (190, 190, 186),
-    (196, 130, 40),
-)
-PAINT_COLOURS: tuple[Colour, ...] = (
-    (238, 238, 232),
-    (28, 30, 34),
-    (170, 40, 36),
-    (40, 60, 130),
-    (150, 154, 158),
-    (84, 88, 92),
-)
+# Things of a car's size wear the vehicles' own paints as often as vehicles do: a colour that only
+# one of the two has would be taken for evidence.
+_PAINT_NAMES = tuple(PAINT_SHARES)
+_PAINT_SHARES = np.asarray([PAINT_SHARES[name] for name in _PAINT_NAMES])
+
+
+def _painted(canvas: Canvas) -> Array:
+    """Reflectance of a vehicle's paint, a little off."""
+    name = _PAINT_NAMES[int(canvas.rng.choice(len(_PAINT_NAMES), p=_PAINT_SHARES))]
+    tones = tuple(
+        (round(255 * red), round(255 * green), round(255 * blue))
+        for red, green, blue in PAINT_TONES[name]
+    )
+    return pick(canvas, tones)
 
 
 def add_lamp_post(canvas: Canvas, place: Place) -> None:
@@ -91,7 +90,7 @@ def add_air_conditioner(canvas: Canvas, place: Place, angle_rad: float) -> None:
 def add_container(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """A shipping container, half or full length, with its ribs."""
     length = float(canvas.rng.choice([3.0, 6.06, 6.06, 12.2]))
-    patch = _box(canvas, place, (length, 2.44, 2.6), angle_rad, pick(canvas, CONTAINER_COLOURS))
+    patch = _box(canvas, place, (length, 2.44, 2.6), angle_rad, _painted(canvas))
     canvas.shade(patch, (1 + 0.1 * np.sin(2 * math.pi * patch.u / 0.55)).astype(np.float32))
 
 
@@ -99,8 +98,7 @@ def add_skip(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """An open skip: a bright rim, sloping dark walls, rubble."""
     rng = canvas.rng
     size = (float(rng.uniform(3.0, 4.6)), float(rng.uniform(1.6, 2.0)))
-    colour = pick(canvas, ((200, 160, 40), (60, 90, 140), (140, 50, 40), (80, 100, 80)))
-    _box(canvas, place, (*size, 1.3), angle_rad, colour)
+    _box(canvas, place, (*size, 1.3), angle_rad, _painted(canvas))
     hollow = canvas.rectangle(place, (size[0] - 0.5, size[1] - 0.4), angle_rad)
     if not hollow.empty:
         fill = textured(
@@ -137,7 +135,7 @@ def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
     if patch.empty:
         return
     worn = np.clip(0.85 + 0.2 * canvas.noise("mottle", patch), 0.3, 1)
-    canvas.paint(patch, pick(canvas, PAINT_COLOURS), worn)
+    canvas.paint(patch, _painted(canvas), worn)
     if rng.random() < 0.15:
         for u_m in (-0.3 * size[0], 0.2 * size[0]):
             canvas.paint(
@@ -229,7 +227,7 @@ def add_tarpaulin(canvas: Canvas, place: Place, angle_rad: float) -> None:
             textured(
                 canvas,
                 patch,
-                pick(canvas, ((50, 90, 140), (70, 100, 70), (150, 150, 150), (70, 66, 62))),
+                _painted(canvas),
                 0.03,
                 0.1,
             ),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import torch
 from jaxtyping import Float, UInt8
@@ -20,8 +20,9 @@ from skyproof.files import finished_folder, write_json
 from skyproof.ranges import Name, WholeNumber, check_ranges
 from skyproof.storage import read_tensors, write_tensors
 from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
+from skyproof.vehicles.coats import Coat
 from skyproof.vehicles.painting import paint_vehicle
-from skyproof.vehicles.settings import VehicleCount
+from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety, VehicleCount
 from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
@@ -29,6 +30,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 __all__ = ["Fleet", "FleetSettings", "mix_fleets", "sample_fleet"]
 
 _FORMAT_VERSION = 1
+_USUAL: Coat = "catalogue"
 _REMEDY = "copy the whole folder again, or make the fleet again"
 # No vertex of a road vehicle lies farther from its middle.
 _LARGEST_M = 100.0
@@ -54,6 +56,8 @@ class FleetSettings:
         count: number of vehicles.
         weights: relative frequency of each body type; a type left out does not occur.
         first_number: number of the first vehicle, so that two fleets can have different ids.
+        paints: which shares are painted otherwise than real vehicles are; patterns are laid on
+            afterwards, by `skyproof.camouflage.patterned`.
     """
 
     count: VehicleCount = 60
@@ -61,6 +65,8 @@ class FleetSettings:
         default_factory=_default_weights
     )
     first_number: WholeNumber = 0
+    # Fleets written before there was a choice had catalogue paints.
+    paints: PaintVariety = CATALOGUE_PAINTS
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -103,7 +109,8 @@ class Fleet:
         vertices: `[N, V, 3]` metres, vehicle axes.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
-        sources: for each wrapped vehicle its mesh file and licence; drawn ones have none.
+        sources: for each wrapped vehicle its "mesh" file and "licence"; for each drawn one that
+            wears no catalogue paint its "coat".
     """
 
     settings: FleetSettings | None
@@ -235,15 +242,18 @@ def sample_fleet(
         generator: CPU generator; the same state gives the same fleet, byte for byte.
         progress: called with (vehicles done, vehicles in all).
     """
+    coats = _coats(settings, generator)
     types = list(settings.weights)
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
     chosen = torch.multinomial(
         weights, settings.count, replacement=True, generator=generator
     ).tolist()
     ids, vertices, textures, parts = [], [], [], []
-    for number, choice in enumerate(chosen, start=settings.first_number):
+    for number, (choice, coat) in enumerate(
+        zip(chosen, coats, strict=True), start=settings.first_number
+    ):
         body = build_body(sample_dimensions(types[choice], generator=generator))
-        texture, labels = paint_vehicle(body, types[choice], generator=generator)
+        texture, labels = paint_vehicle(body, types[choice], coat, generator=generator)
         ids.append(f"{types[choice]}-{number:04d}")
         vertices.append(body.vertices)
         textures.append(texture)
@@ -257,7 +267,25 @@ def sample_fleet(
         torch.stack(vertices),
         torch.stack(textures),
         torch.stack(parts),
+        {name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL},
     )
+
+
+def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
+    """Says how each vehicle is painted: exact shares, in random order."""
+    shares = {coat: share for coat, share in settings.paints.shares.items() if share}
+    coats: list[Coat] = [_USUAL] * settings.count
+    if not shares:
+        return coats
+    # Nothing is drawn without variety, so that fleets of catalogue paints stay what they were.
+    order = torch.randperm(settings.count, generator=generator).tolist()
+    first = 0.0
+    for coat, share in shares.items():
+        last = first + share * settings.count
+        for index in order[round(first) : round(last)]:
+            coats[index] = cast(Coat, coat)
+        first = last
+    return coats
 
 
 def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import UInt8
 from torch import Tensor
 
+from skyproof.vehicles.canvas import Canvas, between, open_canvas
+from skyproof.vehicles.coats import Coat, lay_coat
 from skyproof.vehicles.paints import sample_paint
 from skyproof.vehicles.surface import Body
-from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
+from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
 __all__ = ["paint_vehicle"]
-
-Mask = Bool[Tensor, "512 256"]
-Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)
@@ -28,60 +24,19 @@ _PLATE = (0.82, 0.82, 0.78)
 _SEAM = 0.45  # what is left of the paint's brightness in a panel gap
 
 
-@dataclass
-class _Canvas:
-    """The left half of a map being painted, and where its texels lie.
-
-    Places are `[512, 256]` or `[512, 1]`, in metres.
-    """
-
-    body: Body
-    behind: Tensor  # distance behind the nose
-    ahead: Tensor  # distance ahead of the tail
-    y: Tensor
-    z: Tensor
-    column: Tensor  # `[1, 256]` column coordinate, 0 to 16
-    station: Tensor  # `[512, 1]` distance of the texel's cross-section behind the nose
-    belt: Tensor  # `[512, 1]`
-    rail_z: Tensor  # `[512, 1]`
-    rail_y: Tensor  # `[512, 1]`
-    colour: Float[Tensor, "3 512 256"]
-    parts: UInt8[Tensor, "512 256"]
-
-    @property
-    def upper(self) -> Tensor:
-        """Returns the texels above the shoulder."""
-        return self.column > TOPOLOGY_BELT
-
-    @property
-    def floor(self) -> Tensor:
-        """Returns the underside's texels; on the two end faces its columns run up to the poles."""
-        ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
-        end_face = (ring < 3) | (ring > RINGS - 2)
-        return (self.column <= TOPOLOGY_SILL) & ~(
-            end_face & (self.z > self.body.dimensions.clearance + 0.12)
-        )
-
-    @property
-    def side(self) -> Tensor:
-        """Returns the texels of the lower side."""
-        return (self.column > TOPOLOGY_SILL) & (self.column <= TOPOLOGY_BELT)
-
-    def fill(self, where: Mask, colour: Colour, part: Part) -> None:
-        self.colour = torch.where(where, torch.as_tensor(colour).view(3, 1, 1), self.colour)
-        self.parts.masked_fill_(where, int(part))
-
-    def shade(self, where: Mask, factor: float) -> None:
-        self.colour = torch.where(where, self.colour * factor, self.colour)
-
-
 def paint_vehicle(
-    body: Body, body_type: str, *, generator: torch.Generator
+    body: Body, body_type: str, coat: Coat = "catalogue", *, generator: torch.Generator
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
     """Paints one vehicle.
 
     Labels are those of the left half, mirrored: exactly symmetric. No light or shadow is painted
     in.
+
+    Args:
+        body: its shape.
+        body_type: decides trim, glass and the usual paints.
+        coat: of the body panels.
+        generator: on the CPU.
 
     Returns:
         texture: `[3, 512, 512]` sRGB as bytes.
@@ -89,7 +44,9 @@ def paint_vehicle(
     """
     _, paint = sample_paint(body_type, generator=generator)
     chance = torch.rand(12, generator=generator).tolist()
-    canvas = _canvas(body, paint)
+    canvas = open_canvas(body, paint)
+    if coat in ("plain", "two_tone", "livery"):
+        paint = lay_coat(canvas, coat, generator=generator)
     _paint_seams(canvas, body_type)
     _paint_lower_body(canvas, body_type, chance[0])
     _paint_ends(canvas, body_type, paint, chance[1])
@@ -107,60 +64,6 @@ def paint_vehicle(
     return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8), parts
 
 
-@lru_cache(maxsize=1)
-def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
-    """Returns bilinear weights `[512, 33]` of rows and `[17, 256]` of columns.
-
-    The third result is each texel column's column coordinate.
-    """
-    centre = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
-
-    def weights(at: Tensor, knots: Tensor) -> Tensor:
-        right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
-        share = (at - knots[right - 1]) / (knots[right] - knots[right - 1])
-        out = torch.zeros(len(at), len(knots))
-        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None]).scatter_(
-            1, right[:, None], share[:, None]
-        )
-        return out
-
-    half = COLUMNS // 2
-    columns = weights(centre[: TEXTURE_SIZE // 2], column_u(torch.float32)[: half + 1])
-    return (
-        weights(centre, row_v(torch.float32)),
-        columns.T.contiguous(),
-        columns @ torch.arange(half + 1.0),
-    )
-
-
-def _canvas(body: Body, paint: Tensor) -> _Canvas:
-    rows, columns, column = _texel_weights()
-    x, y, z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
-    station, belt, rail_z, rail_y = (
-        (rows @ row.float())[:, None]
-        for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
-    )
-    half_length = body.dimensions.length / 2
-    return _Canvas(
-        body=body,
-        behind=half_length - x,
-        ahead=x + half_length,
-        y=y,
-        z=z,
-        column=column[None],
-        station=station,
-        belt=belt,
-        rail_z=rail_z,
-        rail_y=rail_y,
-        colour=paint.view(3, 1, 1).expand(3, *x.shape).clone(),
-        parts=torch.full(x.shape, int(Part.BODY), dtype=torch.uint8),
-    )
-
-
-def _between(value: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:
-    return (value > low) & (value < high)
-
-
 def _layout(body: Body) -> tuple[float, float, float, float]:
     """Returns the stations of roof front, B pillar, C pillar and roof rear."""
     d = body.dimensions
@@ -170,27 +73,27 @@ def _layout(body: Body) -> tuple[float, float, float, float]:
     return front, middle, min(middle + 0.85, rear + 0.10), rear
 
 
-def _paint_seams(c: _Canvas, body_type: str) -> None:
+def _paint_seams(c: Canvas, body_type: str) -> None:
     """Paints panel gaps: doors, bonnet, boot. Colour only."""
     d = c.body.dimensions
     front, middle, back, _ = _layout(c.body)
     door_front = d.bonnet_length + 0.12
     on_door = c.side & (c.z > d.clearance + 0.14)
     for station in (door_front, middle, back):
-        c.shade(on_door & _between(c.behind - station, -0.009, 0.009), _SEAM)
+        c.shade(on_door & between(c.behind - station, -0.009, 0.009), _SEAM)
     c.shade(
-        on_door & _between(c.behind, door_front, back) & _between(c.z - d.clearance, 0.14, 0.16),
+        on_door & between(c.behind, door_front, back) & between(c.z - d.clearance, 0.14, 0.16),
         _SEAM,
     )
 
     bonnet = c.upper & (c.station < d.bonnet_length) & (c.station > 0.16)
-    c.shade(bonnet & _between(c.y - (c.rail_y - 0.055), -0.008, 0.008), _SEAM)
-    c.shade(c.upper & (c.y < c.rail_y - 0.05) & _between(c.station, 0.155, 0.172), _SEAM)
+    c.shade(bonnet & between(c.y - (c.rail_y - 0.055), -0.008, 0.008), _SEAM)
+    c.shade(c.upper & (c.y < c.rail_y - 0.05) & between(c.station, 0.155, 0.172), _SEAM)
     if body_type == "saloon":
         deck = d.length - d.deck_length
-        lid = c.upper & _between(c.station, deck - 0.02, d.length - 0.05)
-        c.shade(lid & _between(c.y - (c.rail_y - 0.12), -0.008, 0.008), _SEAM)
-        c.shade(lid & (c.y < c.rail_y - 0.12) & _between(c.station - deck, -0.02, -0.004), _SEAM)
+        lid = c.upper & between(c.station, deck - 0.02, d.length - 0.05)
+        c.shade(lid & between(c.y - (c.rail_y - 0.12), -0.008, 0.008), _SEAM)
+        c.shade(lid & (c.y < c.rail_y - 0.12) & between(c.station - deck, -0.02, -0.004), _SEAM)
     if body_type == "van":
         # Roof corrugations and the sliding door's rail.
         roof = (
@@ -198,11 +101,11 @@ def _paint_seams(c: _Canvas, body_type: str) -> None:
         )
         c.shade(roof & (((c.y / 0.17) % 1.0) < 0.2), 0.92)
         c.shade(
-            c.upper & (c.column < 9) & (c.station > back) & _between(c.z - c.belt, 0.03, 0.05), 0.6
+            c.upper & (c.column < 9) & (c.station > back) & between(c.z - c.belt, 0.03, 0.05), 0.6
         )
 
 
-def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
+def _paint_lower_body(c: Canvas, body_type: str, chance: float) -> None:
     """Paints sills, arches, wheels and underside."""
     d = c.body.dimensions
     rugged = body_type in ("suv", "pickup") and chance < 0.6
@@ -224,7 +127,7 @@ def _paint_lower_body(c: _Canvas, body_type: str, chance: float) -> None:
         c.fill(c.side & (from_hub < 0.66 * radius) & spokes, (0.50, 0.51, 0.52), Part.WHEEL)
 
 
-def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> None:
+def _paint_ends(c: Canvas, body_type: str, paint: Tensor, chance: float) -> None:
     """Paints bumpers, grille, lights and number plates."""
     d = c.body.dimensions
     half = d.width / 2
@@ -240,23 +143,23 @@ def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> Non
     c.fill(nose & (c.z < bumper_z), bumper, Part.BUMPER)
     c.fill(tail & (c.z < 0.62), bumper, Part.BUMPER)
     c.fill((nose | tail) & (c.z < low), _BLACK, Part.BUMPER)
-    c.shade(nose & ~bonnet & _between(c.z - bumper_z, -0.008, 0.008), _SEAM)
-    c.shade(tail & _between(c.z - 0.62, -0.008, 0.008), _SEAM)
+    c.shade(nose & ~bonnet & between(c.z - bumper_z, -0.008, 0.008), _SEAM)
+    c.shade(tail & between(c.z - 0.62, -0.008, 0.008), _SEAM)
 
     # Grille and plate face forward; lights reach round the corners.
     face = nose & (c.behind < 0.14)
     c.fill(
-        face & (c.y < 0.52 * half) & _between(c.z, bumper_z - 0.04, d.nose_height - 0.10),
+        face & (c.y < 0.52 * half) & between(c.z, bumper_z - 0.04, d.nose_height - 0.10),
         _BLACK,
         Part.TRIM,
     )
-    c.fill(face & (c.y < 0.66 * half) & _between(c.z, low, low + 0.11), _BLACK, Part.TRIM)
-    c.fill(face & (c.y < 0.26) & _between(c.z, bumper_z - 0.16, bumper_z - 0.05), _PLATE, Part.TRIM)
+    c.fill(face & (c.y < 0.66 * half) & between(c.z, low, low + 0.11), _BLACK, Part.TRIM)
+    c.fill(face & (c.y < 0.26) & between(c.z, bumper_z - 0.16, bumper_z - 0.05), _PLATE, Part.TRIM)
     lamp_top = d.nose_height - 0.015
-    lamp = nose & (c.y > 0.58 * half) & _between(c.z, lamp_top - 0.15, lamp_top) & (c.behind < 0.40)
+    lamp = nose & (c.y > 0.58 * half) & between(c.z, lamp_top - 0.15, lamp_top) & (c.behind < 0.40)
     c.fill(lamp, (0.30, 0.31, 0.33), Part.LIGHT)
     c.fill(
-        lamp & _between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half),
+        lamp & between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half),
         _LAMP,
         Part.LIGHT,
     )
@@ -266,28 +169,28 @@ def _paint_ends(c: _Canvas, body_type: str, paint: Tensor, chance: float) -> Non
     across = 0.76 if tall else 0.50
     height = {"saloon": 0.17, "pickup": 0.40, "van": 0.42}.get(body_type, 0.30)
     tail_lamp = (
-        above_floor & (c.y > across * half) & _between(c.z, high - height, high) & (c.ahead < 0.26)
+        above_floor & (c.y > across * half) & between(c.z, high - height, high) & (c.ahead < 0.26)
     )
     c.fill(tail_lamp, _TAIL_LAMP, Part.LIGHT)
     rear_face = tail & (c.ahead < 0.14)
     plate_z = 0.66 if body_type in ("saloon", "suv", "estate", "hatchback") else 0.48
-    c.fill(rear_face & (c.y < 0.26) & _between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
+    c.fill(rear_face & (c.y < 0.26) & between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
 
 
-def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -> None:
+def _paint_glass(c: Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -> None:
     """Paints windscreen, side windows with their pillars, and rear window."""
     d = c.body.dimensions
     front, middle, back, rear = _layout(c.body)
     foot = d.bonnet_length
     inside = c.upper & (c.y < c.rail_y)
-    c.fill(inside & _between(c.station, foot - 0.05, foot + 0.07), _BLACK, Part.TRIM)
+    c.fill(inside & between(c.station, foot - 0.05, foot + 0.07), _BLACK, Part.TRIM)
     c.fill(
-        inside & (c.y < c.rail_y - 0.03) & _between(c.station, foot + 0.05, front - 0.01),
+        inside & (c.y < c.rail_y - 0.03) & between(c.station, foot + 0.05, front - 0.01),
         _BLACK,
         Part.GLASS,
     )
     c.fill(
-        inside & (c.y < c.rail_y - 0.055) & _between(c.station, foot + 0.09, front - 0.04),
+        inside & (c.y < c.rail_y - 0.055) & between(c.station, foot + 0.09, front - 0.04),
         glass,
         Part.GLASS,
     )
@@ -305,25 +208,25 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
     if body_type == "van" and panel_van:
         last = middle + 0.25
     window_top = torch.minimum(c.rail_z - 0.065, c.belt + 0.62)
-    window = above_belt & (c.z < window_top) & _between(c.station, foot + 0.22, last)
+    window = above_belt & (c.z < window_top) & between(c.station, foot + 0.22, last)
     c.fill(
-        above_belt & (c.z < window_top + 0.018) & _between(c.station, foot + 0.2, last + 0.02),
+        above_belt & (c.z < window_top + 0.018) & between(c.station, foot + 0.2, last + 0.02),
         _BLACK,
         Part.TRIM,
     )
     c.fill(window, glass, Part.GLASS)
-    c.fill(window & _between(c.station - middle, -0.055, 0.055), _BLACK, Part.TRIM)
+    c.fill(window & between(c.station - middle, -0.055, 0.055), _BLACK, Part.TRIM)
     if body_type != "saloon":
-        c.fill(window & _between(c.station - back, -0.05, 0.05), _BLACK, Part.TRIM)
+        c.fill(window & between(c.station - back, -0.05, 0.05), _BLACK, Part.TRIM)
 
     if body_type == "van":
         face = (c.ahead < 0.25) & ~c.floor
         pane = (
             face
-            & _between(c.z, c.belt + 0.05, d.belt_height + 0.55)
-            & _between(c.y, 0.12, c.rail_y - 0.12)
+            & between(c.z, c.belt + 0.05, d.belt_height + 0.55)
+            & between(c.y, 0.12, c.rail_y - 0.12)
         )
-        c.shade(face & (c.y < 0.012) & _between(c.z, 0.6, d.height - 0.12), _SEAM)
+        c.shade(face & (c.y < 0.012) & between(c.z, 0.6, d.height - 0.12), _SEAM)
         if not panel_van:
             c.fill(pane, glass, Part.GLASS)
         return
@@ -332,52 +235,52 @@ def _paint_glass(c: _Canvas, body_type: str, glass: Tensor, *, panel_van: bool) 
     pane = (
         inside
         & (c.y < c.rail_y - 0.05)
-        & _between(c.station, rear + 0.03, deck + 0.01)
+        & between(c.station, rear + 0.03, deck + 0.01)
         & (c.z > bottom)
     )
     c.fill(pane, _BLACK, Part.GLASS)
     c.fill(pane & (c.y < c.rail_y - 0.08) & (c.station > rear + 0.07), glass * 0.92, Part.GLASS)
 
 
-def _paint_roof(c: _Canvas, body_type: str, glass: Tensor, chance: list[float]) -> None:
+def _paint_roof(c: Canvas, body_type: str, glass: Tensor, chance: list[float]) -> None:
     """Paints sunroof, rails, aerial and contrast roof."""
     front, _, _, rear = _layout(c.body)
-    roof = c.upper & (c.y < c.rail_y) & _between(c.station, front, rear)
+    roof = c.upper & (c.y < c.rail_y) & between(c.station, front, rear)
     if body_type in ("hatchback", "suv") and chance[0] < 0.08:
         contrast = torch.tensor((0.07, 0.07, 0.075))
         c.fill(
-            c.upper & (c.z > c.rail_z - 0.03) & _between(c.station, front - 0.03, rear + 0.05),
+            c.upper & (c.z > c.rail_z - 0.03) & between(c.station, front - 0.03, rear + 0.05),
             contrast,
             Part.BODY,
         )
     if body_type in ("estate", "suv") and chance[1] < 0.65:
         rail = _BLACK if chance[2] < 0.55 else _CHROME
-        stretch = _between(c.station, front + 0.12, rear - 0.05)
-        c.fill(roof & stretch & _between(c.y - (c.rail_y - 0.07), -0.022, 0.022), rail, Part.TRIM)
+        stretch = between(c.station, front + 0.12, rear - 0.05)
+        c.fill(roof & stretch & between(c.y - (c.rail_y - 0.07), -0.022, 0.022), rail, Part.TRIM)
     if body_type not in ("van", "pickup") and chance[3] < 0.22:
         length = 0.45 if chance[4] < 0.6 else min(rear - front - 0.45, 1.10)
         pane = (
             roof
             & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14))
-            & _between(c.station - front, 0.14, 0.14 + length)
+            & between(c.station - front, 0.14, 0.14 + length)
         )
         c.fill(pane, glass * 0.8, Part.GLASS)
     if body_type != "van":
         c.fill(
-            roof & (c.y < 0.028) & _between(c.station, rear - 0.22, rear - 0.06), _BLACK, Part.TRIM
+            roof & (c.y < 0.028) & between(c.station, rear - 0.22, rear - 0.06), _BLACK, Part.TRIM
         )
         # The ditch where roof and side panels meet.
-        c.shade(roof & _between(c.y - (c.rail_y - 0.025), -0.008, 0.008), 0.6)
+        c.shade(roof & between(c.y - (c.rail_y - 0.025), -0.008, 0.008), 0.6)
 
 
-def _paint_bed(c: _Canvas, colour: Tensor) -> None:
+def _paint_bed(c: Canvas, colour: Tensor) -> None:
     """Paints a pickup's load bed: a ribbed liner, or painted."""
     d = c.body.dimensions
     deck = d.length - d.deck_length
-    bed = (c.column > TOPOLOGY_BELT + 1) & _between(c.station, deck + 0.07, d.length - 0.085)
+    bed = (c.column > TOPOLOGY_BELT + 1) & between(c.station, deck + 0.07, d.length - 0.085)
     c.fill(bed, colour, Part.TRIM)
     c.shade(bed & (((c.y / 0.12) % 1.0) < 0.3), 0.75)
-    gate = (c.column > TOPOLOGY_BELT) & _between(c.station, d.length - 0.085, d.length - 0.075)
+    gate = (c.column > TOPOLOGY_BELT) & between(c.station, d.length - 0.085, d.length - 0.075)
     c.shade(gate, _SEAM)
 
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["PAINT_SHARES", "sample_paint"]
+__all__ = ["PAINT_SHARES", "PAINT_TONES", "sample_paint"]
 
 # Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share
 # of cars built worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black,
@@ -26,7 +26,7 @@ PAINT_SHARES: dict[str, float] = {
 _WHITE_VANS = 0.7  # our estimate, not published; the rest follows the table
 
 # Typical diffuse sRGB of each colour space: our estimates, not measured.
-_TONES: dict[str, list[tuple[float, float, float]]] = {
+PAINT_TONES: dict[str, list[tuple[float, float, float]]] = {
     "white": [(0.90, 0.90, 0.89), (0.86, 0.87, 0.87), (0.88, 0.86, 0.82)],
     "black": [(0.07, 0.07, 0.08), (0.10, 0.10, 0.11), (0.07, 0.08, 0.12)],
     "grey": [(0.30, 0.31, 0.33), (0.40, 0.41, 0.42), (0.23, 0.24, 0.26)],
@@ -48,7 +48,7 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
     ]
     if body_type == "van" and float(draws[1]) < _WHITE_VANS:
         name = "white"
-    tones = _TONES[name]
+    tones = PAINT_TONES[name]
     tone = torch.tensor(tones[min(int(draws[2] * len(tones)), len(tones) - 1)])
     lightness = 1 + 0.08 * torch.randn(1, generator=generator)
     tint = 0.006 * torch.randn(3, generator=generator)

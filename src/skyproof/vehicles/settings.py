@@ -1,4 +1,4 @@
-"""How meshes become vehicles.
+"""How vehicles are painted, and how meshes become vehicles.
 
 Imports no torch, so that the command line answers at once.
 """
@@ -14,13 +14,51 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
 
-__all__ = ["Axis", "VehicleCount", "WrapSettings"]
+__all__ = ["CATALOGUE_PAINTS", "Axis", "PaintVariety", "VehicleCount", "WrapSettings"]
 
 VehicleCount = Annotated[int, Meta(ge=1, le=10_000)]
 """How many vehicles are drawn at once; each takes 1 MB of memory."""
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 """A direction in a mesh file."""
+
+
+@dataclass(frozen=True)
+class PaintVariety:
+    """Which shares of a fleet are painted otherwise than real vehicles are.
+
+    The rest wears catalogue paints, of which four in five are white, black, grey or silver. The
+    defaults are meant for training: detectors that learnt them do not take colour for evidence.
+
+    Attributes:
+        plain: one colour, uniform in CIELAB.
+        two_tone: two such colours: roof, upper or lower half in another one.
+        livery: such colours in stripes, bands, chequers and panels.
+        patterned: random patterns, drawn as the random controls of all textures are; half of them
+            on painted body panels alone.
+    """
+
+    plain: Fraction = 0.2
+    two_tone: Fraction = 0.1
+    livery: Fraction = 0.1
+    patterned: Fraction = 0.25
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if sum(self.shares.values()) > 1 + 1e-9:
+            raise ConfigurationError(
+                f"Shares of a fleet's paints expect to sum to at most 1, got "
+                f"{sum(self.shares.values()):g}; lower some of plain, two_tone, livery, patterned."
+            )
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Gives the shares by coat; what is missing from 1 wears catalogue paints."""
+        return dict(vars(self))
+
+
+CATALOGUE_PAINTS = PaintVariety(plain=0.0, two_tone=0.0, livery=0.0, patterned=0.0)
+"""Vehicles painted as real ones are: those that are tested."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,76 @@
+"""Vehicles that a detector is trained on, in random patterns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.settings import CamouflageSettings
+from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.vehicles.coats import uniform_colours
+from skyproof.vehicles.fleet import Fleet
+
+__all__ = ["lay_patterns"]
+
+_TEXTURES = tuple(
+    TextureConstraints.parse(prefix + colours + mask or "U")
+    for mask in ("", "Ma")
+    for prefix in ("", "Pix")
+    for colours in ("", "Lc", "Fc")
+)
+# Coarser and finer than the attacks' 32 blocks, so that one width is not learnt by heart.
+_BLOCKS = (8, 16, 32, 64)
+_MOST_COLOURS = 8
+_WIDEST_CIELAB = 30.0
+
+
+def lay_patterns(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
+    """Paints the vehicles whose coat is "patterned", each in a random pattern of its own.
+
+    The patterns are the random controls of all twelve textures (section 5.4), each equally often,
+    so half of them lie on painted body panels alone. No attack is asked, and nothing is learnt:
+    number and width of blocks and colours vary, and fixed colours are spread about a random middle,
+    as the colours of some ground are.
+
+    Args:
+        fleet: as `sample_fleet` drew it; it is left as it is.
+        generator: on the CPU.
+    """
+    textures = fleet.textures.clone()
+    worn = (row for row, name in enumerate(fleet.ids) if _is_patterned(fleet, name))
+    for turn, row in enumerate(worn):
+        constraints = _TEXTURES[turn % len(_TEXTURES)]
+        name = CamouflageName("texture", constraints, random=True)
+        blocks, colours = torch.rand(2, generator=generator).tolist()
+        settings = CamouflageSettings(
+            colours=2 + int(colours * (_MOST_COLOURS - 1)),
+            blocks=_BLOCKS[int(blocks * len(_BLOCKS))],
+        )
+        pattern = make_camouflage(
+            name,
+            generator=generator,
+            palette=_palette(settings.colours, generator),
+            settings=settings,
+        )
+        with torch.no_grad():
+            (painted,) = pattern(fleet.batch([fleet.ids[row]])).worn_texture()
+        textures[row] = (painted.clamp(0, 1) * 255).round().byte()
+    return replace(fleet, textures=textures)
+
+
+def _is_patterned(fleet: Fleet, name: str) -> bool:
+    return fleet.sources.get(name, {}).get("coat") == "patterned"
+
+
+def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
+    """Colours about a random middle, near to each other or far apart."""
+    middle = uniform_colours(1, generator=generator)
+    spread = _WIDEST_CIELAB * torch.rand(1, generator=generator)
+    drawn = srgb_to_cielab(middle) + spread * torch.randn(colours, 3, generator=generator)
+    return cielab_to_srgb(drawn).clamp(0, 1)

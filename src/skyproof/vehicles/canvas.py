@@ -1,0 +1,120 @@
+"""The left half of a texture map while a body is painted, and where its texels lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from skyproof.vehicles.surface import Body
+from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
+
+__all__ = ["Canvas", "Colour", "Mask", "between", "open_canvas"]
+
+Mask = Bool[Tensor, "512 256"]
+Colour = Float[Tensor, " 3"] | tuple[float, float, float]
+
+
+@dataclass
+class Canvas:
+    """The left half of a map being painted, and where its texels lie.
+
+    Places are `[512, 256]` or `[512, 1]`, in metres.
+    """
+
+    body: Body
+    behind: Tensor  # distance behind the nose
+    ahead: Tensor  # distance ahead of the tail
+    y: Tensor
+    z: Tensor
+    column: Tensor  # `[1, 256]` column coordinate, 0 to 16
+    station: Tensor  # `[512, 1]` distance of the texel's cross-section behind the nose
+    belt: Tensor  # `[512, 1]`
+    rail_z: Tensor  # `[512, 1]`
+    rail_y: Tensor  # `[512, 1]`
+    colour: Float[Tensor, "3 512 256"]
+    parts: UInt8[Tensor, "512 256"]
+
+    @property
+    def upper(self) -> Tensor:
+        """Returns the texels above the shoulder."""
+        return self.column > TOPOLOGY_BELT
+
+    @property
+    def floor(self) -> Tensor:
+        """Returns the underside's texels; on the two end faces its columns run up to the poles."""
+        ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
+        end_face = (ring < 3) | (ring > RINGS - 2)
+        return (self.column <= TOPOLOGY_SILL) & ~(
+            end_face & (self.z > self.body.dimensions.clearance + 0.12)
+        )
+
+    @property
+    def side(self) -> Tensor:
+        """Returns the texels of the lower side."""
+        return (self.column > TOPOLOGY_SILL) & (self.column <= TOPOLOGY_BELT)
+
+    def fill(self, where: Mask, colour: Colour, part: Part) -> None:
+        self.colour = torch.where(where, torch.as_tensor(colour).view(3, 1, 1), self.colour)
+        self.parts.masked_fill_(where, int(part))
+
+    def shade(self, where: Mask, factor: float) -> None:
+        self.colour = torch.where(where, self.colour * factor, self.colour)
+
+
+@lru_cache(maxsize=1)
+def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
+    """Returns bilinear weights `[512, 33]` of rows and `[17, 256]` of columns.
+
+    The third result is each texel column's column coordinate.
+    """
+    centre = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
+
+    def weights(at: Tensor, knots: Tensor) -> Tensor:
+        right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
+        share = (at - knots[right - 1]) / (knots[right] - knots[right - 1])
+        out = torch.zeros(len(at), len(knots))
+        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None]).scatter_(
+            1, right[:, None], share[:, None]
+        )
+        return out
+
+    half = COLUMNS // 2
+    columns = weights(centre[: TEXTURE_SIZE // 2], column_u(torch.float32)[: half + 1])
+    return (
+        weights(centre, row_v(torch.float32)),
+        columns.T.contiguous(),
+        columns @ torch.arange(half + 1.0),
+    )
+
+
+def open_canvas(body: Body, paint: Tensor) -> Canvas:
+    rows, columns, column = _texel_weights()
+    x, y, z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
+    station, belt, rail_z, rail_y = (
+        (rows @ row.float())[:, None]
+        for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
+    )
+    half_length = body.dimensions.length / 2
+    return Canvas(
+        body=body,
+        behind=half_length - x,
+        ahead=x + half_length,
+        y=y,
+        z=z,
+        column=column[None],
+        station=station,
+        belt=belt,
+        rail_z=rail_z,
+        rail_y=rail_y,
+        colour=paint.view(3, 1, 1).expand(3, *x.shape).clone(),
+        parts=torch.full(x.shape, int(Part.BODY), dtype=torch.uint8),
+    )
+
+
+def between(value: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:
+    return (value > low) & (value < high)

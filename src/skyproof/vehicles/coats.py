@@ -1,0 +1,118 @@
+"""Coats that few real vehicles wear: any plain colour, two tones, a livery.
+
+A detector that saw catalogue paints alone takes colour for evidence, and is blinded by a tin of
+yellow paint. These coats take that evidence away in training.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.vehicles.canvas import Canvas, between
+from skyproof.vehicles.vehicle import Part
+
+__all__ = ["Coat", "lay_coat", "uniform_colours"]
+
+Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
+"""How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
+`skyproof.camouflage.patterned` lays over a catalogue paint."""
+
+# Nothing paints whiter or blacker; catalogue paints are held to the same limits.
+_DARKEST = 0.03
+_BRIGHTEST = 0.93
+_CHROMATICITIES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
+_CANDIDATES = 64
+
+
+def uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
+    """Draws colours uniformly from the part of CIELAB that sRGB can show.
+
+    Equal volumes there hold about equally many colours that one can tell apart.
+
+    Returns:
+        sRGB in [0.03, 0.93].
+    """
+    found = torch.zeros(0, 3)
+    while len(found) < count:
+        draws = torch.rand(_CANDIDATES, 3, generator=generator)
+        low, high = _CHROMATICITIES.T
+        cielab = torch.cat([100 * draws[:, :1], low + (high - low) * draws[:, 1:]], dim=1)
+        srgb = cielab_to_srgb(cielab)
+        # What sRGB cannot show was clipped, and does not come back.
+        shown = (srgb_to_cielab(srgb) - cielab).abs().amax(1) < 0.5
+        found = torch.cat([found, srgb[shown]])
+    return found[:count].clamp(_DARKEST, _BRIGHTEST)
+
+
+def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float[Tensor, " 3"]:
+    """Lays a plain colour, two tones or a livery over the whole canvas, before trim and glass.
+
+    Returns:
+        The sRGB of what else is painted like the body, such as bumpers.
+    """
+    if coat == "two_tone":
+        return _two_tones(canvas, generator)
+    (colour,) = uniform_colours(1, generator=generator)
+    _cover(canvas, torch.ones_like(canvas.z, dtype=torch.bool), colour)
+    if coat == "livery":
+        _livery(canvas, generator)
+    return colour
+
+
+def _cover(canvas: Canvas, where: Tensor, colour: Tensor) -> None:
+    canvas.fill(where & (canvas.parts == Part.BODY), colour, Part.BODY)
+
+
+def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
+    """Roof, bonnet and boot, or the lower half of the sides, in another colour than the rest."""
+    first, second = uniform_colours(2, generator=generator)
+    kind = int(torch.randint(3, (1,), generator=generator))
+    _cover(canvas, torch.ones_like(canvas.z, dtype=torch.bool), first)
+    if kind == 0:
+        where = canvas.upper & (canvas.z > canvas.rail_z - 0.05)
+    elif kind == 1:
+        where = canvas.upper.expand_as(canvas.z)
+    else:
+        where = canvas.z < 0.5 * canvas.body.dimensions.height
+    _cover(canvas, where, second)
+    return first
+
+
+def _livery(canvas: Canvas, generator: torch.Generator) -> None:
+    """One to four signs of a fleet: stripes along, bands across, chequers, panels."""
+    dimensions = canvas.body.dimensions
+    count = 1 + int(torch.randint(4, (1,), generator=generator))
+    colours = uniform_colours(count, generator=generator)
+    for colour in colours:
+        kind = int(torch.randint(5, (1,), generator=generator))
+        place, width, other = torch.rand(3, generator=generator).tolist()
+        along = place * dimensions.length
+        if kind == 0:
+            # A stripe along the sides.
+            middle = dimensions.clearance + place * (dimensions.height - dimensions.clearance)
+            where = between(canvas.z - middle, -0.04 - 0.2 * width, 0.04 + 0.2 * width)
+        elif kind == 1:
+            # Stripes along bonnet, roof and boot.
+            middle = place * 0.7 * dimensions.width / 2
+            where = canvas.upper & between(
+                canvas.y - middle, -0.05 - 0.2 * width, 0.05 + 0.2 * width
+            )
+        elif kind == 2:
+            # A band across, leaning as it goes up.
+            lean = (other - 0.5) * 2 * canvas.z
+            half = 0.1 + 0.7 * width
+            where = between(canvas.behind - along + lean, -half, half)
+        elif kind == 3:
+            # Chequers, as rescue vehicles have them.
+            side = 0.25 + 0.45 * width
+            squares = torch.floor(canvas.behind / side) + torch.floor((canvas.z + canvas.y) / side)
+            where = (squares % 2) == 0
+        else:
+            # Everything before or behind a place.
+            where = canvas.behind < along
+        _cover(canvas, where.expand_as(canvas.z), colour)

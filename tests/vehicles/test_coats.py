@@ -1,0 +1,115 @@
+"""Coats beyond catalogue paints, and the fleets that wear them."""
+
+from collections import Counter
+
+import pytest
+import torch
+
+from skyproof.camouflage.patterned import lay_patterns
+from skyproof.errors import ConfigurationError
+from skyproof.geometry.colour import srgb_to_cielab
+from skyproof.vehicles.coats import uniform_colours
+from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
+from skyproof.vehicles.vehicle import Part
+
+_PAINTS = PaintVariety(plain=0.25, two_tone=0.125, livery=0.125, patterned=0.25)
+
+
+def _generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def _varied(count: int = 24) -> Fleet:
+    return sample_fleet(FleetSettings(count=count, paints=_PAINTS), generator=_generator())
+
+
+def _coat(fleet: Fleet, name: str) -> str:
+    return fleet.sources.get(name, {}).get("coat", "catalogue")
+
+
+def test_uniform_colours_fill_what_srgb_shows_of_cielab() -> None:
+    colours = uniform_colours(2000, generator=_generator())
+    assert float(colours.min()) > 0.0299
+    assert float(colours.max()) < 0.9301
+    cielab = srgb_to_cielab(colours)
+    # Equal halves of a lightness range that sRGB fills about evenly are about equally often met.
+    lightness = cielab[:, 0]
+    darker = ((lightness > 40) & (lightness < 55)).sum()
+    brighter = ((lightness > 55) & (lightness < 70)).sum()
+    assert 0.75 < float(darker) / float(brighter) < 1.33
+    # Of catalogue paints four in five are grey; of these few are.
+    assert float((cielab[:, 1:].norm(dim=1) < 10).float().mean()) < 0.1
+    assert min(_quarters(cielab)) > 0.1
+
+
+def _hue(cielab: torch.Tensor) -> torch.Tensor:
+    return torch.rad2deg(torch.atan2(cielab[:, 2], cielab[:, 1]))
+
+
+def _quarters(cielab: torch.Tensor) -> list[float]:
+    quarter = torch.floor(((_hue(cielab) + 45) % 360) / 90)
+    return [float((quarter == number).float().mean()) for number in range(4)]
+
+
+def test_the_shares_are_exact_and_recorded() -> None:
+    fleet = _varied()
+    assert Counter(_coat(fleet, name) for name in fleet.ids) == {
+        "plain": 6,
+        "two_tone": 3,
+        "livery": 3,
+        "patterned": 6,
+        "catalogue": 6,
+    }
+    assert fleet.settings is not None
+    assert fleet.settings.paints == _PAINTS
+
+
+def test_without_variety_a_fleet_is_what_it_always_was() -> None:
+    usual = sample_fleet(FleetSettings(count=6), generator=_generator(3))
+    named = sample_fleet(FleetSettings(count=6, paints=CATALOGUE_PAINTS), generator=_generator(3))
+    assert torch.equal(usual.textures, named.textures)
+    assert torch.equal(usual.vertices, named.vertices)
+    assert not usual.sources
+    assert torch.equal(lay_patterns(usual, generator=_generator()).textures, usual.textures)
+
+
+def test_coats_cover_the_body_and_leave_glass_alone() -> None:
+    fleet = _varied()
+    for name in fleet.ids:
+        vehicle = fleet.batch([name])
+        body = vehicle.parts[0] == Part.BODY
+        glass = vehicle.parts[0] == Part.GLASS
+        paint = vehicle.texture[0][:, body].float() / 255
+        pane = vehicle.texture[0][:, glass].float() / 255
+        spread = float(paint.std(dim=1).mean())
+        if _coat(fleet, name) == "plain":
+            # Seams and dust apart, one colour.
+            assert spread < 0.1
+        if _coat(fleet, name) in ("two_tone", "livery"):
+            assert spread > 0.02
+        assert float(pane.mean()) < 0.35
+
+
+def test_patterns_are_laid_on_their_vehicles_alone_half_of_them_on_paint_only() -> None:
+    fleet = _varied(48)
+    worn = lay_patterns(fleet, generator=_generator(5))
+    whole = 0
+    for row, name in enumerate(fleet.ids):
+        changed = (worn.textures[row] != fleet.textures[row]).any(dim=0)
+        if _coat(fleet, name) != "patterned":
+            assert not changed.any()
+            continue
+        body = fleet.parts[row] == Part.BODY
+        assert float(changed[body].float().mean()) > 0.9
+        whole += bool(changed[~body].any())
+    assert whole == 6
+    again = lay_patterns(fleet, generator=_generator(5))
+    assert torch.equal(again.textures, worn.textures)
+
+
+def test_shares_above_one_are_refused_in_one_sentence() -> None:
+    with pytest.raises(ConfigurationError, match=r"at most 1, got 1\.25; lower some"):
+        PaintVariety(plain=0.5, two_tone=0.25, livery=0.25, patterned=0.25)
+    with pytest.raises(ConfigurationError, match="plain"):
+        PaintVariety(plain=-0.1)
