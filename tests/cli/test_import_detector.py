@@ -46,6 +46,8 @@ def test_an_imported_detector_is_used_like_any_other(
     answer = skyproof(*call, "--out", out, "--name", "theirs", *CPU)
     assert answer.code == 0, answer.err
     assert "threshold" in answer.out
+    # It was never trained.
+    assert "Warning: theirs reaches a validation AP of 0.0" in answer.out
     assert read_card(out).name == "theirs"
     stored = (out / "weights.safetensors").read_bytes()
     skyproof(*call, "--out", out).refused(str(out), "not overwritten")
@@ -154,6 +156,8 @@ def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproo
     )
     assert answer.code == 0, answer.err
     card = read_card(tmp_path / "out")
+    assert f"Warning: {detector} reaches a validation AP of" in answer.out
+    assert f"chosen on {card.validation_vehicles} vehicles" in answer.out
     assert card.trained_on == "train: tiles of real imagery (city_0.tif, city_1.tif)"
     assert card.image_size_px == (384, 384)
 

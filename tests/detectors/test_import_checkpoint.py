@@ -76,6 +76,7 @@ def test_a_torchvision_checkpoint(stored: Path, network: torch.nn.Module) -> Non
     found = {**card.validation, "threshold": card.threshold}
     assert found == pytest.approx(validate(detector, VALIDATION))
     assert found["f1"] > 0
+    assert card.validation_vehicles == sum(map(len, VALIDATION.boxes))
     state = {f"network.model.{name}": tensor for name, tensor in network.state_dict().items()}
     weights = load_file(stored / "weights.safetensors")
     assert weights.keys() == state.keys()

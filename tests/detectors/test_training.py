@@ -85,6 +85,7 @@ def test_a_killed_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     assert seen == [5, 6, 6]
     assert weights_digest(resumed) == weights_digest(straight)
     assert resumed_card == card
+    assert card.validation_vehicles == sum(map(len, VALIDATION.boxes))
 
     def rows(name: str) -> list[dict[str, Any]]:
         lines = (tmp_path / name / "steps.jsonl").read_text().splitlines()

@@ -69,3 +69,5 @@ class Import:
             f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
             f"{card.threshold:.3f}. Detector: {self.out.resolve()}"
         )
+        for doubt in card.doubts:
+            say(f"Warning: {doubt}")

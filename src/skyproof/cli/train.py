@@ -81,3 +81,5 @@ class Train:
             f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
             f"{card.threshold:.3f}. Detector: {self.out.resolve()}"
         )
+        for doubt in card.doubts:
+            say(f"Warning: {doubt}")

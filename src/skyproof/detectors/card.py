@@ -10,9 +10,10 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
+from skyproof.detectors.doubts import find_doubts
 from skyproof.documents import check_format, read_document
 from skyproof.files import write_json
-from skyproof.ranges import Fraction, GroundResolution, Name
+from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber
 
 __all__ = [
     "FOLDER_FORMAT",
@@ -45,6 +46,7 @@ class DetectorCard:
         parameters: number of trained numbers.
         training: settings and what was reached, as written by `train`; empty of an imported one.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
+        validation_vehicles: how many vehicles the validation images hold; None where not known.
         skyproof_version: that wrote it.
         trained_on: what its training images were, in a few words; empty where not known.
         brought: of an imported detector what builds its network; else None.
@@ -58,9 +60,21 @@ class DetectorCard:
     parameters: Annotated[int, Meta(ge=0, le=10**12)] = 0
     training: dict[str, Any] = field(default_factory=dict)
     validation: dict[str, Fraction] = field(default_factory=dict)
+    # Cards written before they were counted have none.
+    validation_vehicles: WholeNumber | None = None
     skyproof_version: _Word = ""
     trained_on: Annotated[str, Meta(max_length=10_000)] = ""
     brought: Blueprint | None = None
+
+    @property
+    def doubts(self) -> list[str]:
+        """What speaks against attacking it at all, in a sentence each; see `find_doubts`."""
+        return find_doubts(
+            self.name,
+            imported=self.brought is not None,
+            ap_centre_1m=self.validation.get("ap_centre_1m"),
+            vehicles=self.validation_vehicles,
+        )
 
 
 @dataclass(frozen=True)

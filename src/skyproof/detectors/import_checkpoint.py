@@ -146,6 +146,7 @@ def import_detector(
         parameters=sum(parameter.numel() for parameter in detector.parameters()),
         training={},
         validation=scores,
+        validation_vehicles=sum(map(len, validation.boxes)),
         skyproof_version=installed_version(),
         trained_on=f"elsewhere: {checkpoint.kind} checkpoint {checkpoint.path.name}",
         brought=blueprint,

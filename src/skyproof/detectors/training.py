@@ -119,7 +119,7 @@ def train(
         loop.resume()
         _take_steps(detector, training, validation, settings, loop)
         detector.load_state_dict(best.weights)
-        card = _card(detector.eval(), best.scores, identity, training)
+        card = _card(detector.eval(), best.scores, identity, training, validation)
         save_detector(folder, detector, card)
         loop.forget()
     return card
@@ -294,6 +294,7 @@ def _card(
     best: dict[str, float],
     identity: dict[str, Any],
     training: Dataset,
+    validation: Dataset,
 ) -> DetectorCard:
     width, height = training.pictures[0].size_px
     return DetectorCard(
@@ -309,6 +310,7 @@ def _card(
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
+        validation_vehicles=sum(map(len, validation.boxes)),
         skyproof_version=installed_version(),
         trained_on=training.origin,
     )
