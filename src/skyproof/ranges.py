@@ -164,7 +164,7 @@ def _expected(hint: Any) -> str:
     """Says in words what an annotation allows."""
     kinds = {int: "a whole number", float: "a number", str: "text"}
     choices = _choices(hint)
-    words = [f"one of {', '.join(choices)}"] if choices else []
+    words = [f"one of {', '.join(choices)}"] if len(choices) > 1 else choices
     length = ""
     for kind, meta in _metas(hint):
         if meta.max_length is not None and kind is not str:

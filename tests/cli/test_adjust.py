@@ -18,33 +18,49 @@ def folder(tmp_path):
     return tmp_path / "ground"
 
 
+def sensors(folder):
+    backgrounds = BackgroundSet.open(folder)
+    return [tile.sensor or backgrounds.sensor for tile in backgrounds.tiles("train")]
+
+
 def test_measures_and_keeps_the_rest(folder):
     before = json.loads((folder / "index.json").read_text())
     assert run(["adjust", str(folder), "--measure-sensor"]) == 0
     after = json.loads((folder / "index.json").read_text())
-    assert 0.4 < after["sensor"]["blur_sigma_px"] < 1.0
-    assert {**after, "sensor": before["sensor"]} == before
+    first, second = sensors(folder)
+    assert first == second == BackgroundSet.open(folder).sensor
+    assert 0.4 < first.blur_sigma_px < 1.0
+    for index in (before, after):
+        for place in (index, *index["tiles"]):
+            del place["sensor"]
+    assert after == before
 
 
-def test_what_is_given_is_taken(folder):
+def test_what_is_given_is_taken(folder, capsys):
     assert run(["adjust", str(folder), "--blur-sigma-px", "1.1", "--noise", "0.01"]) == 0
-    assert BackgroundSet.open(folder).sensor == Sensor(1.1, 0.01)
+    assert sensors(folder) == [Sensor(1.1, 0.01)] * 2
+    assert capsys.readouterr().out.startswith("Blur 1.1 px, noise 0.01: ")
+    assert run(["adjust", str(folder), "--blur-sigma-px", "paper"]) == 0
+    assert sensors(folder) == [Sensor(2.4, 0.01)] * 2
 
 
-def test_what_is_not_given_stays(folder):
-    before = BackgroundSet.open(folder).sensor
+def test_what_is_not_given_stays(folder, capsys):
+    before = sensors(folder)
+    assert before[0].noise != before[1].noise
     assert run(["adjust", str(folder), "--blur-sigma-px", "1.1"]) == 0
-    assert BackgroundSet.open(folder).sensor == Sensor(1.1, before.noise)
+    assert sensors(folder) == [Sensor(1.1, own.noise) for own in before]
+    low, high = sorted(own.noise for own in before)
+    assert f"Blur 1.1 px, noise {low:g} to {high:g}: " in capsys.readouterr().out
     assert run(["adjust", str(folder), "--measure-sensor", "--noise", "0.02"]) == 0
-    sensor = BackgroundSet.open(folder).sensor
-    assert 0.4 < sensor.blur_sigma_px < 1.0
-    assert sensor.noise == 0.02
+    for sensor in sensors(folder):
+        assert 0.4 < sensor.blur_sigma_px < 1.0
+        assert sensor.noise == 0.02
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--blur-sigma-px", "-1", "--noise", "0"], "expects a number from 0 up to 10"),
+        (["--blur-sigma-px", "-1", "--noise", "0"], "expects paper or a number from 0 up to 10"),
         (["--measure-sensor"], "at least 100 clear edges"),
         ([], "Nothing to adjust"),
     ],

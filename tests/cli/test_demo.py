@@ -14,7 +14,6 @@ from skyproof.cli.report import Report
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import TINY, Skyproof, bytes_of
 
@@ -150,13 +149,12 @@ def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def opened(
         rendering: Rendering, backgrounds: BackgroundSet, out: Path
     ) -> Iterator[TorchRenderer]:
-        sensor = RenderSettings.of(backgrounds.sensor)
         if rendering.renderer == "torch":
-            yield TorchRenderer(backgrounds, sensor)
+            yield TorchRenderer(backgrounds)
             return
         assert rendering.blender == Path("/opt/blender")
         drawn.append(out.name)
-        yield Stand(backgrounds, sensor)
+        yield Stand(backgrounds)
 
     monkeypatch.setattr("skyproof.cli.renderers.open_renderer", opened)
     monkeypatch.setattr("skyproof.cycles.blender.find_blender", lambda path: path)

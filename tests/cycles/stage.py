@@ -60,9 +60,15 @@ def one_job(
     placed = place([scene], vehicles)
     size = placed.size_px
     light = torch.as_tensor(ground, dtype=torch.float32).expand(1, 3, size, size).clone()
-    windows = crop_windows(placed, round(margin_m / placed.gsd_m), 0)
+    windows = crop_windows(placed, round(margin_m / placed.gsd_m), [0])
     (job,) = crop_jobs(
-        [scene], vehicles, placed, light, windows, settings or CyclesSettings(), RenderSettings()
+        [scene],
+        vehicles,
+        placed,
+        light,
+        windows,
+        settings or CyclesSettings(),
+        RenderSettings().sky_share,
     )
     return job
 

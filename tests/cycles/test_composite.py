@@ -7,9 +7,9 @@ import torch
 
 from skyproof.cycles.composite import composite_crops
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.settings import RenderSettings
+from skyproof.scenes.sensor import Sensor
 
-SHARP = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+SHARP = Sensor(blur_sigma_px=0.0, noise=0.0)
 SIZE = 40
 
 
@@ -103,17 +103,17 @@ def test_where_two_crops_differ_the_one_seen_from_farther_inside_counts_more():
 
 def test_without_crops_the_picture_is_the_photograph():
     photograph = torch.rand(3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(composite_crops(photograph, [], 0, 4, RenderSettings()), photograph)
+    assert torch.equal(composite_crops(photograph, [], 0, 4, Sensor(2.4)), photograph)
     undisturbed = [((4, 4, 20, 20), layers(20, 20))]
-    assert torch.equal(composite_crops(photograph, undisturbed, 0, 4, RenderSettings()), photograph)
+    assert torch.equal(composite_crops(photograph, undisturbed, 0, 4, Sensor(2.4)), photograph)
 
 
 def test_beyond_crop_and_blur_the_photographs_bytes_stay():
-    settings = RenderSettings()
+    sensor = Sensor(2.4)
     photograph = torch.rand(3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
     crop = layers(8, 6, (0.9, 0.1, 0.1), alpha=1.0)
-    image = composite_crops(photograph, [((16, 17, 8, 6), crop)], 3, 1, settings)
-    radius = settings.blur_radius_px
+    image = composite_crops(photograph, [((16, 17, 8, 6), crop)], 3, 1, sensor)
+    radius = sensor.blur_radius_px
     changed = (image != photograph).any(0)
     allowed = torch.zeros(SIZE, SIZE, dtype=torch.bool)
     allowed[17 - radius : 23 + radius, 16 - radius : 24 + radius] = True
@@ -125,12 +125,12 @@ def test_beyond_crop_and_blur_the_photographs_bytes_stay():
 
 
 def test_the_blur_is_the_sensors_and_reaches_in_from_beyond_the_border():
-    settings = RenderSettings(noise=0.0)
-    radius, sigma = settings.blur_radius_px, settings.blur_sigma_px
+    sensor = Sensor(2.4, noise=0.0)
+    radius, sigma = sensor.blur_radius_px, sensor.blur_sigma_px
     # All that lies outside the left border is white; inside, the ground is black.
     crop = layers(radius, SIZE + 2 * radius, (1.0, 1.0, 1.0), alpha=1.0)
     image = composite_crops(
-        plain(0.0), [((-radius, -radius, radius, SIZE + 2 * radius), crop)], 0, 1, settings
+        plain(0.0), [((-radius, -radius, radius, SIZE + 2 * radius), crop)], 0, 1, sensor
     )
     weights = [math.exp(-0.5 * (step / sigma) ** 2) for step in range(-radius, radius + 1)]
     for column in range(radius + 1):
@@ -139,13 +139,13 @@ def test_the_blur_is_the_sensors_and_reaches_in_from_beyond_the_border():
 
 
 def test_noise_lies_on_vehicles_alone_and_is_the_seeds():
-    settings = RenderSettings(blur_sigma_px=0.0, noise=0.02)
+    sensor = Sensor(blur_sigma_px=0.0, noise=0.02)
     crop = layers(30, 30, (0.2, 0.2, 0.2), ratio=(0.5, 0.5, 0.5))
     crop[:, :, :15] = layers(15, 30, (0.2, 0.2, 0.2), alpha=1.0)
     crops = [((5, 5, 30, 30), crop)]
-    first, again = (composite_crops(plain(), crops, 7, 1, settings) for _ in range(2))
+    first, again = (composite_crops(plain(), crops, 7, 1, sensor) for _ in range(2))
     other, without = (
-        composite_crops(plain(), crops, 8, 1, settings),
+        composite_crops(plain(), crops, 8, 1, sensor),
         composite_crops(plain(), crops, 7, 1, SHARP),
     )
     assert torch.equal(first, again)

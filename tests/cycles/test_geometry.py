@@ -72,10 +72,16 @@ def drawn(workers):
     scenes = random_scenes(fleet)
     vehicles = placed_vehicles(fleet, scenes)
     placed = place(scenes, vehicles)
-    windows = crop_windows(placed, 8, 0)
+    windows = crop_windows(placed, 8, [0] * SCENES)
     ground = torch.full((SCENES, 3, SIZE_PX, SIZE_PX), 0.2)
     jobs = crop_jobs(
-        scenes, vehicles, placed, ground, windows, CyclesSettings(samples=SAMPLES), SETTINGS
+        scenes,
+        vehicles,
+        placed,
+        ground,
+        windows,
+        CyclesSettings(samples=SAMPLES),
+        SETTINGS.sky_share,
     )
     assert len(jobs) == SCENES
     return scenes, vehicles, placed, [job.window_px for job in jobs], workers.run(jobs)

@@ -19,12 +19,14 @@ from skyproof.render.dataset import render_dataset
 from skyproof.render.frames import Renderer
 from skyproof.render.placed import place
 from skyproof.render.renderer import TorchRenderer, photographs
+from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images
-from skyproof.scenes.scene import Placement
+from skyproof.scenes.scene import BackgroundWindow, Placement
+from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.weather import Weather
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Overlay
-from tests.render.bodies import PlainGround, scene, vehicles
+from tests.render.bodies import PAPER_SENSOR, PlainGround, scene, vehicles
 
 COARSE = CyclesSettings(samples=1)
 LABELS = ("scene_index", "boxes", "centres", "visible_px", "visible_fraction", "masks")
@@ -79,11 +81,13 @@ def clothed(batch):
 
 def near_crops(scenes, batch, renderer):
     """Per image the pixels within a crop or the reach of the blur."""
-    placed, radius = place(scenes, batch), renderer.sensor.blur_radius_px
+    placed, radius = place(scenes, batch), PAPER_SENSOR.blur_radius_px
     margin = round(renderer.settings.margin_m / placed.gsd_m)
     allowed = torch.zeros(len(scenes), 96, 96, dtype=torch.bool)
     for index, (left, top, right, bottom) in zip(
-        placed.scene.tolist(), crop_windows(placed, margin, radius).tolist(), strict=True
+        placed.scene.tolist(),
+        crop_windows(placed, margin, [radius] * len(scenes)).tolist(),
+        strict=True,
     ):
         if right > left and bottom > top:
             rows, columns = (
@@ -101,17 +105,38 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
     assert isinstance(other, Renderer)
     assert (renderer.name, renderer.differentiable) == ("cycles", False)
     assert (other.name, other.differentiable) == ("torch", True)
-    record = renderer.record()
+    record = renderer.record([scene()])
     assert (record["samples"], record["finish"], record["blender"]) == (7, "matt", "4.5.0")
     # Of what the sensor does, all that its images depend on, and no light of the other renderer's
     # own.
     shared = ("blur_sigma_px", "noise", "sky_share")
     assert {name: record[name] for name in shared} == {
-        name: other.record()[name] for name in shared
+        name: other.record([scene()])[name] for name in shared
     }
     assert "shadow_light" not in record
     assert json.loads(json.dumps(record)) == record
-    assert json.loads(json.dumps(other.record())) == other.record()
+    assert json.loads(json.dumps(other.record([scene()]))) == other.record([scene()])
+
+
+def test_each_image_has_the_blur_of_its_own_ground():
+    # The dark shadow reaches over the whole crop, so that every vehicle's blur can be seen.
+    sensors = {"sharp": Sensor(0.6, 0.01), "soft": Sensor(2.4, 0.0)}
+    renderer = CyclesRenderer(PlainGround(None, sensors=sensors), Shadows())
+    batch = vehicles(2)
+    scenes = [
+        dataclasses.replace(
+            scene((5.5, 0.0, 10.0), name=tile), background=BackgroundWindow(tile, 0.0, 0.0, 0.0)
+        )
+        for tile in sensors
+    ]
+    together = renderer(scenes, batch).image
+    for index, sensor in enumerate(sensors.values()):
+        asked = RenderSettings(blur_sigma_px=sensor.blur_sigma_px, noise=sensor.noise)
+        told = CyclesRenderer(PlainGround(None), Shadows(), shared=asked)
+        assert torch.equal(renderer([scenes[index]], batch.row(index)).image[0], together[index])
+        assert torch.equal(told(scenes, batch).image[index], together[index])
+    assert not torch.equal(together[0], together[1])
+    assert renderer.record(scenes)["blur_sigma_px"] == [0.6, 2.4]
 
 
 def test_settings_that_cannot_work_are_refused():
@@ -265,4 +290,4 @@ def test_a_dataset_says_who_rendered_it(workers, tmp_path):
     ):
         render_dataset(tmp_path / name, scenes, fleet, renderer)
         dataset = Dataset.open(tmp_path / name)
-        assert (dataset.renderer, dataset.rendering) == (name, renderer.record())
+        assert (dataset.renderer, dataset.rendering) == (name, renderer.record(scenes))

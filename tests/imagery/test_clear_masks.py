@@ -14,6 +14,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
 )
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 GSD_M = 0.125
@@ -112,6 +113,9 @@ class Plain:
 
     def window(self, window, size_px):
         return torch.full((3, size_px, size_px), 0.5)
+
+    def sensor_of(self, window):
+        return Sensor()
 
 
 @pytest.mark.parametrize("azimuth", [0.7, 2.5, 5.0])

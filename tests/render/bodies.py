@@ -2,11 +2,15 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import torch
 
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Template, VehicleBatch
+
+PAPER_SENSOR = Sensor(PAPER_BLUR_SIGMA_PX)
 
 
 def sphere_template(rings: int = 31, columns: int = 32) -> Template:
@@ -119,8 +123,17 @@ def double(batch: VehicleBatch) -> VehicleBatch:
 class PlainGround:
     """A background source: one grey, or noise with a fixed seed."""
 
-    def __init__(self, value: float | None = 0.4, dtype: torch.dtype = torch.float32) -> None:
-        self.value, self.dtype = value, dtype
+    def __init__(
+        self,
+        value: float | None = 0.4,
+        dtype: torch.dtype = torch.float32,
+        sensors: Mapping[str, Sensor] | None = None,
+    ) -> None:
+        self.value, self.dtype, self.sensors = value, dtype, sensors or {}
+
+    def sensor_of(self, window: BackgroundWindow) -> Sensor:
+        """What took each tile; the paper's where nothing else is said."""
+        return self.sensors.get(window.tile, PAPER_SENSOR)
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:

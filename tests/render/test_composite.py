@@ -9,6 +9,7 @@ import torch
 from skyproof.render.composite import composite
 from skyproof.render.layers import Layers, Windows
 from skyproof.render.settings import RenderSettings
+from skyproof.scenes.sensor import Sensor
 
 
 def to_linear(srgb):
@@ -61,7 +62,7 @@ def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
 
 def test_on_even_ground_the_blur_is_the_papers():
     """I = I_bg + G(I_fg - I_bg) (section S2.1); ours differs only where the ground has detail."""
-    settings = RenderSettings(noise=0.0)
+    settings = RenderSettings(blur_sigma_px=2.4, noise=0.0)
     photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
     image = compose(
         photograph, body, [(18, 20)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], settings
@@ -77,7 +78,10 @@ def test_markings_do_not_shine_through_a_vehicle():
     photograph = torch.full((1, 3, 64, 64), 0.3, dtype=torch.float64)
     photograph[..., 31:33] = 0.95
     body = torch.cat((torch.full((3, 40, 40), 0.2), torch.ones(1, 40, 40))).double()[None]
-    no_shadow, settings = torch.zeros(1, 1, 3, 3).double(), RenderSettings(noise=0.0)
+    no_shadow, settings = (
+        torch.zeros(1, 1, 3, 3).double(),
+        RenderSettings(blur_sigma_px=2.4, noise=0.0),
+    )
     image = compose(photograph, body, [(12, 12)], no_shadow, [(20, 20)], settings)
     middle = image[0, :, 28:36, 20:44]
     assert float(middle.max() - middle.min()) < 1e-3
@@ -110,7 +114,7 @@ def compose(
         nearness=torch.tensor(nearness, dtype=photograph.dtype),
         seeds=list(seeds),
         shadow_light=photograph.new_tensor(settings.shadow_light).expand(len(photograph), 3),
-        settings=settings,
+        sensors=[settings.sensor_on(Sensor())] * len(photograph),
     )
 
 
@@ -150,7 +154,7 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
 
 
 def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
-    settings = RenderSettings()
+    settings = RenderSettings(blur_sigma_px=2.4)
     photograph = noise_photograph().float()
     # Layers with an empty rim: its pixels are computed, and must come out as they were.
     body, shadow = (
@@ -211,7 +215,7 @@ def test_two_shadows_on_one_place_shade_it_once():
 
 
 def test_vehicles_land_in_their_own_image():
-    settings = RenderSettings(noise=0.0)
+    settings = RenderSettings(blur_sigma_px=2.4, noise=0.0)
     photographs, bodies = noise_photograph(3), torch.cat((layer(9, 1), layer(9, 2), layer(9, 3)))
     shadows = torch.zeros(3, 1, 9, 9, dtype=torch.float64)
     at = [(5, 5), (30, 8), (12, 28)]

@@ -14,10 +14,9 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.errors import RunFolderError
 from skyproof.render.dataset import ground_corners, placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.scene import Placement, read_scenes
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
-from tests.render.bodies import PlainGround, scene
+from tests.render.bodies import PAPER_SENSOR, PlainGround, scene
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +71,8 @@ def _any_mask(frames, count):
 
 @torch.no_grad()
 def test_a_camouflage_changes_pixels_of_the_vehicle_and_no_labels(fleet):
-    scenes, settings = some_scenes(fleet), RenderSettings()
-    renderer, vehicles = TorchRenderer(PlainGround(None), settings), placed_vehicles(fleet, scenes)
+    scenes = some_scenes(fleet)
+    renderer, vehicles = TorchRenderer(PlainGround(None)), placed_vehicles(fleet, scenes)
     original = renderer(scenes, vehicles, masks=True)
     camouflaged = renderer(scenes, random_colours()(vehicles), masks=True)
     for label in ("scene_index", "boxes", "centres", "visible_px", "visible_fraction", "masks"):
@@ -87,7 +86,7 @@ def test_a_camouflage_changes_pixels_of_the_vehicle_and_no_labels(fleet):
     ]
     whole = _any_mask(renderer(wider, vehicles, masks=True), len(scenes))
     assert torch.equal(whole[:, 32:128, 32:128], masks)
-    side = 2 * (settings.blur_radius_px + 1) + 1
+    side = 2 * (PAPER_SENSOR.blur_radius_px + 1) + 1
     near = (
         torch.nn.functional.max_pool2d(whole[:, None].float(), side, stride=1, padding=side // 2)[
             :, 0
@@ -123,7 +122,7 @@ def test_a_dataset_reads_back_with_the_boxes_and_pixels_that_were_drawn(tmp_path
     document = json.loads((tmp_path / "set" / "annotations.json").read_text())
     assert (document["info"]["renderer"], document["info"]["rendering"]) == (
         "torch",
-        TorchRenderer(PlainGround(None)).record(),
+        TorchRenderer(PlainGround(None)).record(scenes),
     )
     rows = document["annotations"]
     assert [row["placement_index"] for row in rows] == [0, 0, 1, 0, 1]

@@ -11,7 +11,8 @@ from skyproof.geometry.colour import srgb_to_linear
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
-from skyproof.scenes.scene import Placement
+from skyproof.scenes.scene import BackgroundWindow, Placement
+from skyproof.scenes.sensor import Sensor
 from tests.render.bodies import PlainGround, rounded_box, scene, vehicles
 
 # Neither blur nor noise: what is drawn can be measured to the pixel.
@@ -225,6 +226,33 @@ def test_a_scene_is_the_same_alone_and_within_a_batch():
         torch.testing.assert_close(together.image[index], alone.image[0], atol=1e-6, rtol=0)
         assert torch.equal(together.masks[rows], alone.masks)
         torch.testing.assert_close(together.boxes[rows], alone.boxes, atol=1e-4, rtol=0)
+
+
+def test_each_image_has_the_blur_and_noise_of_its_own_ground():
+    sensors = {"sharp": Sensor(0.55, 0.01), "soft": Sensor(2.4, 0.0), "bare": Sensor(0.0, 0.02)}
+    grounds = PlainGround(None, sensors=sensors)
+    batch = vehicles(3, seed=2)
+    scenes = [
+        dataclasses.replace(
+            scene((0.3 * index, 1.0, 70.0 * index), seed=index, name=tile),
+            background=BackgroundWindow(tile, 0.0, 0.0, 0.0),
+        )
+        for index, tile in enumerate(sensors)
+    ]
+    mixed = TorchRenderer(grounds)
+    together = mixed(scenes, batch).image
+    for index, (tile, sensor) in enumerate(sensors.items()):
+        alone = mixed([scenes[index]], batch.row(index)).image[0]
+        assert torch.equal(alone, together[index]), f"{tile} depends on the others of its batch"
+        # A setting stands for the ground's own, whatever that is.
+        asked = RenderSettings(blur_sigma_px=sensor.blur_sigma_px, noise=sensor.noise)
+        told = TorchRenderer(PlainGround(None), asked)(scenes, batch).image[index]
+        assert torch.equal(told, together[index])
+    record = mixed.record(scenes)
+    assert (record["blur_sigma_px"], record["noise"]) == ([0.0, 0.55, 2.4], [0.0, 0.01, 0.02])
+    assert mixed.record(scenes[:1])["blur_sigma_px"] == 0.55
+    told = TorchRenderer(grounds, RenderSettings(blur_sigma_px=1.0)).record(scenes)
+    assert (told["blur_sigma_px"], told["noise"]) == (1.0, [0.0, 0.01, 0.02])
 
 
 def test_the_seed_decides_the_noise_and_nothing_else_does():

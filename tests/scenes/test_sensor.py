@@ -1,18 +1,33 @@
 """The sensor of a background set decides how vehicles are drawn on it."""
 
+import dataclasses
 import json
 
+import numpy as np
 import pytest
 import torch
+from tests.render.bodies import scene
 
 from skyproof.attacks.world import AttackWorld
 from skyproof.cli.renderers import open_renderer
 from skyproof.cli.rendering import Rendering
-from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.render.settings import RenderSettings
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
+from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.imagery.sharpness import measure_sensor
+from skyproof.scenes.backgrounds import (
+    BackgroundSet,
+    BackgroundTile,
+    change_sensors,
+    save_tile,
+    write_index,
+)
+from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+
+
+def window(tile):
+    return BackgroundWindow(tile, 100.0, 100.0, 0.0)
 
 
 @pytest.fixture
@@ -32,21 +47,65 @@ def test_is_stored_with_the_set(folder):
     assert BackgroundSet.open(folder).sensor == Sensor(0.8, 0.02)
 
 
-def test_old_sets_have_the_papers_blur(folder):
+def test_sets_of_before_are_read(folder):
     index = json.loads((folder / "index.json").read_text())
+    for tile in index["tiles"]:
+        del tile["sensor"]
+    (folder / "index.json").write_text(json.dumps(index))
+    assert BackgroundSet.open(folder).sensor_of(window("train")) == Sensor(0.8, 0.02)
+    # The oldest name no sensor at all: vehicles had the paper's blur on them.
     del index["sensor"]
     (folder / "index.json").write_text(json.dumps(index))
-    assert BackgroundSet.open(folder).sensor == Sensor(2.4, 0.006) == Sensor()
-    assert RenderSettings.of(Sensor()) == RenderSettings()
+    assert BackgroundSet.open(folder).sensor_of(window("train")) == Sensor(2.4, 0.006)
+
+
+def test_a_tile_may_have_its_own(folder):
+    index = json.loads((folder / "index.json").read_text())
+    index["tiles"][1]["sensor"] = {"blur_sigma_px": 0.5, "noise": 0.01}
+    (folder / "index.json").write_text(json.dumps(index))
+    backgrounds = BackgroundSet.open(folder)
+    assert backgrounds.sensor_of(window("train")) == Sensor(0.8, 0.02)
+    assert backgrounds.sensor_of(window("attack")) == Sensor(0.5, 0.01)
+    with pytest.raises(StoredFileError, match="has no tile 'other'"):
+        backgrounds.sensor_of(window("other"))
+    # What is changed is changed everywhere, and nothing else.
+    change_sensors(folder, lambda its: dataclasses.replace(its, blur_sigma_px=2.4))
+    backgrounds = BackgroundSet.open(folder)
+    assert backgrounds.sensor_of(window("train")) == Sensor(2.4, 0.02)
+    assert backgrounds.sensor_of(window("attack")) == Sensor(2.4, 0.01)
+
+
+def test_drawn_ground_is_blurred_as_it_says(tmp_path):
+    """Vehicles are to be as sharp as the tile that they stand on: its sensor is the tile's own."""
+    backgrounds = write_procedural_backgrounds(tmp_path / "ground", {"train": 12}, 400, seed=1)
+    said, measured = [], []
+    for tile in backgrounds.tiles("train"):
+        assert 0.5 <= tile.sensor.blur_sigma_px <= 0.85
+        assert 0.004 <= tile.sensor.noise <= 0.012
+        try:
+            found = measure_sensor([backgrounds.pixels(tile.id)])
+        except ImageryError:
+            # Fields and parks have few edges.
+            continue
+        said.append(tile.sensor.blur_sigma_px)
+        measured.append(found.blur_sigma_px)
+    assert len(said) >= 6
+    assert np.corrcoef(said, measured)[0, 1] > 0.6
+    assert abs(np.mean(measured) - np.mean(said)) < 0.1
 
 
 def test_rendering_and_attacks_use_it(folder, tmp_path):
-    with open_renderer(Rendering(), BackgroundSet.open(folder), tmp_path / "out") as renderer:
-        assert (renderer.record()["blur_sigma_px"], renderer.record()["noise"]) == (0.8, 0.02)
+    backgrounds = BackgroundSet.open(folder)
+    place = scene((0.0, 0.0, 0.0))
+    place = dataclasses.replace(place, background=window("train"))
+    with open_renderer(Rendering(), backgrounds, tmp_path / "out") as renderer:
+        record = renderer.record([place])
+    assert (record["blur_sigma_px"], record["noise"]) == (0.8, 0.02)
     fleet = sample_fleet(FleetSettings(count=1), generator=torch.Generator().manual_seed(0))
     fleet.save(tmp_path / "fleet")
     world = AttackWorld.open(folder, tmp_path / "fleet", size_px=128)
-    assert (world.renderer.settings.blur_sigma_px, world.renderer.settings.noise) == (0.8, 0.02)
+    record = world.renderer.record(world.step_scenes(2, seed=0, step=1))
+    assert (record["blur_sigma_px"], record["noise"]) == (0.8, 0.02)
 
 
 @pytest.mark.parametrize("values", [(-1.0, 0.0), (float("nan"), 0.0), (1.0, 2.0)])

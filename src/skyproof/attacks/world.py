@@ -13,7 +13,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
@@ -73,8 +72,7 @@ class AttackWorld:
         """
         scenes = SceneSettings(size_px=size_px, vehicles_maximum=1, conditions=tuple(conditions))
         photographs = BackgroundSet.open(Path(backgrounds))
-        renderer = TorchRenderer(photographs, RenderSettings.of(photographs.sensor))
-        return cls(renderer, photographs, Fleet.load(Path(fleet)), scenes)
+        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Draws random scenes on the attack backgrounds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from tyro.conf import Positional
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
-from skyproof.scenes.sensor import Blur, Noise
+from skyproof.scenes.sensor import BlurChoice, Noise, chosen_blur_px
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Adjust"]
 
@@ -27,14 +29,15 @@ class Adjust:
         drop: ids of the tiles to take out, as on the sheets of `skyproof clear`; their pictures
             stay on disk.
         measure_sensor: measure blur and noise of the imagery anew, but for what is given.
-        blur_sigma_px: standard deviation of the Gaussian blur; the paper's is 2.4.
+        blur_sigma_px: standard deviation of the Gaussian blur in pixels, or "paper" for the paper's
+            2.4.
         noise: standard deviation of the noise, in sRGB units from 0 to 1.
     """
 
     folder: Positional[Path]
     drop: tuple[str, ...] = ()
     measure_sensor: bool = False
-    blur_sigma_px: Blur | None = None
+    blur_sigma_px: BlurChoice | None = None
     noise: Noise | None = None
 
     def __post_init__(self) -> None:
@@ -57,8 +60,10 @@ class Adjust:
                 self._set_sensor()
 
     def _given(self) -> dict[str, float]:
-        values = {"blur_sigma_px": self.blur_sigma_px, "noise": self.noise}
-        return {name: value for name, value in values.items() if value is not None}
+        values = {} if self.noise is None else {"noise": self.noise}
+        if self.blur_sigma_px is not None:
+            values["blur_sigma_px"] = chosen_blur_px(self.blur_sigma_px)
+        return values
 
     def _drop_tiles(self) -> None:
         from skyproof.imagery.clearing.clear import drop_tiles
@@ -73,14 +78,27 @@ class Adjust:
 
     def _set_sensor(self) -> None:
         from skyproof.imagery.sharpness import measure_sensor
-        from skyproof.scenes.backgrounds import BackgroundSet, write_sensor
+        from skyproof.scenes.backgrounds import BackgroundSet, change_sensors
 
         backgrounds = BackgroundSet.open(self.folder)
-        sensor = backgrounds.sensor
-        if self.measure_sensor:
-            sensor = measure_sensor(
+        given = self._given()
+        if not self.measure_sensor:
+            change_sensors(self.folder, lambda its: replace(its, **given))
+        else:
+            measured = measure_sensor(
                 backgrounds.pixels(tile.id) for tile in backgrounds.tiles("train")
             )
-        sensor = replace(sensor, **self._given())
-        write_sensor(self.folder, sensor)
-        say(f"Blur {sensor.blur_sigma_px:g} px, noise {sensor.noise:g}: {self.folder.resolve()}")
+            change_sensors(self.folder, lambda _: replace(measured, **given))
+        backgrounds = BackgroundSet.open(self.folder)
+        tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+        sensors = [tile.sensor or backgrounds.sensor for tile in tiles]
+        blur = _span([sensor.blur_sigma_px for sensor in sensors])
+        noise = _span([sensor.noise for sensor in sensors])
+        say(f"Blur {blur} px, noise {noise}: {self.folder.resolve()}")
+
+
+def _span(values: Sequence[float]) -> str:
+    """Says one number, or from which to which they go."""
+    low = min(values)
+    high = max(values)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

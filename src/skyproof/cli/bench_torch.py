@@ -24,6 +24,7 @@ from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.scene import Scene
+from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["bench_torch"]
@@ -180,6 +181,9 @@ class _Grey:
 
     def window(self, window: object, size_px: int) -> torch.Tensor:
         return torch.full((3, size_px, size_px), 0.4)
+
+    def sensor_of(self, window: object) -> Sensor:
+        return Sensor()
 
 
 def _median(work: Callable[[], None], repeats: int, device: torch.device) -> float:

@@ -14,7 +14,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.ranges import Count, Seed
-from skyproof.scenes.sensor import Blur
+from skyproof.scenes.sensor import BlurChoice, chosen_blur_px
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -38,8 +38,9 @@ class Ground:
         out: background set to write.
         tiles: how many tiles are drawn per split (train, validation, attack, test), where no
             sources are given.
-        blur_sigma_px: blur of vehicles on this ground; where it is not given, the paper's 2.4 on
-            procedural ground, and what is measured on imagery.
+        blur_sigma_px: blur of vehicles on this ground: a number of pixels, or "paper" for the
+            paper's 2.4; where it is not given, that of the ground itself, of each drawn tile its
+            own and on imagery as measured.
         seed: seed of procedural ground, and of the order in which blocks of imagery go to the
             splits.
         tiling: how the ground is cut.
@@ -50,7 +51,7 @@ class Ground:
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
     tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
-    blur_sigma_px: Blur | None = None
+    blur_sigma_px: BlurChoice | None = None
     seed: Seed = 0
     tiling: TilingSettings = field(default_factory=TilingSettings)
     source: SourceSettings = field(default_factory=SourceSettings)
@@ -66,7 +67,7 @@ class Ground:
 
     def run(self) -> None:
         """Writes the tiles and says how many."""
-        from skyproof.scenes.backgrounds import BackgroundSet, write_sensor
+        from skyproof.scenes.backgrounds import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:
@@ -74,8 +75,8 @@ class Ground:
             else:
                 self._draw(folder)
             if self.blur_sigma_px is not None:
-                measured = BackgroundSet.open(folder).sensor
-                write_sensor(folder, replace(measured, blur_sigma_px=self.blur_sigma_px))
+                blur_sigma_px = chosen_blur_px(self.blur_sigma_px)
+                change_sensors(folder, lambda its: replace(its, blur_sigma_px=blur_sigma_px))
         say(f"Ground: {self.out.resolve()}")
 
     def _draw(self, folder: Path) -> None:

@@ -14,7 +14,6 @@ from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.workers import Workers
 from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 
 __all__ = ["open_renderer", "open_workers"]
@@ -32,13 +31,12 @@ def open_renderer(
     Raises:
         ConfigurationError: there is no usable Blender, or the settings cannot work.
     """
-    settings = RenderSettings.of(backgrounds.sensor)
     if rendering.renderer == "torch":
-        yield TorchRenderer(backgrounds, settings)
+        yield TorchRenderer(backgrounds)
         return
     crops = out.with_name(f".{out.name}.crops")
     with open_workers(rendering, crops) as workers:
-        yield CyclesRenderer(backgrounds, workers, rendering.cycles, settings)
+        yield CyclesRenderer(backgrounds, workers, rendering.cycles)
     shutil.rmtree(crops, ignore_errors=True)
 
 

@@ -206,7 +206,7 @@ class Score(Rendering):
             self._fresh_folder() as images,
             open_renderer(self, backgrounds, self.out) as renderer,
         ):
-            if self.camouflages and renderer.record() != original.rendering:
+            if self.camouflages and renderer.record(original.scenes) != original.rendering:
                 raise ConfigurationError(
                     f"{self.original} was rendered with other settings than are asked for here, "
                     "or by another version of skyproof or Blender; give the same "

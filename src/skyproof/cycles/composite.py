@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.sensor import blurred, sensor_noise
-from skyproof.render.settings import RenderSettings
+from skyproof.scenes.sensor import Sensor
 
 __all__ = ["composite_crops"]
 
@@ -23,7 +23,7 @@ def composite_crops(
     crops: Sequence[tuple[tuple[int, int, int, int], Float[Tensor, "7 _h _w"]]],
     seed: int,
     margin_px: int,
-    settings: RenderSettings,
+    sensor: Sensor,
 ) -> Float[Tensor, "3 H W"]:
     """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
 
@@ -40,11 +40,11 @@ def composite_crops(
             two overlap either is right.
         seed: of the noise.
         margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels.
-        settings: blur and noise.
+        sensor: blur and noise.
     """
     if not crops:
         return photograph
-    radius, size = settings.blur_radius_px, photograph.shape[-1]
+    radius, size = sensor.blur_radius_px, photograph.shape[-1]
     wide = size + 2 * radius
     total = photograph.new_zeros(7, wide, wide)
     weight = photograph.new_zeros(wide, wide)
@@ -62,14 +62,13 @@ def composite_crops(
     taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
     middle = slice(radius, radius + size)
     colour, alpha, taken = (
-        blurred(layer, settings.blur_sigma_px, radius)[:, middle, middle]
-        for layer in (colour, alpha, taken)
+        blurred(layer[None], [sensor])[0, :, middle, middle] for layer in (colour, alpha, taken)
     )
     pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
-    if settings.noise > 0:
+    if sensor.noise > 0:
         steps = torch.arange(size, device=photograph.device)[None]
         noise = sensor_noise([seed], steps, steps, photograph[None])[0]
-        pixels = pixels + settings.noise * alpha * noise
+        pixels = pixels + sensor.noise * alpha * noise
     reached = (taken != 0).any(0) | (alpha[0] > 0)
     return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)
 

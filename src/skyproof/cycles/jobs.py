@@ -21,7 +21,6 @@ from skyproof.cycles.materials import material_labels, material_table
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.sky import SUN_DIAMETER_RAD, daylight
 from skyproof.render.placed import Placed
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -68,16 +67,22 @@ class Job:
 
 
 @torch.no_grad()
-def crop_windows(placed: Placed, margin_px: int, border_px: int) -> Int[Tensor, "N 4"]:
+def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
     Cut at the image's border, beyond which only what the sensor's blur brings in is drawn; without
     area where nothing of the vehicle is near the image.
+
+    Args:
+        placed: the vehicles.
+        margin_px: ground around each.
+        borders_px: how far the blur brings something in, one per image.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
         (points.amin(1).floor() - margin_px, points.amax(1).ceil() + margin_px), dim=1
     )
+    border_px = window.new_tensor(borders_px)[placed.scene, None]
     return window.clamp(-border_px, placed.size_px + border_px).long().cpu()
 
 
@@ -88,7 +93,7 @@ def crop_jobs(
     ground: Float[Tensor, "B 3 H W"],
     windows: Int[Tensor, "N 4"],
     settings: CyclesSettings,
-    sensor: RenderSettings,
+    sky_share: float,
 ) -> list[Job]:
     """One job for every vehicle that the image may show.
 
@@ -101,7 +106,7 @@ def crop_jobs(
         ground: the photographs in linear light.
         windows: of `crop_windows`.
         settings: samples and finish.
-        sensor: for the sky's share of the light.
+        sky_share: the sky's part of the light.
     """
     low, high = windows[:, :2], windows[:, 2:]
     rows = _Rows(vehicles, placed)
@@ -109,7 +114,7 @@ def crop_jobs(
     scene_of = placed.scene.cpu()
     jobs = []
     for index, scene in enumerate(scenes):
-        light = daylight(scene.sun, sensor.sky_share, scene.weather.overcast)
+        light = daylight(scene.sun, sky_share, scene.weather.overcast)
         own = scene_of == index
         for number, row in enumerate(own.nonzero()[:, 0].tolist()):
             if not bool((high[row] > low[row]).all()):

@@ -18,7 +18,7 @@ from skyproof.cycles.workers import Workers
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.frames import Frames
 from skyproof.render.placed import label, nothing_placed, place, visible_samples
-from skyproof.render.renderer import Backgrounds, photographs
+from skyproof.render.renderer import Backgrounds, photographs, sensor_record, sensors
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.scene import Scene
@@ -49,19 +49,21 @@ class CyclesRenderer:
         backgrounds: Backgrounds,
         workers: Workers,
         settings: CyclesSettings | None = None,
-        sensor: RenderSettings | None = None,
+        shared: RenderSettings | None = None,
     ) -> None:
         self.backgrounds, self.workers = backgrounds, workers
         self.settings = settings or CyclesSettings()
-        self.sensor = sensor or RenderSettings()
+        self.shared = shared or RenderSettings()
 
-    def record(self) -> dict[str, Any]:
-        """Its settings, and Blender's version."""
+    def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
+        """Its settings, with blur and noise as these scenes have them, and Blender's version."""
         # What only the differentiable renderer is told makes no difference here.
-        sensor = {
-            name: getattr(self.sensor, name) for name in ("blur_sigma_px", "noise", "sky_share")
+        return {
+            **asdict(self.settings),
+            **sensor_record(self.backgrounds, scenes, self.shared),
+            "sky_share": self.shared.sky_share,
+            "blender": self.workers.blender.version,
         }
-        return {**asdict(self.settings), **sensor, "blender": self.workers.blender.version}
 
     @torch.no_grad()
     def __call__(
@@ -78,11 +80,17 @@ class CyclesRenderer:
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
         placed = place(scenes, vehicles)
-        sensor = self.sensor
+        shown_by = sensors(self.backgrounds, scenes, self.shared)
         margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
-        windows = crop_windows(placed, margin_px, sensor.blur_radius_px)
+        windows = crop_windows(placed, margin_px, [sensor.blur_radius_px for sensor in shown_by])
         jobs = crop_jobs(
-            scenes, vehicles, placed, srgb_to_linear(ground), windows, self.settings, sensor
+            scenes,
+            vehicles,
+            placed,
+            srgb_to_linear(ground),
+            windows,
+            self.settings,
+            self.shared.sky_share,
         )
         drawn = [
             torch.from_numpy(crop).permute(2, 0, 1).to(ground) for crop in self.workers.run(jobs)
@@ -94,8 +102,10 @@ class CyclesRenderer:
                 for job, layers in zip(jobs, drawn, strict=True)
                 if job.scene == index
             ]
-            images.append(composite_crops(ground[index], crops, scene.seed, margin_px, sensor))
+            images.append(
+                composite_crops(ground[index], crops, scene.seed, margin_px, shown_by[index])
+            )
         finished = finish_images(torch.stack(images), scenes)
-        factor = sensor.supersampling
+        factor = self.shared.supersampling
         visibility, window = visible_samples(placed, vehicles.template.faces, factor)
         return label(finished, placed, visibility, window, factor, masks=masks)

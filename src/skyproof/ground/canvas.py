@@ -71,7 +71,7 @@ class GroundSensor:
             haze=float(rng.uniform(0.0, 0.035)),
             tint=(float(tint[0]), float(tint[1]), float(tint[2])),
             saturation=float(rng.uniform(0.7, 1.1)),
-            blur_px=float(rng.uniform(0.45, 0.85)),
+            blur_px=float(rng.uniform(0.5, 0.85)),
             noise=float(rng.uniform(0.004, 0.012)),
         )
 

@@ -11,7 +11,6 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
-from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["write_procedural_backgrounds"]
@@ -24,10 +23,9 @@ def write_procedural_backgrounds(
     *,
     seed: int,
     gsd_m: float = 0.125,
-    sensor: Sensor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BackgroundSet:
-    """Draws a background set.
+    """Draws a background set, each tile with the sensor that photographed it.
 
     Args:
         folder: where to; use `finished_folder` around it where a half-written folder must not stay.
@@ -36,7 +34,6 @@ def write_procedural_backgrounds(
         seed: decides every tile, each by a generator of its own, so that its bytes do not depend
             on how many others are drawn.
         gsd_m: metres per pixel.
-        sensor: how vehicles are to be drawn on it; the ground itself stays as sharp as it is.
         progress: called with (tiles done, tiles in all).
 
     Raises:
@@ -68,10 +65,11 @@ def write_procedural_backgrounds(
                 kind=ground.kind,
                 sun_azimuth_rad=ground.sun_azimuth_rad,
                 sun_elevation_rad=ground.sun_elevation_rad,
+                sensor=ground.sensor,
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)
             if progress is not None:
                 progress(len(tiles), total)
-    write_index(folder, gsd_m, tiles, sensor)
+    write_index(folder, gsd_m, tiles)
     return BackgroundSet.open(folder)

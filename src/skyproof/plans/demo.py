@@ -29,6 +29,7 @@ from skyproof.plans.steps import (
 )
 from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
 from skyproof.ranges import GroundResolution, Seed
+from skyproof.scenes.sensor import BlurChoice
 from skyproof.seeds import next_seed
 
 __all__ = ["Demo", "check_detectors", "demo_plan"]
@@ -82,8 +83,8 @@ class Demo:
         imagery: orthophotos to use as ground instead of procedural ones: GeoTIFFs, or JPEG/PNG with
             --gsd; a folder stands for the images in it.
         gsd: metres per pixel of images that do not say it themselves.
-        blur_sigma_px: blur of the vehicles; where not given, the paper's 2.4 on procedural ground
-            and the imagery's own on imagery.
+        blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
+            where not given, that of the ground under them.
         frames: real annotated frames to check the detectors on,
             `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD` (COCO, YOLO or DOTA labels), e.g. kit/MOS*@0.116.
         frame_classes: class names that count as vehicles in them; other classes are ignored, not
@@ -103,7 +104,7 @@ class Demo:
     out: Path = Path("runs/demo")
     imagery: tuple[Path, ...] = ()
     gsd: GroundResolution | None = None
-    blur_sigma_px: Annotated[float, Meta(ge=0, le=50)] | None = None
+    blur_sigma_px: BlurChoice | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
     detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")

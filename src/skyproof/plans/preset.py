@@ -20,6 +20,7 @@ from skyproof.documents import parse_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.plans.world import GSD_M, WorldSizes
 from skyproof.ranges import Count, ImageSide, Seed
+from skyproof.scenes.sensor import BlurChoice
 
 __all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
 
@@ -88,6 +89,8 @@ class Preset:
         score_batch: camouflages scored in one step.
         threads: CPU threads of each step.
         resources: what each step that renders, trains, attacks or scores asks of a cluster.
+        blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
+            None for that of the ground under them.
         title: of the report.
         preset: name of the preset that a run folder's settings came from.
     """
@@ -112,6 +115,7 @@ class Preset:
     score_batch: Count
     threads: Annotated[int, Meta(ge=1, le=1024)]
     resources: Resources
+    blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
     preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
 

@@ -71,7 +71,9 @@ def reproduction_plan(
     layout = Layout(folder)
     sizes = preset.world
     jobs = Jobs(preset)
-    steps = world_steps(layout, sizes, preset.seed, device=device)
+    steps = world_steps(
+        layout, sizes, preset.seed, blur_sigma_px=preset.blur_sigma_px, device=device
+    )
     steps += [
         train_step(
             layout,

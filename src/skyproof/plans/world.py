@@ -18,6 +18,7 @@ from skyproof.imagery.settings import SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.ranges import Count, Fraction, check_ranges
+from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
 
 __all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
@@ -104,7 +105,7 @@ def world_steps(
     *,
     imagery: Sequence[Path] = (),
     imagery_gsd_m: float | None = None,
-    blur_sigma_px: float | None = None,
+    blur_sigma_px: BlurChoice | None = None,
     device: str = "auto",
 ) -> list[Step]:
     """Returns the steps from nothing to rendered images to train, validate and test on."""
@@ -129,7 +130,7 @@ def ground_step(
     *,
     imagery: Sequence[Path] = (),
     imagery_gsd_m: float | None = None,
-    blur_sigma_px: float | None = None,
+    blur_sigma_px: BlurChoice | None = None,
 ) -> Step:
     """Returns the step that draws ground, or cuts it from imagery."""
     tiling = tiling_for_images(sizes.image_px, gsd_m=GSD_M, imagery=bool(imagery))

@@ -11,7 +11,7 @@ from torch import Tensor
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.layers import Layers
 from skyproof.render.sensor import blurred, sensor_noise
-from skyproof.render.settings import RenderSettings
+from skyproof.scenes.sensor import Sensor
 
 __all__ = ["composite"]
 
@@ -25,7 +25,7 @@ def composite(
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
     shadow_light: Float[Tensor, "B 3"],
-    settings: RenderSettings,
+    sensors: Sequence[Sensor],
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
@@ -45,16 +45,17 @@ def composite(
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: decide the noise, one per image.
         shadow_light: per image and channel, what remains of the light in a cast shadow.
-        settings: blur and noise.
+        sensors: blur and noise, one per image.
     """
     count, _, height, width = photographs.shape
     # One window per image, around all that is drawn into it and its blur.
-    origin, size = _whole([bodies, shadows], scene, count, settings.blur_radius_px)
+    margin_px = max(sensor.blur_radius_px for sensor in sensors)
+    origin, size = _whole([bodies, shadows], scene, count, margin_px)
     rank = _ranks(scene, nearness)
     layers = _lay(bodies, origin, size, scene, rank, _cover)
     shadow = _lay(shadows, origin, size, scene, rank, _join)
-    layers = blurred(layers, settings.blur_sigma_px, settings.blur_radius_px)
-    shadow = blurred(shadow, settings.blur_sigma_px, settings.blur_radius_px)
+    layers = blurred(layers, sensors)
+    shadow = blurred(shadow, sensors)
 
     # Where each pixel of the windows lies in the flat photographs; beyond their edge, on the edge.
     steps = torch.arange(size, device=photographs.device)
@@ -71,9 +72,10 @@ def composite(
     alpha = layers[:, 3:]
     kept_light = 1 - (1 - shadow_light[:, :, None, None]) * shadow
     pixels = linear_to_srgb(ground * kept_light * (1 - alpha) + colour)
-    if settings.noise > 0:
+    if any(sensor.noise > 0 for sensor in sensors):
         noise = sensor_noise(seeds, y, x, ground)
-        pixels = torch.addcmul(pixels, alpha.detach(), noise, value=settings.noise)
+        strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
+        pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
     reached = (alpha.detach() > 0) | (shadow.detach() > 0)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
 

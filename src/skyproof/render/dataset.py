@@ -88,7 +88,7 @@ def render_dataset(
     Raises:
         RunFolderError: the folder exists, or the disk cannot take it.
     """
-    source = {"renderer": renderer.name, "rendering": renderer.record()}
+    source = {"renderer": renderer.name, "rendering": renderer.record(scenes)}
 
     @torch.no_grad()
     def draw(batch: Sequence[Scene]) -> tuple[Frames, Float[Tensor, "N 4 2"]]:

@@ -54,8 +54,8 @@ class Renderer(Protocol):
     differentiable: bool
     concurrent: bool
 
-    def record(self) -> dict[str, Any]:
-        """The settings that its images depend on, as plain JSON values."""
+    def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
+        """The settings that its images of these scenes depend on, as plain JSON values."""
         ...
 
     def __call__(

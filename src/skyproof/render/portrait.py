@@ -12,6 +12,7 @@ from torch import Tensor
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -21,10 +22,13 @@ _SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
 
 
 class _Asphalt:
-    """Even grey ground."""
+    """Even grey ground, and no sensor to see it by."""
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
         return torch.full((3, size_px, size_px), 0.46)
+
+    def sensor_of(self, window: BackgroundWindow) -> Sensor:
+        return Sensor(blur_sigma_px=0.0, noise=0.0)
 
 
 @torch.no_grad()
@@ -40,9 +44,7 @@ def close_up(
     size_px = round(side_m / gsd_m)
     camera = Camera(tilt_rad, math.radians(-100), gsd_m, size_px)
     window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
-    renderer = TorchRenderer(
-        _Asphalt(), RenderSettings(blur_sigma_px=0.0, noise=0.0, supersampling=3)
-    )
+    renderer = TorchRenderer(_Asphalt(), RenderSettings(supersampling=3))
     pictures = []
     for index, name in enumerate(vehicles.ids):
         scene = Scene(name, window, camera, _SUN, (Placement(name, 0.0, 0.0, heading_rad),), seed=0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol, runtime_checkable
+from functools import partial
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -18,9 +19,12 @@ from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, shadow_lights, sky_shares, wet_grounds
 from skyproof.scenes.scene import BackgroundWindow, Scene
+from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Backgrounds", "TorchRenderer", "photographs"]
+__all__ = ["Backgrounds", "TorchRenderer", "photographs", "sensor_record", "sensors"]
+
+_Read = TypeVar("_Read")
 
 
 @runtime_checkable
@@ -29,6 +33,10 @@ class Backgrounds(Protocol):
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
         """A square window, sRGB in [0, 1]."""
+        ...
+
+    def sensor_of(self, window: BackgroundWindow) -> Sensor:
+        """What took it."""
         ...
 
 
@@ -40,22 +48,52 @@ def photographs(
     Raises:
         StoredFileError: the background set lacks a scene's background; names the scene.
     """
-    return torch.stack([_photograph(backgrounds, scene) for scene in scenes]).to(device)
+    windows = [
+        _of_scene(scene, partial(backgrounds.window, size_px=scene.camera.size_px))
+        for scene in scenes
+    ]
+    return torch.stack(windows).to(device)
 
 
-def _photograph(backgrounds: Backgrounds, scene: Scene) -> Float[Tensor, "3 H W"]:
+def _of_scene(scene: Scene, read: Callable[[BackgroundWindow], _Read]) -> _Read:
     try:
-        return backgrounds.window(scene.background, scene.camera.size_px)
+        return read(scene.background)
     except StoredFileError as error:
         raise StoredFileError(f"The scene {scene.id} lacks its background: {error}") from error
+
+
+def sensors(
+    backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
+) -> list[Sensor]:
+    """What shows the vehicles of each scene: that of its photograph, where nothing else is set.
+
+    Raises:
+        StoredFileError: the background set lacks a scene's background; names the scene.
+    """
+    return [settings.sensor_on(_of_scene(scene, backgrounds.sensor_of)) for scene in scenes]
+
+
+def sensor_record(
+    backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
+) -> dict[str, float | list[float]]:
+    """Blur and noise of vehicles in these scenes, as plain JSON values.
+
+    Each is one number, or the list of all that occur, from the smallest on.
+    """
+    used = set(sensors(backgrounds, scenes, settings))
+    record: dict[str, float | list[float]] = {}
+    for name in ("blur_sigma_px", "noise"):
+        values = sorted({getattr(sensor, name) for sensor in used})
+        record[name] = values[0] if len(values) == 1 else values
+    return record
 
 
 class TorchRenderer:
     """Draws vehicles onto photographs, differentiably in their texture and their vertices.
 
     Every vehicle and its shadow are rendered in small windows of their own, at `supersampling`
-    samples a pixel side, shaded by sun and sky, averaged to pixels, blurred, and laid over the
-    photograph in linear light (section S2).
+    samples a pixel side, shaded by sun and sky, averaged to pixels, blurred as the photograph is,
+    and laid over it in linear light (section S2).
 
     Differences from the paper: the camera is the orthophoto's own parallel projection (see
     `Camera`), not a perspective one at a distance that the paper does not give; there is a cast
@@ -76,9 +114,13 @@ class TorchRenderer:
         self.backgrounds = backgrounds
         self.settings = settings or RenderSettings()
 
-    def record(self) -> dict[str, Any]:
-        """Its settings."""
-        return {**asdict(self.settings), "shadow_light": list(self.settings.shadow_light)}
+    def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
+        """Its settings, with blur and noise as these scenes have them."""
+        return {
+            **asdict(self.settings),
+            **sensor_record(self.backgrounds, scenes, self.settings),
+            "shadow_light": list(self.settings.shadow_light),
+        }
 
     def __call__(
         self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
@@ -121,7 +163,7 @@ class TorchRenderer:
             nearness=(placed.ground * placed.viewer).sum(-1),
             seeds=[scene.seed for scene in scenes],
             shadow_light=shadow_lights(scenes, settings.shadow_light, vehicles.vertices),
-            settings=settings,
+            sensors=sensors(self.backgrounds, scenes, settings),
         )
         image = finish_images(image, scenes)
         return label(image, placed, visibility, window, settings.supersampling, masks=masks)

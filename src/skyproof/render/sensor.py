@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skyproof.scenes.sensor import Sensor
+
 __all__ = ["blurred", "sensor_noise"]
 
 # Sensor noise repeats after this many pixels; only vehicles, far smaller, show it.
@@ -17,45 +19,54 @@ _BAND_PX = 64
 
 
 def blurred(
-    picture: Float[Tensor, "*B S S"], sigma_px: float, radius_px: int
-) -> Float[Tensor, "*B S S"]:
-    """Returns square pictures under the sensor's Gaussian blur, zero beyond their ends.
+    pictures: Float[Tensor, "B C S S"], sensors: Sequence[Sensor]
+) -> Float[Tensor, "B C S S"]:
+    """Returns square pictures under their sensors' Gaussian blur, zero beyond their ends.
 
     Args:
-        picture: linear light or coverage.
-        sigma_px: standard deviation.
-        radius_px: the kernel ends after this many pixels; 0 leaves the picture as it is.
+        pictures: linear light or coverage.
+        sensors: one per picture.
     """
+    radius_px = max(sensor.blur_radius_px for sensor in sensors)
     if radius_px == 0:
-        return picture
-    kernel = _blur_matrix(picture.shape[-1], sigma_px, radius_px, picture)
-    size = len(kernel)
+        return pictures
+    kernels = _blur_matrices(pictures.shape[-1], sensors, radius_px, pictures)
+    size = kernels.shape[-1]
     if size < 3 * _BAND_PX:
-        return kernel @ picture @ kernel
-    # Far from its diagonal the kernel is zero: a band of rows needs only the rows near it.
+        return kernels @ pictures @ kernels
+    # Far from its diagonal a kernel is zero: a band of rows needs only the rows near it.
     bands = []
     for start in range(0, size, _BAND_PX):
         stop = min(start + _BAND_PX, size)
         bands.append((start, stop, max(0, start - radius_px), min(size, stop + radius_px)))
     rows = [
-        kernel[start:stop, low:high] @ picture[..., low:high, :] for start, stop, low, high in bands
+        kernels[..., start:stop, low:high] @ pictures[..., low:high, :]
+        for start, stop, low, high in bands
     ]
-    picture = torch.cat(rows, dim=-2)
+    pictures = torch.cat(rows, dim=-2)
     columns = [
-        picture[..., low:high] @ kernel[low:high, start:stop] for start, stop, low, high in bands
+        pictures[..., low:high] @ kernels[..., low:high, start:stop]
+        for start, stop, low, high in bands
     ]
     return torch.cat(columns, dim=-1)
 
 
-def _blur_matrix(size: int, sigma_px: float, radius_px: int, like: Tensor) -> Float[Tensor, "S S"]:
-    """Returns the blur of a row of pixels as a banded matrix, zero beyond the ends."""
+def _blur_matrices(
+    size: int, sensors: Sequence[Sensor], radius_px: int, like: Tensor
+) -> Float[Tensor, "B 1 S S"]:
+    """Returns each sensor's blur of a row of pixels as a banded matrix, zero beyond the ends."""
+    weights = torch.zeros(len(sensors), radius_px + 2, dtype=like.dtype)
+    for row, sensor in zip(weights, sensors, strict=True):
+        reach = sensor.blur_radius_px
+        # A sensor without blur keeps the middle pixel alone.
+        sigma_px = sensor.blur_sigma_px if reach else 1.0
+        whole = torch.arange(-reach, reach + 1, dtype=torch.float64)
+        total = float(torch.exp(-0.5 * (whole / sigma_px) ** 2).sum())
+        half = torch.arange(reach + 1, dtype=like.dtype)
+        row[: reach + 1] = torch.exp(-0.5 * (half / sigma_px) ** 2) / total
     steps = torch.arange(size, device=like.device)
-    distance = (steps[:, None] - steps).abs()
-    weights = torch.exp(
-        -0.5 * (torch.arange(-radius_px, radius_px + 1, dtype=torch.float64) / sigma_px) ** 2
-    ).sum()
-    kernel = torch.exp(-0.5 * (distance.to(like.dtype) / sigma_px) ** 2) / float(weights)
-    return kernel * (distance <= radius_px)
+    distance = (steps[:, None] - steps).abs().clamp(max=radius_px + 1)
+    return weights.to(like.device)[:, None, distance]
 
 
 def sensor_noise(

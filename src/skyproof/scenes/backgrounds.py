@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -24,15 +24,15 @@ from skyproof.files import inside, write_beside, write_json
 from skyproof.pictures import read_pixels
 from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name, Radians
 from skyproof.scenes.scene import BackgroundWindow
-from skyproof.scenes.sensor import Sensor
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.splits import Split
 
 __all__ = [
     "BackgroundSet",
     "BackgroundTile",
+    "change_sensors",
     "save_tile",
     "write_index",
-    "write_sensor",
 ]
 
 
@@ -60,6 +60,7 @@ class BackgroundTile:
         licence: as the source states it, or None.
         sun_azimuth_rad: the sun that cast the shadows of a procedural tile, as in `Sun`.
         sun_elevation_rad: its height above the horizon.
+        sensor: what took this tile, where that is not the set's.
     """
 
     id: Name
@@ -73,16 +74,20 @@ class BackgroundTile:
     licence: str | None = None
     sun_azimuth_rad: Radians | None = None
     sun_elevation_rad: Radians | None = None
+    sensor: Sensor | None = None
 
 
 @dataclass(frozen=True)
 class _Index:
-    """The content of `index.json`; sets of before there was a choice of sensor name none."""
+    """The content of `index.json`.
+
+    Sets of before there was a choice of sensor name none: vehicles had the paper's blur on them.
+    """
 
     format_version: Literal[1]
     gsd_m: GroundResolution
     tiles: Annotated[tuple[BackgroundTile, ...], Meta(min_length=1)]
-    sensor: Sensor = Sensor()  # noqa: RUF009 (frozen)
+    sensor: Sensor = Sensor(PAPER_BLUR_SIGMA_PX)  # noqa: RUF009 (frozen)
 
     def __post_init__(self) -> None:
         ids: set[str] = set()
@@ -102,7 +107,7 @@ class BackgroundSet:
     Attributes:
         folder: where it lies.
         gsd_m: metres per pixel of every tile.
-        sensor: what took the photographs; vehicles are drawn as it would show them.
+        sensor: what took the tiles that name no sensor of their own.
     """
 
     def __init__(
@@ -151,6 +156,14 @@ class BackgroundSet:
                 "were sampled on."
             )
         return self._tiles[tile_id]
+
+    def sensor_of(self, window: BackgroundWindow) -> Sensor:
+        """What took the photograph that a window shows; vehicles are drawn as it shows them.
+
+        Raises:
+            StoredFileError: the window's tile is not in this set.
+        """
+        return self.tile(window.tile).sensor or self.sensor
 
     def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
         """A whole tile, sRGB bytes.
@@ -311,7 +324,16 @@ def write_index(
     write_json(Path(folder) / _INDEX, index)
 
 
-def write_sensor(folder: Path, sensor: Sensor) -> None:
-    """Gives a background set another sensor; everything else in its index stays."""
+def change_sensors(folder: Path, change: Callable[[Sensor], Sensor]) -> None:
+    """Changes a set's sensor, and those that tiles have of their own; all else in its index stays.
+
+    Args:
+        folder: background set.
+        change: gives for a sensor the one to put in its place.
+    """
     index: _Index = read_document(Path(folder) / _INDEX, _Index, _REMEDY)
-    write_index(folder, index.gsd_m, index.tiles, sensor)
+    tiles = [
+        tile if tile.sensor is None else dataclasses.replace(tile, sensor=change(tile.sensor))
+        for tile in index.tiles
+    ]
+    write_index(folder, index.gsd_m, tiles, change(index.sensor))

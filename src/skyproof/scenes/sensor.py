@@ -1,33 +1,54 @@
-"""The sensor that took a set of photographs (section S2.1)."""
+"""The sensor that took a photograph, or a set of photographs (section S2.1)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from skyproof.ranges import check_ranges
 
-__all__ = ["Blur", "Noise", "Sensor"]
+__all__ = ["PAPER_BLUR_SIGMA_PX", "Blur", "BlurChoice", "Noise", "Sensor", "chosen_blur_px"]
+
+PAPER_BLUR_SIGMA_PX = 2.4
+"""What the paper found best for its own imagery (figure S5)."""
 
 Blur = Annotated[float, Meta(ge=0, le=10)]
 Noise = Annotated[float, Meta(ge=0, le=0.5)]
+
+BlurChoice = Blur | Literal["paper"]
+"""A blur as users give it: a number of pixels, or the word for the paper's."""
+
+_SHARPEST_PX = 0.01
+
+
+def chosen_blur_px(choice: BlurChoice) -> float:
+    """Returns the blur in pixels that a user's choice stands for."""
+    return PAPER_BLUR_SIGMA_PX if choice == "paper" else choice
 
 
 @dataclass(frozen=True)
 class Sensor:
     """Blur and noise of imagery at its ground resolution.
 
-    The defaults are the paper's blur and a quiet sensor.
+    The defaults are those of a sharp orthophoto at 12.5 cm per pixel, and of a quiet sensor.
 
     Attributes:
         blur_sigma_px: standard deviation of the Gaussian blur, 0 to 10.
         noise: standard deviation of the noise, sRGB units, 0 to 0.5.
     """
 
-    blur_sigma_px: Blur = 2.4
+    blur_sigma_px: Blur = 0.7
     noise: Noise = 0.006
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+    @property
+    def blur_radius_px(self) -> int:
+        """Half of the paper's kernel size k = 6 * ceil(sigma) - 1, less the middle pixel."""
+        # A narrower kernel is one pixel, and would divide by nearly nothing.
+        sharp = self.blur_sigma_px < _SHARPEST_PX
+        return 0 if sharp else 3 * math.ceil(self.blur_sigma_px) - 1
