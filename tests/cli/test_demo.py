@@ -26,7 +26,7 @@ KEYS = {
 def test_run_folder_holds_results_and_report(finished: Path) -> None:
     rows = json.loads((finished / "results.json").read_text())["rows"]
     assert {row["match"] for row in rows} == {"centre_1m", "iou_50"}
-    assert {row["camouflage"] for row in rows} == {"T-U", "R-U"}
+    assert {row["camouflage"] for row in rows} == {"T-U", "R-U", "T-PixFcMa", "R-PixFcMa"}
     for row in rows:
         assert row.keys() >= KEYS
         assert (row["renderer"], row["detector"]) == ("torch", "retinanet")
@@ -101,7 +101,7 @@ def test_no_random_control_is_possible(tmp_path: Path, skyproof: Skyproof) -> No
     )
     assert answer.code == 0, answer.err
     rows = json.loads((tmp_path / "run" / "results.json").read_text())["rows"]
-    assert {row["camouflage"] for row in rows} == {"T-U"}
+    assert {row["camouflage"] for row in rows} == {"T-U", "T-PixFcMa"}
     assert all(row["net_easr"] is None for row in rows)
 
 
@@ -109,8 +109,8 @@ def test_every_step_is_announced_without_a_terminal(copied, skyproof: Skyproof) 
     folder = copied("scores", "report.html")
     answer = skyproof("demo", "--out", folder, *TINY)
     assert answer.code == 0
-    assert "[12/13] score test (about " in answer.out
-    assert "[13/13] report (about " in answer.out
+    assert "[13/14] score test (about " in answer.out
+    assert "[14/14] report (about " in answer.out
     for name in ("render T-U", "score"):
         assert f"  {name} ..." in answer.out
         assert f"  {name}: done in" in answer.out

@@ -27,7 +27,9 @@ _TEXTURES = tuple(
 # Coarser and finer than the attacks' 32 blocks, so that one width is not learnt by heart.
 _BLOCKS = (8, 16, 32, 64)
 _MOST_COLOURS = 8
-_WIDEST_CIELAB = 30.0
+# Standard deviations in CIELAB.
+_WIDEST_LIGHTNESS = 30.0
+_WIDEST_HUE = 20.0
 
 
 def lay_patterns(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
@@ -69,8 +71,13 @@ def _is_patterned(fleet: Fleet, name: str) -> bool:
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
-    """Colours about a random middle, near to each other or far apart."""
-    middle = uniform_colours(1, generator=generator)
-    spread = _WIDEST_CIELAB * torch.rand(1, generator=generator)
-    drawn = srgb_to_cielab(middle) + spread * torch.randn(colours, 3, generator=generator)
+    """Colours about a random middle: vivid or muted, near to each other or far apart.
+
+    As in the colours of some ground, lightness is spread wider than hue.
+    """
+    middle = srgb_to_cielab(uniform_colours(1, generator=generator))
+    muted, light, hue = torch.rand(3, generator=generator).tolist()
+    spread = torch.tensor([_WIDEST_LIGHTNESS * light, _WIDEST_HUE * hue, _WIDEST_HUE * hue])
+    middle = middle * torch.tensor([1.0, muted, muted])
+    drawn = middle + spread * torch.randn(colours, 3, generator=generator)
     return cielab_to_srgb(drawn).clamp(0, 1)

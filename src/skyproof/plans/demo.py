@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from skyproof.attacks.settings import AttackSettings
+from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.settings import TrainingSettings
@@ -35,6 +36,10 @@ from skyproof.seeds import next_seed
 __all__ = ["Demo", "check_detectors", "demo_plan"]
 
 
+TEXTURES = ("T-U", "T-PixFcMa")
+"""What the demo learns: without any constraint, and under all of them: blocks, ground colours, paint alone."""
+
+
 class _Answer(Struct, frozen=True):
     """What is said of one row of `results.json`."""
 
@@ -57,7 +62,7 @@ class DemoSizes(WorldSizes):
     """How much of everything; the defaults fit 15 minutes on 2 CPU cores.
 
     Attributes:
-        random_draws: random controls to compare with.
+        random_draws: random controls to compare each texture with.
     """
 
     random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
@@ -184,17 +189,18 @@ class Demo:
 
         results: _Answers = read_document(layout.results, _Answers, "give the same command again")
         for row in results.rows:
-            if row.camouflage == "T-U" and row.match == "centre_1m":
+            if row.camouflage in TEXTURES and row.match == "centre_1m":
                 where = "" if row.renderer == "torch" else " on Blender Cycles images"
                 say(
-                    f"  {row.detector:<12} T-U hides {percent(row.easr)} of the vehicles "
-                    f"found before{where} (95 % interval {interval(row.easr_low, row.easr_high)}); "
-                    f"net of a random texture {percent(row.net_easr)}"
+                    f"  {row.detector:<12} {row.camouflage} hides {percent(row.easr)} of the "
+                    f"vehicles found before{where} (95 % interval "
+                    f"{interval(row.easr_low, row.easr_high)}); net of a random texture "
+                    f"{percent(row.net_easr)}"
                 )
 
 
 def demo_plan(demo: Demo, layout: Layout) -> Plan:
-    """Returns the demo's steps: one learnt texture, some random ones, judged by all detectors."""
+    """Returns the demo's steps: two learnt textures, some random ones, judged by all detectors."""
     sizes = demo.sizes
     seed = demo.seed
     device = demo.device
@@ -211,12 +217,15 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     for name in demo.detectors:
         steps.append(train_step(layout, sizes, name, "slim", training, seed, device=device))
     settings = replace(demo.attack, seed=next_seed(seed, demo.attack.seed))
-    job = AttackJob("T-U", settings, demo.detectors)
-    controls = [f"R-U-{draw}" for draw in range(sizes.random_draws)]
-    steps.append(attack_step(layout, job, sizes.image_px, device=device))
+    names = [CamouflageName.parse(text) for text in TEXTURES]
+    jobs = [AttackJob(str(name), settings, demo.detectors) for name in names]
+    controls = [
+        str(name.control.with_repeat(draw)) for name in names for draw in range(sizes.random_draws)
+    ]
+    steps += [attack_step(layout, job, sizes.image_px, device=device) for job in jobs]
     if controls:
         steps.append(control_step(layout, controls, seed))
-    camouflages = [job.name, *controls]
+    camouflages = [*TEXTURES, *controls]
     scores = ["test"]
     steps.append(
         score_step(

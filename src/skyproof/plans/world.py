@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,6 +20,8 @@ from skyproof.plans.plan import START_S, Step
 from skyproof.ranges import Count, Fraction, check_ranges
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.weather import MIXED_CONDITIONS
+from skyproof.vehicles.settings import PaintVariety
 
 __all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
 
@@ -48,6 +50,9 @@ class WorldSizes:
         training_vehicles: the most vehicles in one training image; validation and test images have
             1 to 5.
         parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
+        training_conditions: weather and light of the training images, each equally likely; all
+            others show clear days.
+        paints: of the vehicles that detectors learn from and choose their threshold by.
     """
 
     # Detectors take no smaller ones.
@@ -58,7 +63,9 @@ class WorldSizes:
     validation_images: Count = 120
     test_images: Count = 120
     training_vehicles: Count = 7
-    parked_share: Fraction = 0.0
+    parked_share: Fraction = 0.5
+    training_conditions: tuple[str, ...] = MIXED_CONDITIONS
+    paints: PaintVariety = field(default_factory=PaintVariety)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -81,6 +88,7 @@ class WorldSizes:
                 vehicles_minimum=0,
                 vehicles_maximum=self.training_vehicles,
                 parked_share=self.parked_share,
+                conditions=self.training_conditions,
             )
         return replace(usual, vehicles_maximum=1) if split == "attack" else usual
 
@@ -151,7 +159,7 @@ def ground_step(
 
 def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
     """Returns the step that draws the four fleets."""
-    command = Vehicles(out=layout.fleets, counts=sizes.vehicles, seed=seed)
+    command = Vehicles(out=layout.fleets, counts=sizes.vehicles, seed=seed, paints=sizes.paints)
     effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
     return Step("vehicles", "fleets", command, (), (layout.fleets,), effort_s=effort_s)
 

@@ -12,7 +12,14 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, check_ranges
 
-__all__ = ["CLEAR", "CONDITIONS", "LOW_SUN_ELEVATION_RAD", "Weather", "draw_weather"]
+__all__ = [
+    "CLEAR",
+    "CONDITIONS",
+    "LOW_SUN_ELEVATION_RAD",
+    "MIXED_CONDITIONS",
+    "Weather",
+    "draw_weather",
+]
 
 LOW_SUN_ELEVATION_RAD = (math.radians(8), math.radians(20))
 """Under "low_sun" the sun's elevation is uniform between these, instead of the usual range."""
@@ -66,6 +73,9 @@ CONDITIONS: dict[str, Callable[[float], Weather]] = {
     "jpeg": lambda strength: Weather("jpeg", jpeg_quality=round(_between(60.0, 20.0, strength))),
 }
 """Each known condition: a number from 0 to 1 to its weather."""
+
+MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun")
+"""What detectors are trained under; all but rain, which was never tried on photographs."""
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
