@@ -37,7 +37,7 @@ __all__ = ["Demo", "check_detectors", "demo_plan"]
 
 
 TEXTURES = ("T-U", "T-PixFcMa")
-"""What the demo learns: without any constraint, and under all of them: blocks, ground colours, paint alone."""
+"""What the demo learns: without any constraint, and in blocks of ground colours on paint alone."""
 
 
 class _Answer(Struct, frozen=True):

@@ -38,10 +38,10 @@ class PaintVariety:
             on painted body panels alone.
     """
 
-    plain: Fraction = 0.2
-    two_tone: Fraction = 0.1
-    livery: Fraction = 0.1
-    patterned: Fraction = 0.25
+    plain: Fraction = 0.15
+    two_tone: Fraction = 0.075
+    livery: Fraction = 0.075
+    patterned: Fraction = 0.3
 
     def __post_init__(self) -> None:
         check_ranges(self)
