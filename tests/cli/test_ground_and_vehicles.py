@@ -72,3 +72,16 @@ def test_fleets_share_no_vehicle_and_come_from_seeds_of_their_own(tmp_path, skyp
     assert not torch.equal(plain.vertices, fleets["train"].vertices)
     none = ("vehicles", "--out", tmp_path / "none", "--counts", 1, 1, 0, 1)
     skyproof(*none).refused("--counts", "from 1")
+
+
+def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: Skyproof):
+    shares = ("plain", "two-tone", "livery", "patterned")
+    none = [word for share in shares for word in (f"--paints.{share}", 0)]
+    counts = ("--counts", 1, 1, 1, 1)
+    answer = skyproof("vehicles", "--out", tmp_path / "plain", *counts, *none)
+    assert answer.code == 0
+    assert "catalogue paints alone" in answer.out
+    assert "catalogue" not in skyproof("vehicles", "--out", tmp_path / "varied", *counts).out
+    skyproof("vehicles", "--out", tmp_path / "much", "--paints.plain", 0.9).refused(
+        "at most 1, got 1.35"
+    )

@@ -91,6 +91,12 @@ class Vehicles:
                 patterns = generator_of(self.seed, "patterns", split)
                 lay_patterns(fleet, generator=patterns).save(folder / split)
                 first_number += count
+        if not any(self.paints.shares.values()):
+            say(
+                "  note: train and validation wear catalogue paints alone, so a detector trained "
+                "on them may take colour for evidence; give shares above 0 with --paints, and "
+                "see skyproof check."
+            )
         say(f"Fleets of {', '.join(map(str, self.counts))} vehicles: {self.out.resolve()}")
 
     def _combine(self) -> None:
