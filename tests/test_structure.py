@@ -18,6 +18,7 @@ FLOORS = [
     {"datasets", "ground"},
     {"camouflage", "render", "detectors"},
     {"attacks", "cycles", "results", "imagery"},
+    {"gate"},
     {"paper"},
     {"report"},
     {"cli"},

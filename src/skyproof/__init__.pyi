@@ -34,6 +34,10 @@ from .detectors.import_checkpoint import import_detector as import_detector
 from .detectors.loaded import LoadedDetector as LoadedDetector
 from .detectors.loaded import load_detector as load_detector
 from .detectors.training import validate as validate
+from .gate.check import check_detectors as check_detectors
+from .gate.record import GateRecord as GateRecord
+from .gate.verdict import findings as findings
+from .gate.verdict import verdict as verdict
 from .render.dataset import render_dataset as render_dataset
 from .render.renderer import TorchRenderer as TorchRenderer
 from .report.report import write_report as write_report

@@ -38,6 +38,7 @@ COMMANDS: dict[str, dict[str, str]] = {
     "Detectors": {
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
+        "check": "skyproof.cli.check:Check",
     },
     "Camouflage and judgement": {
         "attack": "skyproof.cli.attack:Attack",

@@ -160,20 +160,10 @@ class Score(Rendering):
         self, device: torch.device, gsd_m: float
     ) -> list[LoadedDetector[TrainableDetector]]:
         """Loads the detectors; if they are only checked, folders tell those of one kind apart."""
-        from dataclasses import replace
+        from skyproof.detectors.loaded import load_apart, load_ensemble
 
-        from skyproof.detectors.loaded import LoadedDetector, load_ensemble
-
-        if self.original is not None:
-            return load_ensemble(self.detectors, device, gsd_m)
-        judges = [load_ensemble([folder], device, gsd_m)[0] for folder in self.detectors]
-        names = [judge.name for judge in judges]
-        return [
-            judge
-            if names.count(judge.name) == 1
-            else LoadedDetector(judge.detector, replace(judge.card, name=folder.name))
-            for folder, judge in zip(self.detectors, judges, strict=True)
-        ]
+        load = load_apart if self.original is None else load_ensemble
+        return load(self.detectors, device, gsd_m)
 
     @contextmanager
     def _rendered(self, device: torch.device) -> Iterator[dict[str, Path]]:

@@ -39,7 +39,8 @@ class DetectorCard:
         name: as tables show it: "retinanet", "faster_rcnn" or "yolov5" of ours; of another
             detector the name it was given.
         size: "slim", "wide" or "full" of ours, "brought" of an imported one, empty of a black box.
-        threshold: frozen score threshold, chosen for the largest F1 on clean validation images.
+        threshold: frozen score threshold, chosen for the largest F1 on clean validation images
+            where `threshold_from` says nothing else.
         gsd_m: metres per pixel of the images it takes.
         image_size_px: height and width of the first training image, at most those of a training
             window; of an imported detector, of the first validation image.
@@ -49,6 +50,7 @@ class DetectorCard:
         validation_vehicles: how many vehicles the validation images hold; None where not known.
         skyproof_version: that wrote it.
         trained_on: what its training images were, in a few words; empty where not known.
+        threshold_from: what the threshold was chosen on, where it was frozen anew.
         brought: of an imported detector what builds its network; else None.
     """
 
@@ -64,6 +66,7 @@ class DetectorCard:
     validation_vehicles: WholeNumber | None = None
     skyproof_version: _Word = ""
     trained_on: Annotated[str, Meta(max_length=10_000)] = ""
+    threshold_from: Annotated[str, Meta(max_length=10_000)] = ""
     brought: Blueprint | None = None
 
     @property

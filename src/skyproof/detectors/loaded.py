@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -18,7 +18,7 @@ from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["LoadedDetector", "load_detector", "load_ensemble", "save_detector"]
+__all__ = ["LoadedDetector", "load_apart", "load_detector", "load_ensemble", "save_detector"]
 
 DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
 
@@ -128,6 +128,25 @@ def load_ensemble(
         loaded.detector.to(device).to(memory_format=torch.channels_last)
         ensemble.append(loaded)
     return ensemble
+
+
+def load_apart(
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+) -> list[LoadedDetector[TrainableDetector]]:
+    """Loads detectors that are looked at one by one: those of one kind go by their folders' names.
+
+    Raises:
+        ConfigurationError: another resolution than the images'.
+        StoredFileError: a folder is missing, damaged or of another version.
+    """
+    judges = [load_ensemble([folder], device, gsd_m)[0] for folder in folders]
+    names = [judge.name for judge in judges]
+    return [
+        judge
+        if names.count(judge.name) == 1
+        else LoadedDetector(judge.detector, replace(judge.card, name=folder.name))
+        for folder, judge in zip(folders, judges, strict=True)
+    ]
 
 
 def _of_card(card: DetectorCard) -> TrainableDetector:

@@ -93,9 +93,13 @@ class MatchTable:
 
     def counts_at(self, threshold: float) -> tuple[int, int]:
         """Detections at or above a threshold that found a vehicle, and those that found none."""
-        kept = self.hits[_reaches(self.scores, threshold)]
+        kept = self.hits[self.counting_at(threshold)]
         hits = int(kept.sum())
         return hits, len(kept) - hits
+
+    def counting_at(self, threshold: float) -> Bool[np.ndarray, " K"]:
+        """Whether each detection is at or above a threshold."""
+        return _reaches(self.scores, threshold)
 
     def found_at(self, threshold: float) -> Bool[np.ndarray, " T"]:
         """Whether each vehicle was found by a detection at or above a threshold.

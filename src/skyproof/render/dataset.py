@@ -21,7 +21,7 @@ from skyproof.scenes.scene import Scene, write_scenes
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["ground_corners", "placed_vehicles", "render_dataset"]
+__all__ = ["ground_corners", "in_threads", "placed_vehicles", "render_dataset"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -102,7 +102,7 @@ def render_dataset(
     with (
         finished_folder(folder) as partial,
         CocoWriter(partial, gsd_m=scenes[0].camera.gsd_m, source=source) as writer,
-        _in_threads(draw, batches, torch.get_num_threads() if several else 1) as drawn,
+        in_threads(draw, batches, torch.get_num_threads() if several else 1) as drawn,
     ):
         write_scenes(partial / "scenes.jsonl", scenes)
         done = 0
@@ -114,7 +114,7 @@ def render_dataset(
 
 
 @contextmanager
-def _in_threads(
+def in_threads(
     work: Callable[[Item], Result], items: Sequence[Item], count: int
 ) -> Iterator[Iterator[Result]]:
     """Yields the results of work in order, worked out by some threads while they are waited for.

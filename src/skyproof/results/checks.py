@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,19 @@ from skyproof.ranges import Fraction, Name, WholeNumber
 from skyproof.results.rows_file import nulls_for_undefined, read_rows
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["Check", "read_checks", "write_checks"]
+__all__ = ["BestF1", "Check", "StoredCheck", "check_of", "read_checks", "write_checks"]
+
+_FAR = 0.05
+"""A frozen threshold that costs more recall or precision than this does not carry over."""
+
+
+@dataclass(frozen=True)
+class BestF1:
+    """The score threshold of the largest F1 on one set, and what is reached there."""
+
+    threshold: float
+    precision: float
+    recall: float
 
 
 @dataclass(frozen=True)
@@ -30,9 +43,11 @@ class Check:
         clustered_by: what the interval is over, "places" or "images".
         clusters: how many of these there are.
         ap_iou_50: average precision by overlap.
-        precision, recall: at the frozen threshold; nan where undefined.
+        precision, recall: at the frozen threshold with their intervals, over the same places or
+            images; nan where undefined.
         threshold: the detector's frozen threshold.
         note: where the images come from and what was done to them.
+        best: what another threshold would have given here; None where it is not known.
     """
 
     detector: str
@@ -44,13 +59,30 @@ class Check:
     clustered_by: str
     clusters: int
     ap_iou_50: float
-    precision: float
-    recall: float
+    precision: Interval
+    recall: Interval
     threshold: float
     note: str = ""
+    best: BestF1 | None = None
+
+    @property
+    def carries_over(self) -> bool:
+        """Whether the frozen threshold is about as good here as the best one would be.
+
+        It is not where recall or precision falls short of the best threshold's by more than five
+        points; on a set of which nothing is known, it is.
+        """
+        if self.best is None:
+            return True
+        short = (
+            self.best.recall - self.recall.estimate,
+            self.best.precision - self.precision.estimate,
+        )
+        return not max(short) > _FAR
 
     def json(self) -> dict[str, Any]:
         """Gives the check as flat JSON values, undefined ones as None."""
+        best = self.best or BestF1(math.nan, math.nan, math.nan)
         values = {
             "detector": self.detector,
             "dataset": self.dataset,
@@ -63,9 +95,16 @@ class Check:
             "clustered_by": self.clustered_by,
             "clusters": self.clusters,
             "ap_iou_50": self.ap_iou_50,
-            "precision": self.precision,
-            "recall": self.recall,
+            "precision": self.precision.estimate,
+            "precision_low": self.precision.low,
+            "precision_high": self.precision.high,
+            "recall": self.recall.estimate,
+            "recall_low": self.recall.low,
+            "recall_high": self.recall.high,
             "threshold": self.threshold,
+            "best_threshold": best.threshold,
+            "best_precision": best.precision,
+            "best_recall": best.recall,
             "note": self.note,
         }
         return nulls_for_undefined(values)
@@ -82,30 +121,38 @@ def read_checks(path: Path) -> list[Check]:
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    rows: list[_Stored] = read_rows(path, _Stored, "copy the whole folder again, or score again")
-    return [
-        Check(
-            detector=row.detector,
-            dataset=row.dataset,
-            images=row.images,
-            vehicles=row.vehicles,
-            real=row.real,
-            ap_centre_1m=Interval(row.ap_centre_1m, row.ap_centre_1m_low, row.ap_centre_1m_high),
-            clustered_by=row.clustered_by,
-            clusters=row.clusters,
-            ap_iou_50=row.ap_iou_50,
-            precision=row.precision,
-            recall=row.recall,
-            threshold=row.threshold,
-            note=row.note,
-        )
-        for row in rows
-    ]
+    rows: list[StoredCheck] = read_rows(
+        path, StoredCheck, "copy the whole folder again, or score again"
+    )
+    return [check_of(vars(row)) for row in rows]
+
+
+def check_of(row: Mapping[str, Any]) -> Check:
+    """Makes a check of the flat values of a `StoredCheck`, undefined ones nan."""
+
+    def sure(name: str) -> Interval:
+        return Interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
+
+    best = BestF1(row["best_threshold"], row["best_precision"], row["best_recall"])
+    plain = ("detector", "dataset", "images", "vehicles", "real", "clustered_by", "clusters")
+    return Check(
+        **{name: row[name] for name in (*plain, "ap_iou_50", "threshold", "note")},
+        ap_centre_1m=sure("ap_centre_1m"),
+        precision=sure("precision"),
+        recall=sure("recall"),
+        best=None if math.isnan(best.threshold) else best,
+    )
+
+
+_Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 @dataclass(frozen=True)
-class _Stored:
-    """A check as `Check.json` gives it."""
+class StoredCheck:
+    """A check as `Check.json` gives it.
+
+    Checks of before 0.3.0 have an interval of the average precision alone, and no best threshold.
+    """
 
     detector: Name
     dataset: Annotated[str, Meta(min_length=1, max_length=300)]
@@ -120,5 +167,13 @@ class _Stored:
     ap_iou_50: Fraction
     precision: Fraction
     recall: Fraction
-    threshold: Annotated[float, Meta(ge=-1e6, le=1e6)]
+    threshold: _Threshold
+    _: KW_ONLY
+    precision_low: Fraction = math.nan
+    precision_high: Fraction = math.nan
+    recall_low: Fraction = math.nan
+    recall_high: Fraction = math.nan
+    best_threshold: _Threshold = math.nan
+    best_precision: Fraction = math.nan
+    best_recall: Fraction = math.nan
     note: Annotated[str, Meta(max_length=10_000)] = ""

@@ -8,15 +8,24 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import average_precision
+from skyproof.detectors.average_precision import (
+    average_precision,
+    best_f1_threshold,
+    precision_recall,
+)
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
-from skyproof.results.checks import Check
-from skyproof.results.statistics.intervals import Interval, bootstrap_interval, resample
+from skyproof.results.checks import BestF1, Check
+from skyproof.results.statistics.intervals import (
+    Interval,
+    bootstrap_interval,
+    cluster_interval,
+    resample,
+)
 
-__all__ = ["CleanSet", "ap_interval", "check_clean"]
+__all__ = ["CleanSet", "ap_interval", "check_clean", "threshold_intervals"]
 
 
 @dataclass(frozen=True)
@@ -49,8 +58,7 @@ def check_clean(
 ) -> Check:
     """Checks a detector on images without camouflage, from its detections matched by both rules.
 
-    The interval of the average precision is over places; over images where all show one place, or
-    none is known.
+    Intervals are over places; over images where all show one place, or none is known.
 
     Args:
         judge: the detector.
@@ -60,22 +68,81 @@ def check_clean(
     """
     by_place = len(set(clean.places)) > 1
     clusters = list(clean.places) if by_place else list(map(str, range(len(clean.images))))
-    hits, false_alarms = centre.counts_at(judge.threshold)
+    ap = ap_interval(centre, clusters, generator=generator)
+    precision, recall = threshold_intervals(centre, clusters, judge.threshold, generator=generator)
     return Check(
         detector=judge.name,
         dataset=clean.name,
         images=len(clean.images),
         vehicles=centre.vehicles,
         real=clean.real,
-        ap_centre_1m=ap_interval(centre, clusters, generator=generator),
+        ap_centre_1m=ap,
         clustered_by="places" if by_place else "images",
         clusters=len(set(clusters)),
         ap_iou_50=average_precision(overlap),
-        precision=_share(hits, hits + false_alarms),
-        recall=_share(hits, centre.vehicles),
+        precision=precision,
+        recall=recall,
         threshold=judge.threshold,
         note=clean.note,
+        best=_best(centre),
     )
+
+
+def _best(matches: MatchTable) -> BestF1 | None:
+    """What the threshold of the largest F1 reaches; None where there is no vehicle."""
+    if not matches.vehicles:
+        return None
+    threshold, _ = best_f1_threshold(precision_recall(matches))
+    hits, false_alarms = matches.counts_at(threshold)
+    return BestF1(threshold, _share(hits, hits + false_alarms), hits / matches.vehicles)
+
+
+def threshold_intervals(
+    matches: MatchTable,
+    clusters: Sequence[str],
+    threshold: float,
+    *,
+    generator: np.random.Generator,
+) -> tuple[Interval, Interval]:
+    """Gives precision and recall at a threshold with their 95 % intervals.
+
+    Args:
+        matches: the images, matched.
+        clusters: per image the place it shows; places are resampled.
+        threshold: from which on a detection counts.
+        generator: draws the replicates.
+
+    Returns:
+        Precision and recall as fractions; the limits are nan with fewer than two clusters, all
+        three where there is nothing to divide by.
+    """
+    names = list(dict.fromkeys(clusters))
+    cluster_of_image = np.array([names.index(name) for name in clusters], dtype=np.int64)
+    counting = matches.counting_at(threshold)
+
+    def per_cluster(images: np.ndarray) -> np.ndarray:
+        return np.bincount(cluster_of_image[images], minlength=len(names))
+
+    counts = np.stack(
+        [
+            per_cluster(matches.image_of_detection[counting & matches.hits]),
+            per_cluster(matches.image_of_detection[counting]),
+            per_cluster(matches.image_of_vehicle),
+        ],
+        axis=-1,
+    )[None]
+    weights = resample(len(names), generator=generator)
+
+    def share(of: int) -> Interval:
+        def rate(sums: np.ndarray) -> np.ndarray:
+            below = sums[..., 0, of].astype(np.float64)
+            return np.divide(
+                sums[..., 0, 0], below, out=np.full_like(below, np.nan), where=below > 0
+            )
+
+        return cluster_interval(counts, rate, weights, limits=(0.0, 1.0))
+
+    return share(1), share(2)
 
 
 def ap_interval(

@@ -15,7 +15,7 @@ from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.ranges import limits_of
 
-__all__ = ["nulls_for_undefined", "read_rows", "write_rows"]
+__all__ = ["filled_row", "nulls_for_undefined", "read_rows", "row_form", "write_rows"]
 
 T = TypeVar("T")
 
@@ -47,19 +47,24 @@ def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
     """
     form: Any = kind
     document = read_document(path, _document(form), remedy)
-    return [
-        kind(**{name: math.nan if value is None else value for name, value in row.items()})
-        for row in map(_filled, document.rows)
-    ]
+    return [kind(**filled_row(row)) for row in document.rows]
 
 
-def _filled(row: msgspec.Struct) -> dict[str, Any]:
-    return {name: getattr(row, name) for name in row.__struct_fields__}
+def filled_row(row: msgspec.Struct) -> dict[str, Any]:
+    """Gives the values of a row of a form from `row_form`, nan where it holds null."""
+    values = {name: getattr(row, name) for name in row.__struct_fields__}
+    return {name: math.nan if value is None else value for name, value in values.items()}
 
 
 @cache
 def _document(kind: Any) -> Any:
-    """Gives the form of a file of such rows: each number that is a fraction may be null."""
+    row: Any = row_form(kind)
+    return msgspec.defstruct("Rows", [("rows", list[row])])
+
+
+@cache
+def row_form(kind: Any) -> Any:
+    """Gives the form of rows of a flat dataclass: each number that is a fraction may be null."""
     hints = limits_of(kind)
     given = [
         (
@@ -69,8 +74,8 @@ def _document(kind: Any) -> Any:
         )
         for each in fields(kind)
     ]
-    row: Any = msgspec.defstruct(kind.__name__, given, forbid_unknown_fields=True)
-    return msgspec.defstruct("Rows", [("rows", list[row])])
+    form: Any = msgspec.defstruct(kind.__name__, given, forbid_unknown_fields=True)
+    return form
 
 
 def _nullable(hint: Any) -> Any:

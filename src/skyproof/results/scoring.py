@@ -180,7 +180,7 @@ class _Scored:
             _write_detections(folder, pairs.places[0], judge, before, seen)
             # Each check draws alike, so that adding a set does not change another's interval.
             check = self._check_rendered(judge, before, seen)
-            if not check.recall > 0:
+            if not check.recall.estimate > 0:
                 raise _undefined(judge, pairs.places[0], check.vehicles)
             self.checks.append(check)
             self.sets.extend(_set_scores(ORIGINAL, judge, before, seen))

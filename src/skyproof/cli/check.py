@@ -1,0 +1,241 @@
+"""`skyproof check`: whether detectors are worth attacking, told before any attack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from msgspec import Meta
+
+from skyproof.cli.console import progress_bar, say
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.ranges import Count, Seed
+
+if TYPE_CHECKING:
+    import torch
+
+    from skyproof.gate.record import GateRecord, MeasuredOn
+    from skyproof.results.clean import CleanSet
+    from skyproof.scenes.backgrounds import BackgroundSet
+    from skyproof.scenes.scene import Scene
+    from skyproof.vehicles.fleet import Fleet
+
+__all__ = ["Check"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """Tells, before any attack, whether detectors are worth attacking.
+
+    A detector that a plain paint, a sharper picture or a lower sun makes blind ranks no attacks:
+    each of them hides everything. Measured are clean AP, precision and recall on rendered scenes
+    and on photographs (--frames), and what 54 plain paints, four sharpnesses, six random controls
+    and four suns hide. The answer is stored as `check.json` in every detector folder, and every
+    report opens with it. Detectors that are checked already are shown again.
+
+    With --freeze it freezes another threshold instead, in a copy of the detector.
+
+    Attributes:
+        detectors: detector folders.
+        backgrounds: background set folder.
+        fleet: fleet folder.
+        scenes: scene file on these backgrounds and vehicles; its first --scenes-count are taken.
+            Where not given, scenes are drawn on the test split.
+        scenes_count: how many scenes; the cost goes with it, and so does how sure the answer is.
+        image_px: side of the scenes that are drawn; the first detector's training size where not
+            given.
+        draws: of every random control.
+        frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD, as in `score`.
+        frame_classes: class names that count as vehicles in the frames.
+        freeze: labels (the threshold of the largest F1 on --frames) or alarms (the lowest with at
+            most --alarms-per-km2 detections on --empty).
+        empty: for --freeze alarms: background set folder without vehicles; its validation split.
+        alarms_per_km2: for --freeze alarms.
+        out: for --freeze: detector folder to write; the old one stays as it is.
+        seed: of scenes, random controls and the bootstrap.
+        device: auto, cpu or cuda.
+    """
+
+    detectors: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")]
+    backgrounds: Path | None = None
+    fleet: Path | None = None
+    scenes: Path | None = None
+    scenes_count: Count = 60
+    image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
+    draws: Annotated[int, Meta(ge=1, le=100)] = 5
+    frames: tuple[str, ...] = ()
+    frame_classes: tuple[str, ...] = ("car", "minibus")
+    freeze: Literal["labels", "alarms"] | None = None
+    empty: Path | None = None
+    alarms_per_km2: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
+    out: Path | None = None
+    seed: Seed = 0
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Checks the detectors, stores what was found beside their cards, and prints it."""
+        if not self.detectors:
+            raise ConfigurationError("A check expects at least one detector folder, got none.")
+        if self.freeze is not None:
+            self._freeze()
+            return
+        if self.backgrounds is None or self.fleet is None:
+            raise ConfigurationError(
+                "A check renders scenes: give --backgrounds and --fleet, those of the test split."
+            )
+        if self.out is not None:
+            raise ConfigurationError(
+                "A check is stored in the detector's own folder; --out belongs to --freeze."
+            )
+        from skyproof.cli.check_words import lines
+        from skyproof.cli.device import choose_device
+        from skyproof.cli.frames import read_frames
+        from skyproof.scenes.backgrounds import BackgroundSet
+        from skyproof.vehicles.fleet import Fleet
+
+        device = choose_device(self.device)
+        backgrounds = BackgroundSet.open(self.backgrounds)
+        fleet = Fleet.load(self.fleet)
+        scenes = self._scenes(backgrounds, fleet)
+        frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
+        for record in self._checked(device, backgrounds, fleet, scenes, frames):
+            for line in lines(record):
+                say(line)
+
+    def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:
+        """The scenes of the file, or drawn ones."""
+        from skyproof.detectors.card import read_card
+        from skyproof.randomness import generator_of
+        from skyproof.scenes.sampling import sample_scenes
+        from skyproof.scenes.scene import read_scenes
+        from skyproof.scenes.settings import SceneSettings
+
+        if self.scenes is not None:
+            return read_scenes(self.scenes)[: self.scenes_count]
+        size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
+        return sample_scenes(
+            SceneSettings(size_px=size_px),
+            backgrounds,
+            "test",
+            fleet.sizes_m,
+            self.scenes_count,
+            generator=generator_of(self.seed, "scenes", "check"),
+            prefix="check",
+        )
+
+    def _checked(
+        self,
+        device: torch.device,
+        backgrounds: BackgroundSet,
+        fleet: Fleet,
+        scenes: Sequence[Scene],
+        frames: Sequence[CleanSet],
+    ) -> list[GateRecord]:
+        """Every detector's record: those that are there, and those that are made here."""
+        from skyproof.detectors.loaded import load_apart
+        from skyproof.gate.check import check_detectors, measured_on
+        from skyproof.gate.record import RECORD_FILE, write_record
+
+        wanted = measured_on(backgrounds, scenes, draws=self.draws, seed=self.seed, frames=frames)
+        records = {
+            folder: _known(folder, wanted)
+            for folder in self.detectors
+            if (folder / RECORD_FILE).exists()
+        }
+        open_ones = [folder for folder in self.detectors if folder not in records]
+        if open_ones:
+            judges = load_apart(open_ones, device, backgrounds.gsd_m)
+            with progress_bar("check") as update:
+                made = check_detectors(
+                    judges,
+                    backgrounds,
+                    fleet,
+                    scenes,
+                    draws=self.draws,
+                    frames=frames,
+                    seed=self.seed,
+                    device=device,
+                    progress=update,
+                )
+            for folder, record in zip(open_ones, made, strict=True):
+                write_record(folder, record)
+                records[folder] = record
+        return [records[folder] for folder in self.detectors]
+
+    def _freeze(self) -> None:
+        """Writes a copy of a detector with another frozen threshold."""
+        if len(self.detectors) != 1 or self.out is None:
+            raise ConfigurationError(
+                "--freeze expects one detector folder, and --out for its copy with the new "
+                "threshold."
+            )
+        if self.freeze == "labels" and not self.frames:
+            raise ConfigurationError(
+                "--freeze labels chooses the threshold on labelled images; give --frames."
+            )
+        if self.freeze == "alarms" and self.empty is None:
+            raise ConfigurationError(
+                "--freeze alarms chooses the threshold on ground without vehicles; give --empty, a "
+                "background set such as skyproof clear makes."
+            )
+        from dataclasses import replace
+
+        from skyproof.cli.device import choose_device
+        from skyproof.cli.frames import read_frames
+        from skyproof.detectors.card import read_card
+        from skyproof.detectors.loaded import load_apart, save_detector
+        from skyproof.files import finished_folder
+        from skyproof.gate.threshold import empty_tiles, threshold_of_alarms, threshold_of_labels
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        with finished_folder(self.out) as partial:
+            (folder,) = self.detectors
+            gsd_m = read_card(folder).gsd_m
+            ground = BackgroundSet.open(self.empty) if self.empty is not None else None
+            looked_at_m = gsd_m if ground is None else ground.gsd_m
+            (judge,) = load_apart([folder], choose_device(self.device), looked_at_m)
+            if self.freeze == "alarms" and ground is not None:
+                images = empty_tiles(ground)
+                threshold = threshold_of_alarms(judge, images, self.alarms_per_km2)
+                how = (
+                    f"at most {self.alarms_per_km2:g} detections per km² on {len(images)} empty "
+                    "validation tiles"
+                )
+            else:
+                frames = read_frames(self.frames, self.frame_classes, gsd_m)
+                threshold = threshold_of_labels(judge, frames)
+                names = ", ".join(each.name for each in frames)
+                how = f"the largest F1 on labelled images ({names})"
+            card = replace(judge.card, threshold=threshold, threshold_from=how)
+            save_detector(partial, judge.detector, card)
+        say(
+            f"Threshold {threshold:.3f} instead of {judge.threshold:.3f}: {how}. Detector: "
+            f"{self.out.resolve()}"
+        )
+
+
+def _known(folder: Path, wanted: MeasuredOn) -> GateRecord:
+    """The record of a detector that is checked already.
+
+    Raises:
+        RunFolderError: it is of another detector, or was measured on something else.
+    """
+    from skyproof.detectors.card import read_card_and_digest
+    from skyproof.gate.record import RECORD_FILE, read_record
+
+    record = read_record(folder)
+    card, digest = read_card_and_digest(folder / "detector.json")
+    differing = [
+        name for name, value in vars(wanted).items() if getattr(record.measured_on, name) != value
+    ]
+    if (record.weights_sha256, record.threshold) != (digest, card.threshold):
+        differing = ["weights or threshold"]
+    if differing:
+        raise RunFolderError(
+            f"{folder / RECORD_FILE} tells of a check with other {', '.join(differing)} and is not "
+            "overwritten; move it away to check the detector again."
+        )
+    return record

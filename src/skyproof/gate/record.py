@@ -1,0 +1,218 @@
+"""What the gate measured of one detector, as `check.json` beside its card. Imports no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from skyproof.documents import check_format, read_document
+from skyproof.files import finished_file, write_json
+from skyproof.ranges import Count, Fraction, Name, Seed
+from skyproof.results.checks import Check, StoredCheck, check_of
+from skyproof.results.rows_file import filled_row, nulls_for_undefined, row_form
+from skyproof.results.statistics.intervals import Interval
+
+__all__ = [
+    "RECORD_FILE",
+    "GateRecord",
+    "Kind",
+    "MeasuredOn",
+    "Rate",
+    "read_record",
+    "read_records",
+    "write_record",
+]
+
+RECORD_FILE = "check.json"
+
+_FORMAT = 1
+_REMEDY = "copy the whole folder again, or move this file away and check the detector again"
+
+Kind = Literal["paint_body", "paint_whole", "blur", "control", "sun"]
+"""What a trial changes: a plain paint on body panels or on the whole vehicle, the vehicles'
+sharpness, a random control, or the sun's elevation."""
+
+_Digest = Annotated[str, Meta(max_length=64)]
+_Label = Annotated[str, Meta(min_length=1, max_length=300)]
+_Text = Annotated[str, Meta(max_length=10_000)]
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How many vehicles one change hides from one detector.
+
+    Attributes:
+        kind: what was changed.
+        name: how: "#ff8000", "0.7 px", "R-PixFc", "25°".
+        draws: how many there were, of which `easr` is the mean; 1 but for random controls.
+        easr: vehicles lost less vehicles gained, over those found in the unchanged picture.
+    """
+
+    kind: Kind
+    name: str
+    draws: int
+    easr: Interval
+
+
+@dataclass(frozen=True)
+class MeasuredOn:
+    """What two checks must share to be the same.
+
+    Attributes:
+        scenes: how many there were.
+        scenes_sha256: which.
+        sources: what their ground was cut from, or ("procedural",).
+        draws: of every random control.
+        seed: of random controls and of the bootstrap.
+        frames: names of the annotated frames.
+    """
+
+    scenes: Count
+    scenes_sha256: _Digest
+    sources: tuple[_Text, ...]
+    draws: Count
+    seed: Seed
+    frames: tuple[_Label, ...] = ()
+
+
+@dataclass(frozen=True)
+class GateRecord:
+    """What the gate measured of one detector.
+
+    Attributes:
+        detector: its name.
+        weights_sha256: of the weights that were checked; empty of a black box.
+        threshold: its frozen threshold.
+        measured_on: scenes, draws and frames.
+        sets: how good it is on the unchanged scenes, then on each set of frames.
+        rates: what each change hides.
+    """
+
+    detector: str
+    weights_sha256: str
+    threshold: float
+    measured_on: MeasuredOn
+    sets: Sequence[Check]
+    rates: Sequence[Rate]
+
+    def of_kind(self, kind: Kind) -> list[Rate]:
+        """The rates of one kind of change."""
+        return [rate for rate in self.rates if rate.kind == kind]
+
+
+def write_record(folder: Path, record: GateRecord) -> None:
+    """Writes `check.json` into a detector folder, whole or not at all.
+
+    Raises:
+        RunFolderError: there is one already, or the disk cannot take it.
+    """
+    with finished_file(Path(folder) / RECORD_FILE) as path:
+        write_json(
+            path,
+            {
+                "format": _FORMAT,
+                "detector": record.detector,
+                "weights_sha256": record.weights_sha256,
+                "threshold": record.threshold,
+                "measured_on": asdict(record.measured_on),
+                "sets": [check.json() for check in record.sets],
+                "rates": [_row(rate) for rate in record.rates],
+            },
+        )
+
+
+def read_record(folder: Path) -> GateRecord:
+    """Reads the `check.json` of a detector folder.
+
+    Raises:
+        StoredFileError: the file is missing, damaged or of another version.
+    """
+    path = Path(folder) / RECORD_FILE
+    check_format(path, _FORMAT, _REMEDY)
+    stored: _Document = read_document(path, _Document, _REMEDY)
+    return GateRecord(
+        detector=stored.detector,
+        weights_sha256=stored.weights_sha256,
+        threshold=stored.threshold,
+        measured_on=stored.measured_on,
+        sets=[check_of(filled_row(row)) for row in stored.sets],
+        rates=[_rate(**filled_row(row)) for row in stored.rates],
+    )
+
+
+def read_records(detectors: Path) -> dict[str, GateRecord]:
+    """Reads the records of all detector folders in a folder, by detector.
+
+    A record of other weights or another threshold than the card beside it tells nothing of this
+    detector, and is left out.
+
+    Raises:
+        StoredFileError: a file is damaged or of another version.
+    """
+    records = {}
+    for path in sorted(Path(detectors).glob(f"*/{RECORD_FILE}")):
+        record = read_record(path.parent)
+        card: _Card = read_document(path.parent / "detector.json", _Card, _REMEDY)
+        if (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold):
+            records[record.detector] = record
+    return records
+
+
+def _row(rate: Rate) -> dict[str, Any]:
+    return nulls_for_undefined(
+        {
+            "kind": rate.kind,
+            "name": rate.name,
+            "draws": rate.draws,
+            "easr": rate.easr.estimate,
+            "easr_low": rate.easr.low,
+            "easr_high": rate.easr.high,
+        }
+    )
+
+
+def _rate(
+    kind: Kind, name: str, draws: int, easr: float, easr_low: float, easr_high: float
+) -> Rate:
+    return Rate(kind, name, draws, Interval(easr, easr_low, easr_high))
+
+
+_Easr = Annotated[float, Meta(ge=-1e6, le=1)]
+
+
+@dataclass(frozen=True)
+class _StoredRate:
+    """A rate as `_row` gives it."""
+
+    kind: Kind
+    name: _Label
+    draws: Count
+    easr: _Easr
+    easr_low: _Easr
+    easr_high: _Easr
+
+
+_CheckRow: Any = row_form(StoredCheck)
+_RateRow: Any = row_form(_StoredRate)
+
+
+class _Card(Struct, frozen=True):
+    """What ties a record to the detector beside it."""
+
+    threshold: Fraction
+    weights_sha256: _Digest = ""
+
+
+class _Document(Struct, frozen=True):
+    """The form of `check.json`, beside its format."""
+
+    detector: Name
+    weights_sha256: _Digest
+    threshold: Fraction
+    measured_on: MeasuredOn
+    sets: Annotated[list[_CheckRow], Meta(min_length=1, max_length=1000)]
+    rates: Annotated[list[_RateRow], Meta(max_length=10_000)]

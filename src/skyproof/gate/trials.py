@@ -1,0 +1,72 @@
+"""Which changes the gate tries: plain paints, sharpness, random controls, and the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.paint import LATTICE, plain_paint
+from skyproof.gate.record import Kind
+from skyproof.randomness import generator_of
+
+__all__ = ["BLURS_PX", "CONTROLS", "SUN_ELEVATIONS_DEG", "Trial", "make_trials"]
+
+BLURS_PX = (0.4, 0.7, 1.0, 1.4)
+"""From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
+
+CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4")
+
+SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One change to the same scenes, that nothing was learnt for.
+
+    Attributes:
+        kind, name: as in `Rate`.
+        camouflage: what the vehicles wear; None for their own paint.
+        blur_sigma_px: how sharp they are drawn; None for as sharp as their ground.
+        sun_elevation_deg: where the sun stands; None for the scenes' own.
+    """
+
+    kind: Kind
+    name: str
+    camouflage: Camouflage | None = None
+    blur_sigma_px: float | None = None
+    sun_elevation_deg: float | None = None
+
+
+def make_trials(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[Trial]:
+    """Makes all trials of a gate.
+
+    Args:
+        palette: sRGB in [0, 1], the fixed colours of R-Fc and R-PixFc.
+        draws: of every random control.
+        seed: decides them.
+    """
+    kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
+    paints = [
+        Trial(kind, f"#{bytes(colour).hex()}", plain_paint(colour, masked=masked))
+        for kind, masked in kinds
+        for colour in LATTICE
+    ]
+    blurs = [Trial("blur", f"{sigma:g} px", blur_sigma_px=sigma) for sigma in BLURS_PX]
+    controls = [
+        Trial("control", name, _drawn(name, draw, palette, seed))
+        for name in CONTROLS
+        for draw in range(draws)
+    ]
+    suns = [Trial("sun", f"{angle:g}°", sun_elevation_deg=angle) for angle in SUN_ELEVATIONS_DEG]
+    return [*paints, *blurs, *controls, *suns]
+
+
+def _drawn(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> Camouflage:
+    name = CamouflageName.parse(text).with_repeat(draw)
+    generator = generator_of(seed, "gate", str(name))
+    return make_camouflage(name, generator=generator, palette=palette).requires_grad_(False)

@@ -1,0 +1,153 @@
+"""Whether a detector passed the gate: each criterion's limit, and what was found. Needs no torch.
+
+An estimate within its limit passes. It fails only where its whole 95 % interval lies beyond, so
+that few vehicles fail nobody; between the two it is borderline.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from skyproof.gate.record import GateRecord, Kind, Rate
+from skyproof.results.checks import Check
+from skyproof.results.statistics.intervals import Interval
+from skyproof.words import interval, percent
+
+__all__ = [
+    "LARGEST_EASR",
+    "LEAST_AP_PHOTOGRAPHS",
+    "LEAST_AP_RENDERED",
+    "Finding",
+    "Outcome",
+    "findings",
+    "misfit_thresholds",
+    "rate_outcome",
+    "rate_words",
+    "verdict",
+    "worst",
+]
+
+LEAST_AP_RENDERED = 0.95
+"""Clean average precision (centre within 1 m) on rendered scenes."""
+
+LEAST_AP_PHOTOGRAPHS = 0.85
+"""The same on photographs, which a detector trained on renders sees for the first time."""
+
+LARGEST_EASR = 0.05
+"""What a change that nobody optimised may hide: the paper's random controls hide 1 to 4 %."""
+
+Outcome = Literal["passed", "borderline", "failed"]
+
+_SEVERITY: dict[Outcome, int] = {"passed": 0, "borderline": 1, "failed": 2}
+_MANY: dict[Kind, str] = {
+    "paint_body": "plain paints on body panels",
+    "paint_whole": "plain paints on the whole vehicle",
+    "blur": "degrees of blur",
+    "control": "random controls",
+    "sun": "elevations of the sun",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found by one criterion.
+
+    Attributes:
+        criterion: its name: "plain paints on body panels".
+        outcome: passed, borderline or failed.
+        words: what was found, without a capital or a full stop.
+        beyond: how far the estimate lies beyond its limit; below 0 where it is within.
+        rates: of the changes that were tried, largest first; none of clean images.
+    """
+
+    criterion: str
+    outcome: Outcome
+    words: str
+    beyond: float
+    rates: Sequence[Rate] = ()
+
+
+def findings(record: GateRecord) -> list[Finding]:
+    """Judges a detector by every criterion that was measured."""
+    clean = [_clean(check) for check in record.sets]
+    changed = [(kind, record.of_kind(kind)) for kind in _MANY]
+    return [*clean, *(_changed(rates, kind) for kind, rates in changed if rates)]
+
+
+def verdict(found: Sequence[Finding]) -> Outcome:
+    """The outcome of all criteria together: that of the worst."""
+    return worst(found).outcome
+
+
+def worst(found: Sequence[Finding]) -> Finding:
+    """The finding of the worst outcome; among equals the one farthest beyond its limit."""
+    return max(found, key=lambda each: (_SEVERITY[each.outcome], each.beyond))
+
+
+def rate_outcome(rate: Rate) -> Outcome:
+    """What one change alone says."""
+    return _outcome(rate.easr, -LARGEST_EASR, sign=-1)
+
+
+def misfit_thresholds(checks: Sequence[Check]) -> list[str]:
+    """Names every set to which the frozen threshold does not carry over, in a sentence each."""
+    return [
+        f"The frozen threshold, {check.threshold:.2f}, does not carry over to {check.dataset}: "
+        f"recall {percent(check.recall.estimate)} at precision "
+        f"{percent(check.precision.estimate)}; the best one there, {check.best.threshold:.2f}, has "
+        f"{percent(check.best.recall)} at {percent(check.best.precision)}."
+        for check in checks
+        if check.best is not None and not check.carries_over
+    ]
+
+
+def rate_words(rate: Rate) -> str:
+    """What was changed, in words: the paint "#ff8000" as "RGB (255, 128, 0)"."""
+    if rate.kind in ("paint_body", "paint_whole"):
+        return f"RGB {tuple(bytes.fromhex(rate.name.removeprefix('#')))}"
+    return rate.name
+
+
+def _clean(check: Check) -> Finding:
+    least = LEAST_AP_PHOTOGRAPHS if check.real else LEAST_AP_RENDERED
+    ap = check.ap_centre_1m
+    return Finding(
+        f"clean AP on {check.dataset}",
+        _outcome(ap, least, sign=1),
+        f"its AP on {check.dataset} is {_sure(ap)}, where {percent(least)} is asked for",
+        least - ap.estimate,
+    )
+
+
+def _changed(rates: Sequence[Rate], kind: Kind) -> Finding:
+    """Judges all changes of a kind by the worst of them."""
+    many = _MANY[kind]
+    ordered = sorted(rates, key=lambda rate: (-_SEVERITY[rate_outcome(rate)], -rate.easr.estimate))
+    largest = ordered[0]
+    beyond = [rate for rate in rates if rate.easr.estimate > LARGEST_EASR]
+    hides = f"hides {_sure(largest.easr)}"
+    if not beyond:
+        words = f"of {len(rates)} {many} the worst, {rate_words(largest)}, {hides}"
+    else:
+        words = (
+            f"{len(beyond)} of {len(rates)} {many} hide{'s' if len(beyond) == 1 else ''} more than "
+            f"{percent(LARGEST_EASR)}; the worst, {rate_words(largest)}, {hides}"
+        )
+    excess = largest.easr.estimate - LARGEST_EASR
+    return Finding(many, rate_outcome(largest), words, excess, ordered)
+
+
+def _outcome(value: Interval, limit: float, *, sign: int) -> Outcome:
+    """Judges whether sign * value reaches a limit; an undefined interval excludes nothing."""
+    ends = [sign * end for end in (value.low, value.high) if not math.isnan(end)]
+    if sign * value.estimate >= limit:
+        return "passed"
+    return "failed" if ends and max(ends) < limit else "borderline"
+
+
+def _sure(value: Interval) -> str:
+    shown = percent(value.estimate)
+    return shown if math.isnan(value.low) else f"{shown} ({interval(value.low, value.high)})"

@@ -1,0 +1,142 @@
+"""The whole gate in a small world, before detectors whose answers are known."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.paint import LATTICE, plain_paint
+from skyproof.datasets.dataset import Dataset
+from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
+from skyproof.gate.check import check_detectors
+from skyproof.gate.record import RECORD_FILE, read_record, read_records, write_record
+from skyproof.gate.trials import make_trials
+from skyproof.gate.verdict import findings, verdict, worst
+from skyproof.results.clean import CleanSet
+from skyproof.vehicles.vehicle import Part
+from tests.gate.world import Toy, judging
+
+YELLOWS = {"#808000", "#ffff00", "#ffff80"}
+
+
+def test_every_trial_is_made_once_and_every_draw_differs():
+    trials = make_trials(torch.rand(5, 3), draws=2, seed=0)
+    counted = {
+        kind: len({trial.name for trial in trials if trial.kind == kind})
+        for kind in ("paint_body", "paint_whole", "blur", "control", "sun")
+    }
+    assert counted == {"paint_body": 27, "paint_whole": 27, "blur": 4, "control": 6, "sun": 4}
+    assert len(trials) == 27 + 27 + 4 + 12 + 4
+    first, second = (trial.camouflage for trial in trials if trial.name == "R-U")
+    assert not torch.equal(first.cells, second.cells)
+    again = make_trials(torch.rand(5, 3), draws=1, seed=0)
+    assert torch.equal(next(t for t in again if t.name == "R-U").camouflage.cells, first.cells)
+
+
+def test_a_paint_lies_on_body_panels_or_everywhere_and_can_be_stored(fleet, tmp_path):
+    vehicles = fleet.batch(fleet.ids)
+    body, whole = (plain_paint((255, 128, 0), masked=masked) for masked in (True, False))
+    orange = torch.tensor([255, 128, 0]).view(1, 3, 1, 1) / 255
+    painted = body(vehicles).worn_texture()
+    is_body = (vehicles.parts == Part.BODY)[:, None].expand_as(painted)
+    assert torch.equal(painted[is_body], orange.expand_as(painted)[is_body])
+    own = vehicles.texture.float() / 255
+    assert torch.equal(painted[~is_body], own[~is_body])
+    assert torch.equal(whole(vehicles).worn_texture(), orange.expand(1, 3, 512, 512))
+    save_camouflage(tmp_path / "paint", body)
+    assert torch.equal(load_camouflage(tmp_path / "paint")(vehicles).worn_texture(), painted)
+    assert str(load_camouflage(tmp_path / "paint").name) == "R-PixMa_plain_ff8000"
+    assert len(set(LATTICE)) == 27
+
+
+def test_a_detector_that_finds_everything_passes(records):
+    record = records["good"]
+    assert {rate.easr.estimate for rate in record.rates} == {0.0}
+    assert [rate.draws for rate in record.of_kind("control")] == [2] * 6
+    (check,) = record.sets
+    assert (check.ap_centre_1m.estimate, check.recall.estimate, check.vehicles) == (1, 1, 6)
+    assert check.recall.low < 0.5  # three tiles say little
+    assert verdict(findings(record)) == "passed"
+
+
+def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
+    record = records["blind"]
+    for kind in ("paint_body", "paint_whole"):
+        assert {r.name for r in record.of_kind(kind) if r.easr.estimate > 0.05} == YELLOWS
+    for kind in ("blur", "control", "sun"):
+        assert {r.easr.estimate for r in record.of_kind(kind)} == {0.0}
+    found = findings(record)
+    assert verdict(found) == "failed"
+    assert {each.criterion for each in found if each.outcome == "failed"} == {
+        "plain paints on body panels",
+        "plain paints on the whole vehicle",
+    }
+    assert worst(found).words.startswith("3 of 27 plain paints on")
+
+
+def test_blur_and_sun_change_the_picture(records, good):
+    unchanged, *changed = good.contrasts
+    assert len(records) == 2
+    assert len(changed) == 27 + 27 + 4 + 12 + 4
+    blurs, suns = changed[54:58], changed[-4:]
+    assert len({*blurs, unchanged}) == len({*suns, unchanged}) == 5
+
+
+def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
+    def check(judge, scenes=scenes, **options):
+        check_detectors([judge], backgrounds, fleet, scenes, **options)
+
+    toy = Toy("toy", scenes, fleet)
+    with pytest.raises(ConfigurationError, match="toy finds none of the 6 vehicles"):
+        check(judging(toy, threshold=0.99))
+    assert toy.images == 3  # said before the long part
+    with pytest.raises(ConfigurationError, match="got 0 scenes without any"):
+        check(judging(toy), scenes=[])
+    empty = [replace(scene, placements=()) for scene in scenes]
+    with pytest.raises(ConfigurationError, match="expects scenes with vehicles"):
+        check(judging(toy), scenes=empty)
+    image = torch.zeros(3, 96, 96, dtype=torch.uint8)
+    unlabelled = Dataset.of_images([image], [torch.zeros(0, 4)], gsd_m=0.125)
+    with pytest.raises(ConfigurationError, match="Town has no labelled vehicles"):
+        check(judging(toy), frames=[CleanSet("Town", unlabelled, real=True)])
+    coarse = replace(judging(toy), card=replace(judging(toy).card, gsd_m=0.25))
+    with pytest.raises(ConfigurationError, match=r"at 0\.25 m per pixel"):
+        check(coarse)
+    with pytest.raises(ConfigurationError, match="at least one detector"):
+        check_detectors([], backgrounds, fleet, scenes)
+
+
+def test_a_record_is_read_as_it_was_written(records, tmp_path):
+    record = records["blind"]
+    undefined = replace(record.rates[0], easr=replace(record.rates[0].easr, low=math.nan))
+    write_record(tmp_path, replace(record, rates=[undefined, *record.rates[1:]]))
+    read = read_record(tmp_path)
+    assert math.isnan(read.rates[0].easr.low)
+    as_read = [replace(rate, easr=replace(rate.easr, unanimous=False)) for rate in record.rates]
+    assert read.rates[1:] == as_read[1:]
+    assert read.measured_on == record.measured_on
+    assert read.sets[0].json() == record.sets[0].json()
+    with pytest.raises(RunFolderError, match=r"check\.json exists already"):
+        write_record(tmp_path, record)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"format": 2}, {"rates": [{}]}, {"sets": []}, {"threshold": 2.0}, {"rates": [{"easr": 2}]}],
+)
+def test_a_damaged_record_is_refused(records, tmp_path, changed):
+    write_record(tmp_path, records["good"])
+    path = tmp_path / RECORD_FILE
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
+    with pytest.raises(StoredFileError, match=r"check\.json"):
+        read_record(tmp_path)
+
+
+def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_path):
+    for name, threshold in (("good", 0.5), ("blind", 0.4)):
+        write_record(tmp_path / name, records[name])
+        (tmp_path / name / "detector.json").write_text(json.dumps({"threshold": threshold}))
+    assert list(read_records(tmp_path)) == ["good"]
