@@ -60,6 +60,10 @@ class Layout:
         """A detector folder."""
         return self.detectors / name
 
+    def check(self, name: str) -> Path:
+        """What `skyproof check` found of a detector."""
+        return self.detector(name) / "check.json"
+
     @property
     def camouflages(self) -> Path:
         """The folder of all camouflages, learnt and drawn."""

@@ -22,7 +22,7 @@ def flags(text: str) -> list[str]:
 SIZES = flags(
     "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images "
     "12 --sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 "
-    "--sizes.random-draws 2"
+    "--sizes.random-draws 2 --sizes.check-scenes 0"
 )
 STEPS = flags(
     "--training.steps 4 --training.batch-size 2 --training.validate-every 4 "

@@ -13,6 +13,7 @@ from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from tests.render.bodies import PlainGround
 
 GSD_M = 0.125
 SIZE_PX = 96
@@ -26,7 +27,7 @@ class Toy:
     """
 
     def __init__(self, name, scenes, fleet, misses=lambda red, green, blue: False):
-        renderer = TorchRenderer(_Grey())
+        renderer = TorchRenderer(PlainGround(0.5))
         frames = renderer(scenes, placed_vehicles(fleet, scenes))
         self.name = name
         self.places = [
@@ -46,11 +47,6 @@ class Toy:
             kept = torch.stack(seen) if seen else torch.zeros(0, 4)
             found.append(Detections(kept, torch.linspace(0.9, 0.8, len(kept))))
         return found
-
-
-class _Grey:
-    def window(self, window, size_px):
-        return torch.full((3, size_px, size_px), 0.5)
 
 
 def _middle(image, box):

@@ -17,7 +17,7 @@ from tests.imagery.made import smooth_noise
 __all__ = ["DEMO", "make_world"]
 
 _SIZES = "image-px 96,tiles 1 1 1 1,vehicles 1 1 1 1,training-images 6,validation-images 2"
-_SIZES += ",test-images 2,training-vehicles 2,random-draws 1"
+_SIZES += ",test-images 2,training-vehicles 2,random-draws 1,check-scenes 0"
 _STEPS = "steps 2,batch-size 1,checkpoint-every 2"
 DEMO = [
     *(f"--sizes.{size}" for size in _SIZES.split(",")),

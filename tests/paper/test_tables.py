@@ -328,12 +328,17 @@ def test_undefined_success_is_a_dash(tmp_path):
 
 def test_synthetic_data_alone_is_said_first(folder):
     lines = write_reproduction(folder).read_text().split("\n\n")
-    assert lines[1].startswith(
+    assert lines[1] == (
+        "**Worth attacking?** RetinaNet was not checked before the attacks: nothing here says "
+        "whether it is worth attacking (skyproof check). YOLOv5 was not checked before the "
+        "attacks: nothing here says whether it is worth attacking (skyproof check)."
+    )
+    assert lines[2].startswith(
         "**Synthetic data only.** Ground and vehicles are computer-generated"
     )
     assert (
         "(AP with centres within 1 m: RetinaNet 90.0 %, YOLOv5 90.0 %), not on real ones"
-        in lines[1]
+        in lines[2]
     )
 
 

@@ -194,7 +194,8 @@ class _Gate:
         batches = [
             scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)
         ]
-        renderer = TorchRenderer(self.backgrounds, self._settings(trial))
+        settings = RenderSettings(blur_sigma_px=trial.blur_sigma_px)
+        renderer = TorchRenderer(self.backgrounds, settings)
         camouflage = None if trial.camouflage is None else trial.camouflage.to(self.device)
 
         @torch.no_grad()
@@ -264,12 +265,6 @@ class _Gate:
     @property
     def _places(self) -> list[str]:
         return [scene.background.tile for scene in self.scenes]
-
-    def _settings(self, trial: Trial) -> RenderSettings:
-        usual = RenderSettings.of(self.backgrounds.sensor)
-        if trial.blur_sigma_px is None:
-            return usual
-        return replace(usual, blur_sigma_px=trial.blur_sigma_px)
 
 
 def _lit(scene: Scene, elevation_deg: float | None) -> Scene:

@@ -59,6 +59,7 @@ class Finding:
         criterion: its name: "plain paints on body panels".
         outcome: passed, borderline or failed.
         words: what was found, without a capital or a full stop.
+        figure: the same in a table: "RGB (128, 128, 0) 97 % (90 to 99 %)".
         beyond: how far the estimate lies beyond its limit; below 0 where it is within.
         rates: of the changes that were tried, largest first; none of clean images.
     """
@@ -66,6 +67,7 @@ class Finding:
     criterion: str
     outcome: Outcome
     words: str
+    figure: str
     beyond: float
     rates: Sequence[Rate] = ()
 
@@ -118,6 +120,7 @@ def _clean(check: Check) -> Finding:
         f"clean AP on {check.dataset}",
         _outcome(ap, least, sign=1),
         f"its AP on {check.dataset} is {_sure(ap)}, where {percent(least)} is asked for",
+        _sure(ap),
         least - ap.estimate,
     )
 
@@ -137,7 +140,8 @@ def _changed(rates: Sequence[Rate], kind: Kind) -> Finding:
             f"{percent(LARGEST_EASR)}; the worst, {rate_words(largest)}, {hides}"
         )
     excess = largest.easr.estimate - LARGEST_EASR
-    return Finding(many, rate_outcome(largest), words, excess, ordered)
+    figure = f"{rate_words(largest)} {_sure(largest.easr)}"
+    return Finding(many, rate_outcome(largest), words, figure, excess, ordered)
 
 
 def _outcome(value: Interval, limit: float, *, sign: int) -> Outcome:

@@ -23,13 +23,14 @@ from skyproof.plans.plan import Plan
 from skyproof.plans.steps import (
     AttackJob,
     attack_step,
+    check_step,
     control_step,
     report_step,
     score_step,
     train_step,
 )
 from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
-from skyproof.ranges import GroundResolution, Seed
+from skyproof.ranges import GroundResolution, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.seeds import next_seed
 
@@ -63,9 +64,11 @@ class DemoSizes(WorldSizes):
 
     Attributes:
         random_draws: random controls to compare each texture with.
+        check_scenes: test scenes on which detectors are checked before the attacks; 0 for no check.
     """
 
     random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
+    check_scenes: WholeNumber = 12
 
 
 def _training() -> TrainingSettings:
@@ -216,6 +219,21 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     training = asdict(demo.training)
     for name in demo.detectors:
         steps.append(train_step(layout, sizes, name, "slim", training, seed, device=device))
+    checked = demo.detectors if sizes.check_scenes else ()
+    if checked:
+        steps.append(
+            check_step(
+                layout,
+                sizes,
+                checked,
+                sizes.check_scenes,
+                1,
+                seed,
+                frames=demo.frames,
+                frame_classes=demo.frame_classes,
+                device=device,
+            )
+        )
     settings = replace(demo.attack, seed=next_seed(seed, demo.attack.seed))
     names = [CamouflageName.parse(text) for text in TEXTURES]
     jobs = [AttackJob(str(name), settings, demo.detectors) for name in names]
@@ -256,7 +274,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 device=device,
             )
         )
-    steps.append(report_step(layout, scores))
+    steps.append(report_step(layout, scores, checked))
     return Plan(steps)
 
 

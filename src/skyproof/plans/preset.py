@@ -19,7 +19,7 @@ from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import parse_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.plans.world import GSD_M, WorldSizes
-from skyproof.ranges import Count, ImageSide, Seed
+from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 
 __all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
@@ -83,6 +83,8 @@ class Preset:
         magnitudes: PM of shapes alone and of combinations (section 5.5).
         combined_magnitudes: by texture, PM of its combinations where they are others.
         transfer: textures that are also attacked on single detectors, and on all but one.
+        check_scenes: test scenes on which detectors are checked before the attacks, with as many
+            draws of each control; 0 for no check.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done.
@@ -117,6 +119,7 @@ class Preset:
     resources: Resources
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
+    check_scenes: WholeNumber = 60
     preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
 
     def __post_init__(self) -> None:

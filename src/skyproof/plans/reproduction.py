@@ -16,6 +16,7 @@ from skyproof.plans.preset import Preset
 from skyproof.plans.steps import (
     AttackJob,
     attack_step,
+    check_step,
     control_step,
     report_step,
     score_step,
@@ -86,6 +87,19 @@ def reproduction_plan(
         )
         for name in preset.detectors
     ]
+    checked = preset.detectors if preset.check_scenes else ()
+    if checked:
+        steps.append(
+            check_step(
+                layout,
+                sizes,
+                checked,
+                preset.check_scenes,
+                preset.draws,
+                preset.seed,
+                device=device,
+            )
+        )
     steps.append(control_step(layout, jobs.controls, preset.seed))
     steps += [
         attack_step(layout, job, preset.attack_image_px, device=device)
@@ -115,7 +129,7 @@ def reproduction_plan(
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
     steps += scores
-    steps.append(report_step(layout, [step.name for step in scores]))
+    steps.append(report_step(layout, [step.name for step in scores], checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.attack import Attack
+from skyproof.cli.check import Check
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
@@ -16,12 +17,23 @@ from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
 
-__all__ = ["AttackJob", "attack_step", "control_step", "report_step", "score_step", "train_step"]
+__all__ = [
+    "AttackJob",
+    "attack_step",
+    "check_step",
+    "control_step",
+    "report_step",
+    "score_step",
+    "train_step",
+]
 
 # Seconds on one core for a million pixels before one detector; for the time left alone.
 _TRAIN_S = 2.0
 _ATTACK_S = 4.0
 _DETECT_S = 3.0
+_TRIALS = 62
+"""Changes that a check tries on every scene, but for random controls."""
+_CONTROLS = 6
 
 
 @dataclass(frozen=True)
@@ -81,6 +93,59 @@ def train_step(
         (layout.detector(name) / "detector.json",),
         growing=True,
         effort_s=START_S + _TRAIN_S * megapixels,
+    )
+
+
+def check_step(
+    layout: Layout,
+    sizes: WorldSizes,
+    names: Sequence[str],
+    scenes: int,
+    draws: int,
+    seed: int,
+    *,
+    frames: Sequence[str] = (),
+    frame_classes: Sequence[str] = ("car", "minibus"),
+    device: str = "auto",
+) -> Step:
+    """Returns the step that tells whether the detectors are worth attacking.
+
+    Args:
+        layout: the run folder's.
+        sizes: of the run.
+        names: of all detectors.
+        scenes: how many of the test scenes are taken, at most.
+        draws: of every random control.
+        seed: of the controls and the bootstrap.
+        frames: annotated images to check the detectors on.
+        frame_classes: class names that count as vehicles in them.
+        device: auto, cpu or cuda.
+    """
+    folders = tuple(layout.detector(name) for name in names)
+    scenes = min(scenes, sizes.test_images)
+    command = Check(
+        detectors=folders,
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+        scenes=layout.scenes("test"),
+        scenes_count=scenes,
+        draws=draws,
+        frames=tuple(frames),
+        frame_classes=tuple(frame_classes),
+        seed=seed,
+        device=device,
+    )
+    inputs = [layout.backgrounds, layout.fleets, layout.scenes("test")]
+    inputs += [folder / "detector.json" for folder in folders]
+    images = scenes * (1 + _TRIALS + _CONTROLS * draws)
+    each_s = render_s(Rendering()) + _DETECT_S * len(names)
+    return Step(
+        "check",
+        "detectors",
+        command,
+        tuple(inputs),
+        tuple(layout.check(name) for name in names),
+        effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
 
@@ -194,13 +259,20 @@ def score_step(
     )
 
 
-def report_step(layout: Layout, scores: Sequence[str]) -> Step:
-    """Returns the step that merges all scores and writes the report."""
+def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = ()) -> Step:
+    """Returns the step that merges all scores and writes the report.
+
+    Args:
+        layout: the run folder's.
+        scores: names of the score folders.
+        checked: names of the detectors that are checked in this run.
+    """
+    checks = [layout.check(name) for name in checked]
     return Step(
         "report",
         "report",
         Report(layout.folder),
-        tuple(layout.score(name) for name in scores),
+        (*checks, *(layout.score(name) for name in scores)),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

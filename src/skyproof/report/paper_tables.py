@@ -12,6 +12,7 @@ from skyproof.paper.cells import Block, Figure, Grid, Heading, as_markdown
 from skyproof.paper.page import paper_sections, shape_table, standing, texture_table
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import reproduction_tables
+from skyproof.report.gate import read_gate
 from skyproof.report.practicality_figure import easr_against_practicality
 from skyproof.results.results import Results
 
@@ -55,7 +56,8 @@ def paper_part(results: Results) -> PaperPart | None:
 def _preamble(run: Reproduction) -> list[Block]:
     """Says what stands above the tables where they are a page of their own."""
     title = run.results.config.title or "The paper’s tables"
-    parts: list[Block] = [Heading(title, 1)]
+    gate = " ".join(read_gate(run.results).sentences)
+    parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
     scores = standing(run)
     checked = f" (AP with centres within 1 m: {scores})" if scores else ""
     real = any(check.real for check in run.results.checks)

@@ -26,6 +26,7 @@ from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, loss_figure, many_figure
+from skyproof.report.gate import read_gate
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.results.conditions import Panel, condition_panels
@@ -154,6 +155,7 @@ def _write(results: Results, layout: Layout) -> Path:
             overviews=[] if few else _overviews(results),
             first=every[0][0] if every else None,
             tested=_tested(results, every),
+            gate=read_gate(results),
             standing=standing(results),
             checked=checked_sets(results),
             tables=_tables(results),

@@ -1,0 +1,129 @@
+"""Whether the detectors were worth attacking: the first lines of a report, and their table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from skyproof.gate.record import GateRecord, Kind, read_records
+from skyproof.gate.verdict import (
+    Finding,
+    Outcome,
+    findings,
+    misfit_thresholds,
+    rate_outcome,
+    rate_words,
+    verdict,
+    worst,
+)
+from skyproof.layout import Layout
+from skyproof.results.results import Results
+from skyproof.words import detector_name, interval, percent
+
+__all__ = ["Gate", "Swatch", "read_gate"]
+
+_STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole vehicle"}
+_BRIGHT = 128
+
+
+@dataclass(frozen=True)
+class Swatch:
+    """A plain paint as a coloured square.
+
+    Attributes:
+        colour: "#ff8000".
+        ink: black or white, whichever can be read on it.
+        easr: what it hides, in whole percent, without a sign for it.
+        outcome: passed, borderline or failed.
+        words: the paint and its rate in words.
+    """
+
+    colour: str
+    ink: str
+    easr: str
+    outcome: Outcome
+    words: str
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What a report says of its detectors before anything else.
+
+    Attributes:
+        sentences: the first lines, detector by detector.
+        names: the detectors that were checked.
+        rows: per criterion, what was found of each of them; None where it was not measured.
+        strips: per detector and kind of paint all paints, in the order of the lattice.
+    """
+
+    sentences: Sequence[str]
+    names: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[Finding | None]]]
+    strips: Sequence[tuple[str, Sequence[Swatch]]]
+
+
+def read_gate(results: Results) -> Gate:
+    """Reads what `skyproof check` left beside the detectors of a run.
+
+    Raises:
+        StoredFileError: a `check.json` is damaged.
+    """
+    records = read_records(Layout(results.folder).detectors)
+    found = {name: findings(records[name]) for name in results.judges if name in records}
+    sentences = [_sentence(name, found.get(name)) for name in results.judges]
+    for name in found:
+        sentences += misfit_thresholds(records[name].sets)
+    if any(name in found and verdict(found[name]) == "failed" for name in results.judges):
+        sentences.append(
+            "What hides vehicles from a detector that fails may do so for the same reason, and "
+            "not because it was learnt."
+        )
+    criteria = dict.fromkeys(each.criterion for own in found.values() for each in own)
+    rows = [
+        (
+            name,
+            [next((one for one in own if one.criterion == name), None) for own in found.values()],
+        )
+        for name in criteria
+    ]
+    strips = [
+        (f"{detector_name(name)}, {where}", _swatches(records[name], kind))
+        for name in found
+        for kind, where in _STRIPS.items()
+    ]
+    return Gate(sentences, list(found), rows, strips)
+
+
+def _sentence(name: str, found: Sequence[Finding] | None) -> str:
+    shown = detector_name(name)
+    if found is None:
+        return (
+            f"{shown} was not checked before the attacks: nothing here says whether it is worth "
+            "attacking (skyproof check)."
+        )
+    said = {
+        "passed": "passed the check before the attacks",
+        "borderline": "is borderline in the check before the attacks",
+        "failed": "FAILED the check before the attacks",
+    }
+    last = worst(found)
+    return f"{shown} {said[last.outcome]}: {last.words}."
+
+
+def _swatches(record: GateRecord, kind: Kind) -> list[Swatch]:
+    swatches = []
+    for rate in record.of_kind(kind):
+        red, green, blue = bytes.fromhex(rate.name.removeprefix("#"))
+        bright = 0.3 * red + 0.59 * green + 0.11 * blue > _BRIGHT
+        limits = interval(rate.easr.low, rate.easr.high)
+        shown = percent(rate.easr.estimate)
+        swatches.append(
+            Swatch(
+                rate.name,
+                "#000" if bright else "#fff",
+                f"{100 * rate.easr.estimate:.0f}".replace("-0", "0").replace("-", "−"),
+                rate_outcome(rate),
+                f"{rate_words(rate)}: {shown} ({limits})",
+            )
+        )
+    return swatches
