@@ -1,0 +1,79 @@
+"""`skyproof check`: detectors before any attack, and other thresholds frozen."""
+
+import json
+import shutil
+
+import pytest
+
+from skyproof.detectors.card import read_card
+from skyproof.gate.record import read_record
+from tests.cli.conftest import Skyproof, bytes_of
+
+
+@pytest.fixture
+def detector(finished, tmp_path):
+    return shutil.copytree(finished / "detectors/retinanet", tmp_path / "retinanet")
+
+
+@pytest.fixture
+def world(finished):
+    scenes = ["--scenes", finished / "scenes/test.jsonl", "--scenes-count", 6, "--draws", 1]
+    ground = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
+    return [*ground, *scenes, "--device", "cpu"]
+
+
+def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: Skyproof) -> None:
+    frames = ["--frames", f"{finished / 'datasets/validation'}@0.125", "--frame-classes", "vehicle"]
+    answer = skyproof("check", detector, *world, *frames)
+    assert answer.code == 0, answer.err
+    for words in ("RetinaNet: ", "rendered scenes", "validation", "precision", "recall"):
+        assert words in answer.out
+    for words in ("27 hide more than", "degrees of blur", "random controls", "elevations of the s"):
+        assert words in answer.out
+    record = read_record(detector)
+    card = json.loads((detector / "detector.json").read_text())
+    assert (record.weights_sha256, record.threshold) == (card["weights_sha256"], card["threshold"])
+    assert (record.measured_on.scenes, record.measured_on.draws) == (6, 1)
+    # Shown again, without drawing anything.
+    before = bytes_of(detector)
+    again = skyproof("check", detector, *world, *frames)
+    assert again.code == 0
+    assert again.out in answer.out
+    # Another check does not replace it.
+    skyproof("check", detector, *world).refused("check.json", "other frames", "move it away")
+    assert bytes_of(detector) == before
+
+
+def test_what_cannot_be_checked_is_said_in_a_sentence(
+    detector, world, skyproof: Skyproof, tmp_path
+) -> None:
+    skyproof("check", "--device", "cpu").refused("at least one detector folder")
+    skyproof("check", detector).refused("--backgrounds and --fleet")
+    skyproof("check", detector, *world, "--out", tmp_path / "x").refused("--out belongs to")
+    skyproof("check", detector, "--freeze", "labels").refused("--out")
+    out = ["--out", tmp_path / "new"]
+    skyproof("check", detector, "--freeze", "labels", *out).refused("--frames")
+    skyproof("check", detector, "--freeze", "alarms", *out).refused("--empty")
+    assert not (tmp_path / "new").exists()
+    assert not (detector / "check.json").exists()
+
+
+def test_another_threshold_is_frozen_in_a_copy(
+    detector, finished, skyproof: Skyproof, tmp_path
+) -> None:
+    before = bytes_of(detector)
+    frames = ["--frames", f"{finished / 'datasets/test'}@0.125", "--frame-classes", "vehicle"]
+    labels = tmp_path / "labels"
+    call = ["check", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
+    answer = skyproof(*call)
+    assert answer.code == 0, answer.err
+    assert read_card(labels).threshold_from == "the largest F1 on labelled images (test)"
+    assert (labels / "weights.safetensors").read_bytes() == before["weights.safetensors"]
+    skyproof(*call).refused("exists already")
+    empty = ["--freeze", "alarms", "--empty", finished / "backgrounds"]
+    few = ["check", detector, *empty, "--device", "cpu", "--out"]
+    skyproof(*few, tmp_path / "few").refused("empty ground", "give at least 0.1 km²")
+    answer = skyproof(*few, tmp_path / "some", "--alarms-per-km2", 2000)
+    assert answer.code == 0, answer.err
+    assert "at most 2000 detections per km²" in read_card(tmp_path / "some").threshold_from
+    assert bytes_of(detector) == before

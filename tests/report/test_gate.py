@@ -1,0 +1,124 @@
+"""The first lines of a report: its detectors passed the gate, failed it, or were not checked."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from skyproof.camouflage.paint import LATTICE
+from skyproof.errors import StoredFileError
+from skyproof.files import write_json
+from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
+from skyproof.report.report import write_report
+from skyproof.results.checks import BestF1, Check
+from skyproof.results.statistics.intervals import Interval
+from tests.report.fabricate import fabricate
+from tests.report.test_report import first_lines, words_of
+
+THRESHOLD = 0.5
+
+
+@pytest.fixture(scope="module")
+def fabricated(tmp_path_factory):
+    return fabricate(tmp_path_factory.mktemp("run"), scenes=4)
+
+
+@pytest.fixture
+def run_folder(fabricated, tmp_path):
+    return Path(shutil.copytree(fabricated, tmp_path / "run"))
+
+
+def clean(name, recall, best_recall, *, real=False):
+    sure = Interval(0.99, 0.97, 1.0)
+    return Check(
+        "retinanet",
+        name,
+        60,
+        180,
+        real,
+        sure,
+        "places",
+        40,
+        0.9,
+        Interval(0.98, 0.96, 0.99),
+        Interval(recall, recall - 0.05, recall + 0.02),
+        THRESHOLD,
+        best=BestF1(0.31, 0.95, best_recall),
+    )
+
+
+def checked(folder, detector, hidden, *, threshold=THRESHOLD):
+    """Gives a detector of a run a record: what each paint of `hidden` hides, all others nothing."""
+    nothing = Interval(0.0, -0.02, 0.02)
+    rates = []
+    for kind in ("paint_body", "paint_whole"):
+        for colour in LATTICE:
+            name = f"#{bytes(colour).hex()}"
+            rates.append(Rate(kind, name, 1, hidden.get((kind, name), nothing)))
+    rates += [Rate("blur", "0.7 px", 1, nothing), Rate("control", "R-U", 5, nothing)]
+    sets = [clean("rendered scenes", 0.97, 0.98), clean("KIT", 0.47, 0.9, real=True)]
+    on = MeasuredOn(60, "", ("procedural",), 5, 0)
+    record = GateRecord(detector, "", threshold, on, sets, rates)
+    place = folder / "detectors" / detector
+    card = json.loads((place / "detector.json").read_text())
+    write_json(place / "detector.json", {**card, "threshold": THRESHOLD, "weights_sha256": ""})
+    write_record(place, record)
+
+
+def told(folder):
+    return first_lines(write_report(folder).read_text())
+
+
+def test_detectors_that_were_not_checked_are_named_first(run_folder):
+    lines = told(run_folder)
+    unchecked = (
+        "was not checked before the attacks: nothing here says whether it is worth attacking"
+    )
+    for name in ("RetinaNet", "Faster R-CNN"):
+        assert f"{name} {unchecked}" in lines
+    assert lines.index(unchecked) < lines.index("Synthetic")
+    assert "are the detectors worth attacking?" not in words_of(
+        (run_folder / "report.html").read_text()
+    )
+
+
+def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
+    olive = ("paint_body", "#808000")
+    checked(run_folder, "retinanet", {olive: Interval(0.97, 0.9, 0.99)})
+    checked(run_folder, "faster_rcnn", {})
+    lines = told(run_folder)
+    assert (
+        "Worth attacking? RetinaNet FAILED the check before the attacks: 1 of 27 plain paints on "
+        "body panels hides more than 5 %; the worst, RGB (128, 128, 0), hides 97 % (90 to 99 %). "
+        "Faster R-CNN passed the check before the attacks: "
+    ) in lines
+    assert (
+        "The frozen threshold, 0.50, does not carry over to KIT: recall 47 % at precision 98 %; "
+        "the best one there, 0.31, has 90 % at 95 %."
+    ) in lines
+    assert "may do so for the same reason" in lines
+    page = (run_folder / "report.html").read_text()
+    assert page.count('class="swatch failed" style="background:#808000') == 1
+    assert page.count('class="swatch passed"') == 4 * 27 - 1
+    text = words_of(page).replace("\u202f", " ")
+    assert "plain paints on body panels failed RGB (128, 128, 0) 97 % (90 to 99 %)" in text
+
+
+def test_borderline_is_neither(run_folder):
+    checked(run_folder, "retinanet", {("paint_whole", "#ffff00"): Interval(0.08, -0.01, 0.2)})
+    lines = told(run_folder)
+    assert "RetinaNet is borderline in the check before the attacks: 1 of 27" in lines
+    assert "may do so for the same reason" not in lines
+
+
+def test_a_record_of_another_threshold_counts_for_nothing(run_folder):
+    checked(run_folder, "retinanet", {}, threshold=0.4)
+    assert "RetinaNet was not checked" in told(run_folder)
+
+
+def test_a_damaged_record_is_refused(run_folder):
+    checked(run_folder, "retinanet", {})
+    (run_folder / "detectors" / "retinanet" / "check.json").write_text("{}")
+    with pytest.raises(StoredFileError, match=r"check\.json"):
+        write_report(run_folder)
