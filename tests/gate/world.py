@@ -11,6 +11,7 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
 from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.render.bodies import PlainGround
@@ -63,7 +64,7 @@ def make_backgrounds(folder, size_px=SIZE_PX):
         pixels = torch.randint(90, 160, (3, size_px, size_px), generator=generator)
         save_tile(folder, tile, pixels.byte())
         tiles.append(tile)
-    write_index(folder, GSD_M, tiles)
+    write_index(folder, GSD_M, tiles, Sensor(blur_sigma_px=2.0, noise=0.01))
     return BackgroundSet.open(folder)
 
 

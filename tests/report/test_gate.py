@@ -94,8 +94,8 @@ def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
         "Faster R-CNN passed the check before the attacks: "
     ) in lines
     assert (
-        "The frozen threshold, 0.50, does not carry over to KIT: recall 47 % at precision 98 %; "
-        "the best one there, 0.31, has 90 % at 95 %."
+        "The frozen threshold of RetinaNet, 0.50, does not carry over to KIT: recall 47 % at "
+        "precision 98 %; the best one there, 0.31, has 90 % at 95 %."
     ) in lines
     assert "may do so for the same reason" in lines
     page = (run_folder / "report.html").read_text()

@@ -14,7 +14,7 @@ from typing import Literal
 from skyproof.gate.record import GateRecord, Kind, Rate
 from skyproof.results.checks import Check
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import interval, percent
+from skyproof.words import detector_name, interval, percent
 
 __all__ = [
     "LARGEST_EASR",
@@ -97,7 +97,8 @@ def rate_outcome(rate: Rate) -> Outcome:
 def misfit_thresholds(checks: Sequence[Check]) -> list[str]:
     """Names every set to which the frozen threshold does not carry over, in a sentence each."""
     return [
-        f"The frozen threshold, {check.threshold:.2f}, does not carry over to {check.dataset}: "
+        f"The frozen threshold of {detector_name(check.detector)}, {check.threshold:.2f}, does not "
+        f"carry over to {check.dataset}: "
         f"recall {percent(check.recall.estimate)} at precision "
         f"{percent(check.precision.estimate)}; the best one there, {check.best.threshold:.2f}, has "
         f"{percent(check.best.recall)} at {percent(check.best.precision)}."
