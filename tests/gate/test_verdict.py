@@ -90,6 +90,6 @@ def test_a_threshold_that_does_not_carry_over_is_named():
     good = check(recall=0.92, best_recall=0.96)
     bad = check(recall=0.47, best_recall=0.90, name="KIT", real=True)
     assert misfit_thresholds([good, bad]) == [
-        "The frozen threshold of toy, 0.62, does not carry over to KIT: recall 47\u202f% at precision "
-        "98\u202f%; the best one there, 0.31, has 90\u202f% at 95\u202f%."
+        "The frozen threshold of toy, 0.62, does not carry over to KIT: recall 47\u202f% at "
+        "precision 98\u202f%; the best one there, 0.31, has 90\u202f% at 95\u202f%."
     ]
