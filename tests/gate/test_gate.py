@@ -105,6 +105,8 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     coarse = replace(judging(toy), card=replace(judging(toy).card, gsd_m=0.25))
     with pytest.raises(ConfigurationError, match=r"at 0\.25 m per pixel"):
         check(coarse)
+    with pytest.raises(ConfigurationError, match="Two detectors are called 'toy'"):
+        check_detectors([judging(toy), judging(toy)], backgrounds, fleet, scenes)
     with pytest.raises(ConfigurationError, match="at least one detector"):
         check_detectors([], backgrounds, fleet, scenes)
 

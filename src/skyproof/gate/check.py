@@ -143,6 +143,12 @@ def _refuse_what_cannot_work(
             f"A check expects scenes with vehicles, got {len(scenes)} scenes without any; sample "
             "others."
         )
+    names = [judge.name for judge in judges]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigurationError(
+            f"Two detectors are called {twice!r}; give each once, or check them separately."
+        )
     gsd_m = scenes[0].camera.gsd_m
     for judge in judges:
         if not math.isclose(judge.card.gsd_m, gsd_m):
@@ -206,8 +212,10 @@ class _Gate:
         images: list[UInt8[Tensor, "3 H W"]] = []
         boxes: list[Tensor] = []
         found: dict[str, list[Detections]] = {judge.name: [] for judge in self.judges}
-        threads = torch.get_num_threads() if self.device.type == "cpu" else 1
-        with in_threads(draw, batches, threads) as drawn:
+        threads = torch.get_num_threads()
+        with in_threads(draw, batches, threads if self.device.type == "cpu" else 1) as drawn:
+            # Drawing is done ahead, so most of the time the detectors have the cores to themselves.
+            torch.set_num_threads(threads)
             for batch, frames in zip(batches, drawn, strict=True):
                 pixels = (frames.image * 255).round().byte()
                 for judge in self.judges:
