@@ -34,6 +34,7 @@ from skyproof.render.settings import RenderSettings
 from skyproof.results.results import Results
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.vehicles.bodies import BODY_RANGES
@@ -59,6 +60,10 @@ class PlainGround:
         """The same grey everywhere."""
         return torch.full((3, size_px, size_px), 0.46)
 
+    def sensor_of(self, window: BackgroundWindow) -> Sensor:
+        """The usual one everywhere."""
+        return Sensor()
+
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """Pillow's own font."""
@@ -72,7 +77,7 @@ def as_image(pixels: torch.Tensor) -> Image.Image:
 
 @torch.no_grad()
 def as_detectors_see(vehicles: VehicleBatch) -> torch.Tensor:
-    """Draws the vehicles at 12.5 cm per pixel with the renderer's default sensor.
+    """Draws the vehicles at 12.5 cm per pixel with the default sensor.
 
     Returns:
         `[N, 3, 50, 50]` bytes.
@@ -133,8 +138,8 @@ def draw_fleet() -> Image.Image:
     captions = (
         f"24 procedural vehicles from above, nose up, {100 * GSD_M / ENLARGE:.1f} cm per pixel, "
         "without sensor blur",
-        "The same 24 at 12.5 cm per pixel with the default sensor (blur of 2.4 px, noise), "
-        "enlarged 8 times: what detectors see",
+        "The same 24 at 12.5 cm per pixel with the default sensor (blur of "
+        f"{Sensor.blur_sigma_px} px, noise), enlarged 8 times: what detectors see",
     )
     for part, (text, pictures) in enumerate(zip(captions, (fine, coarse), strict=True)):
         top = part * block
@@ -215,7 +220,7 @@ def draw_weather_sheet() -> Image.Image:
 @torch.no_grad()
 def draw_sharpness_sheet() -> Image.Image:
     """One scene of 144 px with vehicles blurred by six widths, enlarged twice: 2 x 3 pictures."""
-    size_px, widths = 144, (0.4, 0.7, 1.0, 1.4, 1.8, 2.4)
+    size_px, widths = 144, (0.4, 0.7, 1.0, 1.4, 1.8, PAPER_BLUR_SIGMA_PX)
     fleet = sample_fleet(FleetSettings(count=40), generator=torch.Generator().manual_seed(7))
     with tempfile.TemporaryDirectory() as folder:
         backgrounds = write_procedural_backgrounds(
@@ -247,7 +252,7 @@ def draw_clearing_sheet() -> Image.Image:
         backgrounds = write_procedural_backgrounds(
             Path(folder), {"test": 6}, 500, seed=CLEARING_SEED
         )
-        renderer = TorchRenderer(backgrounds, RenderSettings(blur_sigma_px=0.7))
+        renderer = TorchRenderer(backgrounds)
         settings = SceneSettings(size_px=size_px, vehicles_minimum=5)
         generator = torch.Generator().manual_seed(CLEARING_SEED)
         for scene in sample_scenes(

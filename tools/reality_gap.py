@@ -46,6 +46,7 @@ from skyproof.results.clean import CleanSet, check_clean
 from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -99,11 +100,12 @@ class Trial:
     seed: int = 0
 
 
-# The recipe, then the recipe with one thing changed; "as the demo" has the demo's blur and places.
+# The recipe, then the recipe with one thing changed; "as the demo" has the blur and places that the
+# demo had then, those of the paper.
 TRIALS: dict[str, Trial] = {
     "recipe": Trial(),
-    "as the demo": Trial(blur_sigma_px=2.4, parked_share=0.0),
-    "blur 2.4": Trial(blur_sigma_px=2.4),
+    "as the demo": Trial(blur_sigma_px=PAPER_BLUR_SIGMA_PX, parked_share=0.0),
+    "blur 2.4": Trial(blur_sigma_px=PAPER_BLUR_SIGMA_PX),
     "uniform places": Trial(parked_share=0.0),
     "blur 1.0": Trial(blur_sigma_px=1.0),
     "blur 0.4": Trial(blur_sigma_px=0.4),

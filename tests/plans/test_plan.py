@@ -14,6 +14,7 @@ import pytest
 import tyro
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.ground import Ground
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.layout import Layout
 from skyproof.main import load_command
@@ -136,9 +137,19 @@ def test_every_name_can_be_made_and_has_its_control(preset):
     assert settings.draws >= 3
 
 
+@pytest.mark.parametrize("blur_sigma_px", [None, 1.25, "paper"])
+def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
+    plan = reproduction_plan(Preset.parse({**TINY, "blur_sigma_px": blur_sigma_px}), Path())
+    (ground,) = (step.command for step in plan.steps if isinstance(step.command, Ground))
+    assert ground.blur_sigma_px == blur_sigma_px
+    with pytest.raises(ConfigurationError, match="paper"):
+        Preset.parse({**TINY, "blur_sigma_px": "sharp"})
+
+
 PLANS = {
     "demo": demo_plan(
-        Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1), Layout(Path("runs/a b"))
+        Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1, blur_sigma_px="paper"),
+        Layout(Path("runs/a b")),
     ),
     "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
     "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
