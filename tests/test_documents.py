@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyproof.documents import parse_document, read_document, read_lines
+from skyproof.documents import check_document, parse_document, read_document, read_lines
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.ranges import Coordinate, Count, FileReference, Fraction, Name, Seed
 
@@ -31,6 +31,7 @@ class Whole:
     best: Part | None = None
     sorts: dict[str, Part] | None = None
     pair: tuple[Fraction, Fraction] = (0.0, 1.0)
+    places: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         if self.pair[0] > self.pair[1]:
@@ -40,6 +41,7 @@ class Whole:
 class Foreign(msgspec.Struct):
     count: Count
     things: list[Part] = []
+    place: Path | None = None
 
 
 GOOD = {"name": "a", "parts": [{"x_m": 1.5}, {"x_m": -2, "count": 3}]}
@@ -73,6 +75,18 @@ def test_a_valid_document_is_the_dataclass_itself() -> None:
     assert parse_document(json.dumps(asdict(everything)).encode(), Whole, "a", "b") == everything
 
 
+def test_text_becomes_a_path_where_one_is_asked_for() -> None:
+    values = {**GOOD, "places": ["a.tif", "/b c/d.tif"]}
+    places = (Path("a.tif"), Path("/b c/d.tif"))
+    for whole in (
+        parse_document(json.dumps(values).encode(), Whole, "a", "b"),
+        check_document(values, Whole, "a", "b"),
+    ):
+        assert whole.places == places
+    foreign = parse_document(b'{"count": 1, "place": "a.tif"}', Foreign, "a", "b")
+    assert foreign.place == Path("a.tif")
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -98,6 +112,10 @@ def test_a_valid_document_is_the_dataclass_itself() -> None:
         (changed(extra=2**70), "there is no field 'extra'"),
         (changed(seed=1.5), ", seed: expected a whole number"),
         (changed(pair=[0.5]), ", pair: expected a list of length 2"),
+        (changed(places=["a", 3]), ", places[1]: expected a path, got a whole number"),
+        (changed(places=[["a"]]), ", places[0]: expected a path, got a list"),
+        (changed(places=[None]), ", places[0]: expected a path, got null"),
+        (changed(places="a"), ", places: expected a list, got text"),
         (changed(pair=[1, 0]), "pair expects the smaller number first"),
         (f'{{"name": "a", "parts": [], "seed": {DIGITS}}}', "integer value out of range"),
         (f'{{"name": "a", "parts": {DEEP}}}', " is nested too deep"),
@@ -125,6 +143,7 @@ def test_one_sentence_with_the_place(content: str | bytes, words: str) -> None:
         ('{"count": 0}', ", count: expected a whole number >= 1"),
         ('{"count": 1, "things": [{"x_m": 1e999}]}', "number out of range"),
         ('{"count": 1, "things": [{}]}', ", things[0]: the field x_m is missing"),
+        ('{"count": 1, "place": {}}', ", place: expected a path, got an object"),
         (f'{{"count": {DIGITS}}}', "integer value out of range"),
         (f'{{"count": 1, "rest": {DEEP}}}', "nested too deep"),
         ("[]", "expected an object, got a list"),

@@ -34,6 +34,11 @@ _TYPES = {
     "`array`": "a list",
     "`object`": "an object",
     "`null`": "null",
+    "`Path`": "a path",
+    # What does not become a path is called by its name in Python.
+    "`list`": "a list",
+    "`dict`": "an object",
+    "`NoneType`": "null",
 }
 
 
@@ -87,10 +92,8 @@ def parse_document(
 
     def parsed() -> T:
         if _is_struct(kind):
-            return msgspec.json.decode(content, type=kind)
-        raw = msgspec.json.decode(content)
-        _refuse_strange(raw, kind, "")
-        return msgspec.convert(raw, kind)
+            return msgspec.json.decode(content, type=kind, dec_hook=_path_of_text)
+        return _converted(msgspec.json.decode(content), kind)
 
     return _in_one_sentence(parsed, place, remedy, error)
 
@@ -104,12 +107,7 @@ def check_document(
     error: type[SkyproofError] = StoredFileError,
 ) -> T:
     """Takes plain values, such as a part of an open document, as `parse_document` takes text."""
-
-    def converted() -> T:
-        _refuse_strange(value, kind, "")
-        return msgspec.convert(value, kind)
-
-    return _in_one_sentence(converted, place, remedy, error)
+    return _in_one_sentence(lambda: _converted(value, kind), place, remedy, error)
 
 
 class _Versioned(msgspec.Struct):
@@ -133,6 +131,16 @@ def check_format(path: Path, wanted: int, remedy: str) -> None:
             f"{path} has format {str(found.format)[:40]}, but this version of skyproof reads "
             f"format {wanted}; {remedy}, or use the version that wrote it."
         )
+
+
+def _converted(value: Any, kind: type[T] | Any) -> T:
+    _refuse_strange(value, kind, "")
+    return msgspec.convert(value, kind, dec_hook=_path_of_text)
+
+
+def _path_of_text(kind: type, value: Any) -> Any:
+    """Makes the one type that msgspec does not know; it refuses whatever else comes back."""
+    return Path(value) if kind is Path and isinstance(value, str) else value
 
 
 def _in_one_sentence(
@@ -183,7 +191,8 @@ def _refuse_strange(value: Any, hint: Any, place: str) -> None:
             for name in value:
                 if name not in known:
                     raise _Strange(
-                        f"{_at(place)}there is no field {name[:60]!r} (known: {', '.join(known)})"
+                        f"{_at(place)}there is no field {str(name)[:60]!r} "
+                        f"(known: {', '.join(known)})"
                     )
         for name, below in value.items():
             inner = known[name] if known is not None else _part_of(hint, -1)

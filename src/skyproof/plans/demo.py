@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.documents import parse_document, read_document
+from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.layout import Layout
@@ -178,9 +177,8 @@ class Demo:
         settings = {key: value for key, value in config.items() if key != "title"}
         if settings.get("imagery") == "procedural":
             settings["imagery"] = []
-        content = json.dumps(settings).encode()
-        stored: Demo = parse_document(
-            content, Demo, str(self.out / "config.json"), "choose another --out"
+        stored: Demo = check_document(
+            settings, Demo, str(self.out / "config.json"), "choose another --out"
         )
         here = replace(
             stored, out=self.out, device=self.device, cycles=self.cycles, blender=self.blender

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import tiling_for_images
 from skyproof.detectors.settings import Size, TrainingChanges
-from skyproof.documents import parse_document, read_document
+from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.plans.world import GSD_M, WorldSizes
 from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
@@ -141,13 +140,12 @@ class Preset:
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:
-        """Reads plain JSON values.
+        """Takes plain values, as JSON has them.
 
         Raises:
             ConfigurationError: a setting is missing, unknown, or cannot be.
         """
-        content = json.dumps(values).encode()
-        return parse_document(content, cls, place, _REMEDY, error=ConfigurationError)
+        return check_document(values, cls, place, _REMEDY, error=ConfigurationError)
 
 
 def read_preset(preset: str) -> tuple[str, Path, Preset]:

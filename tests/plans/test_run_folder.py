@@ -1,0 +1,33 @@
+"""A run folder given other settings: what is finished stays, or the run is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from skyproof.attacks.settings import AttackSettings
+from skyproof.errors import RunFolderError
+from skyproof.layout import Layout
+from skyproof.plans.demo import Demo, demo_plan
+from skyproof.plans.run_folder import RunFolder
+
+
+def opened(demo: Demo) -> RunFolder:
+    """The demo's run folder, if what is in it belongs to the demo."""
+    plan = demo_plan(demo, Layout(demo.out))
+    return RunFolder(demo.out, demo._config(), plan, demo._plan_of)
+
+
+@pytest.mark.parametrize("imagery", [(), (Path("a.tif"), Path("/b c/d.tif"))], ids=len)
+def test_a_demo_takes_corrected_settings_of_what_is_not_begun(
+    imagery: tuple[Path, ...], tmp_path: Path
+) -> None:
+    demo = Demo(tmp_path / "run", imagery=imagery)
+    opened(demo).start("cpu")
+    Layout(demo.out).backgrounds.mkdir()
+    assert demo_plan(demo, Layout(demo.out)).steps[0].is_begun()
+    opened(replace(demo, attack=AttackSettings(steps=7)))
+    with pytest.raises(RunFolderError, match=r"other settings \(seed\)"):
+        opened(replace(demo, seed=1))
+    with pytest.raises(RunFolderError, match=r"other settings \(imagery\)"):
+        opened(replace(demo, imagery=(Path("e.tif"),)))
