@@ -14,10 +14,10 @@ import pytest
 from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 from skyproof.files import (
     alone,
-    finished_file,
     finished_folder,
     inside,
     is_leftover,
+    new_file,
     refuse_existing,
     refuse_foreign,
     write_beside,
@@ -68,6 +68,12 @@ def test_full_disk_names_file_and_remedy(tmp_path: Path) -> None:
     ) as caught:
         write_half(tmp_path / "table.csv", full())
     assert "\n" not in str(caught.value)
+
+
+def test_a_name_like_a_leftovers_is_written_whole_too(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match=r"\.mine\.partial\.csv: "):
+        write_half(tmp_path / ".mine.partial.csv", full())
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_encoder_error_on_a_full_disk_says_so(
@@ -177,7 +183,7 @@ def test_the_second_process_is_told_who_holds_a_place(tmp_path: Path) -> None:
             assert "\n" not in str(caught.value)
         with pytest.raises(RunFolderError, match=f"process {other.pid}"), finished_folder(place):
             pytest.fail("the block must not run")
-        with pytest.raises(RunFolderError, match=f"process {other.pid}"), finished_file(place):
+        with pytest.raises(RunFolderError, match=f"process {other.pid}"), new_file(place):
             pytest.fail("the block must not run")
     finally:
         other.send_signal(signal.SIGKILL)
@@ -219,14 +225,14 @@ def test_a_lock_never_writes_through_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "victim").read_text() == "precious"
 
 
-def test_finished_file_overwrites_nothing(tmp_path: Path) -> None:
+def test_new_file_overwrites_nothing(tmp_path: Path) -> None:
     path = tmp_path / "new" / "palette.json"
-    with finished_file(path) as temporary:
-        temporary.write_text("first")
-        with pytest.raises(RunFolderError, match="another process"), finished_file(path):
+    with new_file(path):
+        path.write_text("first")
+        with pytest.raises(RunFolderError, match="another process"), new_file(path):
             pytest.fail("the block must not run")
     assert path.read_text() == "first"
-    with pytest.raises(RunFolderError, match="not overwritten"), finished_file(path):
+    with pytest.raises(RunFolderError, match="not overwritten"), new_file(path):
         pytest.fail("the block must not run")
     assert path.read_text() == "first"
     assert [entry.name for entry in path.parent.iterdir()] == ["palette.json"]

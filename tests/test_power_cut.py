@@ -14,9 +14,9 @@ from safetensors.torch import save
 
 import skyproof.files
 from skyproof.files import (
-    finished_file,
     finished_folder,
     is_leftover,
+    new_file,
     write_beside,
     write_bytes,
     write_json,
@@ -50,7 +50,8 @@ def tensors(root: Path) -> None:
 
 
 def picture(root: Path) -> None:
-    with finished_file(root / "portrait.png") as temporary:
+    path = root / "portrait.png"
+    with new_file(path), write_beside(path) as temporary:
         Image.new("RGB", (30, 30)).save(temporary)
 
 

@@ -20,10 +20,10 @@ from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 __all__ = [
     "Hold",
     "alone",
-    "finished_file",
     "finished_folder",
     "inside",
     "is_leftover",
+    "new_file",
     "refuse_existing",
     "refuse_foreign",
     "to_json",
@@ -47,10 +47,6 @@ def write_beside(path: Path) -> Iterator[Path]:
         RunFolderError: the disk is full or not writable; names `path` and the remedy.
     """
     path = Path(path)
-    if is_leftover(path):
-        # It is the temporary path of somebody who will give it its name.
-        yield path
-        return
     # The suffix is kept last, because libraries choose a format by it.
     temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
@@ -69,8 +65,10 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def finished_file(path: Path) -> Iterator[Path]:
-    """Yields a temporary path for a file that a user asked for and that must not exist yet.
+def new_file(path: Path) -> Iterator[None]:
+    """Keeps everybody else from a file that a user asked for and that must not exist yet.
+
+    The block writes it, whole or not at all, as `write_json` and `write_beside` do.
 
     Raises:
         RunFolderError: `path` exists already, somebody else is writing it, or the disk is full or
@@ -78,8 +76,7 @@ def finished_file(path: Path) -> Iterator[Path]:
     """
     with alone(path):
         refuse_existing(path)
-        with write_beside(path) as temporary:
-            yield temporary
+        yield
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
-from skyproof.files import finished_file, refuse_existing, to_json
+from skyproof.files import new_file, refuse_existing, write_json
 
 __all__ = ["Bench"]
 
@@ -66,5 +66,5 @@ class Bench(Rendering):
         for name, value in figures.items():
             say(f"  {name}: {value}")
         if self.json is not None:
-            with finished_file(self.json) as temporary:
-                temporary.write_text(to_json(self.json, figures, indent=1) + "\n")
+            with new_file(self.json):
+                write_json(self.json, figures)

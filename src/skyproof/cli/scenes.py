@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from skyproof.cli.console import say
-from skyproof.files import finished_file
+from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings
 
@@ -48,7 +48,7 @@ class Scenes:
         from skyproof.scenes.scene import write_scenes
         from skyproof.vehicles.fleet import Fleet
 
-        with finished_file(self.out) as path:
+        with new_file(self.out):
             scenes = sample_scenes(
                 self.settings,
                 BackgroundSet.open(self.backgrounds),
@@ -58,5 +58,5 @@ class Scenes:
                 generator=generator_of(self.seed, "scenes", self.split),
                 prefix=self.split,
             )
-            write_scenes(path, scenes)
+            write_scenes(self.out, scenes)
         say(f"Scenes: {self.out.resolve()}")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from skyproof.documents import check_format, read_document
-from skyproof.files import finished_file, write_json
+from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
 from skyproof.results.checks import Check, StoredCheck, check_of
 from skyproof.results.rows_file import filled_row, nulls_for_undefined, row_form
@@ -110,7 +110,8 @@ def write_record(folder: Path, record: GateRecord) -> None:
     Raises:
         RunFolderError: there is one already, or the disk cannot take it.
     """
-    with finished_file(Path(folder) / RECORD_FILE) as path:
+    path = Path(folder) / RECORD_FILE
+    with new_file(path):
         write_json(
             path,
             {

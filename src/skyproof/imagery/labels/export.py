@@ -23,7 +23,7 @@ from skyproof.datasets.annotations import (
     read_annotations,
 )
 from skyproof.errors import ImageryError, StoredFileError
-from skyproof.files import finished_file, finished_folder, refuse_existing, write_json
+from skyproof.files import finished_folder, new_file, refuse_existing, write_json
 from skyproof.imagery.labels.label import Point
 from skyproof.imagery.labels.text import LABEL_FOLDERS
 from skyproof.imagery.tiles.georeference import to_reference_system
@@ -219,8 +219,8 @@ def _write_coco(data: _Dataset, out: Path, progress: Progress) -> Exported:
         "images": images,
         "annotations": annotations,
     }
-    with finished_file(out) as whole:
-        write_json(whole, document)
+    with new_file(out):
+        write_json(out, document)
     return _count(data)
 
 
@@ -323,8 +323,8 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
             properties = {"class": item.category, "ignore": item.ignore, "tile": image.name}
             features.append({"type": "Feature", "properties": properties, "geometry": geometry})
         progress(number, len(data.images))
-    with finished_file(out) as whole:
-        write_json(whole, {"type": "FeatureCollection", "features": features})
+    with new_file(out):
+        write_json(out, {"type": "FeatureCollection", "features": features})
     return _count(data)
 
 
