@@ -21,7 +21,7 @@ import msgspec
 from skyproof.errors import SkyproofError, StoredFileError
 from skyproof.ranges import WORDS, limits_of
 
-__all__ = ["check_document", "check_format", "parse_document", "read_document", "read_lines"]
+__all__ = ["check_document", "parse_document", "read_document", "read_lines"]
 
 T = TypeVar("T")
 
@@ -43,7 +43,12 @@ _TYPES = {
 
 
 def read_document(
-    path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
+    path: Path,
+    kind: type[T] | Any,
+    remedy: str,
+    *,
+    version: int | None = None,
+    error: type[SkyproofError] = StoredFileError,
 ) -> T:
     """Reads a JSON file as a value of a kind; nothing else gets in.
 
@@ -55,13 +60,23 @@ def read_document(
         path: the file.
         kind: what it must hold, such as a dataclass, or `dict[str, Any]`.
         remedy: what the error advises, such as "copy the file again".
+        version: which its field "format" must say; other versions are refused before their fields
+            are looked at. None for files without one.
         error: the class of the error.
 
     Raises:
-        SkyproofError: the file is missing, no JSON, or of another form; one sentence with the file,
-            the place in it and the remedy.
+        SkyproofError: the file is missing, no JSON, of another version or form; one sentence with
+            the file, the place in it and the remedy.
     """
-    return parse_document(_content(path, remedy, error), kind, str(path), remedy, error=error)
+    content = _content(path, remedy, error)
+    if version is not None:
+        found: _Versioned = parse_document(content, _Versioned, str(path), remedy, error=error)
+        if found.format != version or isinstance(found.format, bool):
+            raise error(
+                f"{path} has format {str(found.format)[:40]}, but this version of skyproof reads "
+                f"format {version}; {remedy}, or use the version that wrote it."
+            )
+    return parse_document(content, kind, str(path), remedy, error=error)
 
 
 def read_lines(
@@ -112,25 +127,6 @@ def check_document(
 
 class _Versioned(msgspec.Struct):
     format: Any = None
-
-
-def check_format(path: Path, wanted: int, remedy: str) -> None:
-    """Refuses a file of another version, before its fields are looked at.
-
-    Args:
-        path: a JSON file with a field "format".
-        wanted: the version that is read.
-        remedy: what the error advises.
-
-    Raises:
-        StoredFileError: the file is missing, damaged, or of another version.
-    """
-    found: _Versioned = read_document(path, _Versioned, remedy)
-    if found.format != wanted or isinstance(found.format, bool):
-        raise StoredFileError(
-            f"{path} has format {str(found.format)[:40]}, but this version of skyproof reads "
-            f"format {wanted}; {remedy}, or use the version that wrote it."
-        )
 
 
 def _converted(value: Any, kind: type[T] | Any) -> T:

@@ -325,7 +325,7 @@ def test_presets_by_name_or_file(tmp_path):
     assert read_preset("quick")[:2] == ("quick", PRESETS["quick"])
     own = tmp_path / "mine.json"
     own.write_text(json.dumps(TINY))
-    assert read_preset(str(own)) == ("mine", own, Preset.parse(TINY))
+    assert read_preset(str(own)) == ("mine", own, TINY, Preset.parse(TINY))
     own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
     with pytest.raises(ConfigurationError, match="no field 'sed'"):
         read_preset(str(own))

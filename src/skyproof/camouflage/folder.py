@@ -17,7 +17,7 @@ from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import Blocks, Colours
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.documents import check_format, read_document
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_beside, write_json
 from skyproof.ranges import Count, Name
@@ -115,8 +115,7 @@ class _Document(msgspec.Struct):
 
 def _read(folder: str | Path) -> _Document:
     path = Path(folder) / "camouflage.json"
-    check_format(path, _FORMAT, _REMEDY)
-    return read_document(path, _Document, _REMEDY)
+    return read_document(path, _Document, _REMEDY, version=_FORMAT)
 
 
 def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.doubts import find_doubts
-from skyproof.documents import check_format, read_document
+from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber
 
@@ -113,8 +113,7 @@ def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:
     Raises:
         StoredFileError: the file is missing, damaged, or of another format.
     """
-    check_format(path, FOLDER_FORMAT, _REMEDY)
-    stored: _Stored = read_document(path, _Stored, _REMEDY)
+    stored: _Stored = read_document(path, _Stored, _REMEDY, version=FOLDER_FORMAT)
     card = DetectorCard(**{each.name: getattr(stored, each.name) for each in fields(DetectorCard)})
     return card, stored.weights_sha256
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from skyproof.documents import check_format, read_document
+from skyproof.documents import read_document
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
 from skyproof.results.checks import Check, StoredCheck, check_of
@@ -133,8 +133,7 @@ def read_record(folder: Path) -> GateRecord:
         StoredFileError: the file is missing, damaged or of another version.
     """
     path = Path(folder) / RECORD_FILE
-    check_format(path, _FORMAT, _REMEDY)
-    stored: _Document = read_document(path, _Document, _REMEDY)
+    stored: _Document = read_document(path, _Document, _REMEDY, version=_FORMAT)
     return GateRecord(
         detector=stored.detector,
         weights_sha256=stored.weights_sha256,

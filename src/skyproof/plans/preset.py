@@ -148,11 +148,11 @@ class Preset:
         return check_document(values, cls, place, _REMEDY, error=ConfigurationError)
 
 
-def read_preset(preset: str) -> tuple[str, Path, Preset]:
+def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
     """Reads a preset: "quick", "paper", or the path of a JSON file of their form.
 
     Returns:
-        Its name, its file, and what it says.
+        Its name, its file, its values as the file has them, and what they say.
 
     Raises:
         ConfigurationError: neither, or the file is no preset.
@@ -163,5 +163,5 @@ def read_preset(preset: str) -> tuple[str, Path, Preset]:
             f"--preset expects {' or '.join(PRESETS)}, or a JSON file of the same form; {preset} "
             "is none."
         )
-    read: Preset = read_document(path, Preset, _REMEDY, error=ConfigurationError)
-    return path.stem, path, read
+    values: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY, error=ConfigurationError)
+    return path.stem, path, values, Preset.parse(values, str(path))

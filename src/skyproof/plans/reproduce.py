@@ -59,7 +59,6 @@ class Reproduce:
     def run(self) -> None:
         """Runs what is not finished yet."""
         from skyproof.cli.device import choose_device
-        from skyproof.documents import read_document
         from skyproof.files import alone
         from skyproof.plans.demo import check_detectors
         from skyproof.plans.preset import Preset, read_preset
@@ -68,10 +67,7 @@ class Reproduce:
         from skyproof.plans.serial import run_serially
         from skyproof.plans.snakemake import run_side_by_side, snakemake_words
 
-        name, path, preset = read_preset(self.preset)
-        values: dict[str, Any] = read_document(
-            path, dict[str, Any], "give quick, paper, or a file of their form"
-        )
+        name, path, values, preset = read_preset(self.preset)
         cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
         if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
             raise ConfigurationError(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from skyproof.documents import read_document, read_lines
+from skyproof.documents import check_document, read_document, read_lines
 from skyproof.errors import StoredFileError
 from skyproof.ranges import Fraction, Name, Seed
 
@@ -169,8 +169,8 @@ def read_config(path: Path) -> RunConfig:
     """
     if not path.exists():
         return RunConfig()
-    config: RunConfig = read_document(path, RunConfig, _REMEDY)
     every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+    config: RunConfig = check_document(every, RunConfig, str(path), _REMEDY)
     return RunConfig(config.title, config.seed, config.imagery, every)
 
 
@@ -182,9 +182,10 @@ def read_environment(path: Path) -> Mapping[str, Any]:
     """
     if not path.exists():
         return {}
-    read_document(path, _Commands, _REMEDY)
+    every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+    check_document(every, _Commands, str(path), _REMEDY)
     known: Any = dict[Label, Text | int | float | bool | list[Text] | None]
-    return read_document(path, known, _REMEDY)
+    return check_document(every, known, str(path), _REMEDY)
 
 
 def read_timings(path: Path) -> list[Timing]:

@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from msgspec import Meta
 from torch import Tensor
 
-from skyproof.documents import check_format, read_document
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_json
 from skyproof.ranges import Name, WholeNumber, check_ranges
@@ -177,9 +177,9 @@ class Fleet:
             StoredFileError: the folder is missing, damaged or of another format version.
         """
         folder = Path(folder)
-        path = folder / "fleet.json"
-        check_format(path, _FORMAT_VERSION, _REMEDY)
-        description: _Description = read_document(path, _Description, _REMEDY)
+        description: _Description = read_document(
+            folder / "fleet.json", _Description, _REMEDY, version=_FORMAT_VERSION
+        )
         path = folder / "fleet.safetensors"
         tensors, _ = read_tensors(path, _REMEDY)
         template = make_template()
