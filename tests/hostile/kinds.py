@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.hostile.sandbox import Kind
 from tests.hostile.world import DEMO
 
-__all__ = ["CARDS", "DATASETS", "GROUND", "LABELS", "PRESETS", "RUNS"]
+__all__ = ["CARDS", "DATASETS", "GROUND", "JSON_KINDS", "LABELS", "PRESETS", "RUNS"]
 __all__ += ["SCENES", "SCORES", "TEXTS"]
 
 ON_CPU = ("--device", "cpu")
@@ -155,4 +155,6 @@ RUNS = [
     Kind(f"run with {name}", f"{name}.json", demo, copied=".")
     for name in ("config", "environment", "timings")
 ]
+# Presets have a module of their own.
+JSON_KINDS = [*SCENES, *GROUND, *DATASETS, *LABELS, *CARDS, *SCORES, *RUNS]
 PRESETS = [Kind("preset", "preset.json", reproduce, called=("preset", "--"))]

@@ -1,12 +1,12 @@
-"""Run folders that a demo goes on with."""
+"""JSON documents of every kind but presets: scenes, fleets, ground, labels, cards, scores, runs."""
 
 import pytest
 
 from tests.hostile.documents import try_any_json, try_damage, try_mutations
-from tests.hostile.kinds import RUNS
+from tests.hostile.kinds import JSON_KINDS
 from tests.hostile.sandbox import Kind, Sandbox
 
-pytestmark = pytest.mark.parametrize("kind", RUNS, ids=str)
+pytestmark = pytest.mark.parametrize("kind", JSON_KINDS, ids=str)
 
 
 def test_any_json(sandbox: Sandbox, kind: Kind) -> None:
