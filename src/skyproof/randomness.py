@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from skyproof.seeds import next_seed, numpy_generator
-
-__all__ = ["generator_of", "next_seed", "numpy_generator"]
+__all__ = ["generator_of"]
 
 
 def generator_of(seed: int, *names: str | int) -> torch.Generator:
