@@ -58,7 +58,7 @@ class Vehicles:
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
-    counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (64, 16, 32, 32)
+    counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (128, 32, 32, 32)
     seed: Seed = 0
     paints: PaintVariety = field(default_factory=PaintVariety)
     wrapping: WrapSettings = field(default_factory=WrapSettings)

@@ -71,11 +71,11 @@ class DemoSizes(WorldSizes):
 
 
 def _training() -> TrainingSettings:
-    return TrainingSettings(steps=700, batch_size=8, validate_every=175)
+    return TrainingSettings(steps=1000, batch_size=8, validate_every=250)
 
 
 def _attack() -> AttackSettings:
-    return AttackSettings(steps=200)
+    return AttackSettings(steps=120)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class WorldSizes:
     # Detectors take no smaller ones.
     image_px: Annotated[int, Meta(ge=96, le=16_384)] = 192
     tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
-    vehicles: tuple[Count, Count, Count, Count] = (64, 16, 32, 32)
+    vehicles: tuple[Count, Count, Count, Count] = (128, 32, 32, 32)
     training_images: Count = 2000
     validation_images: Count = 120
     test_images: Count = 120
