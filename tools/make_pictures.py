@@ -6,8 +6,8 @@ They show procedural vehicles and ground, nothing else.
     python tools/make_pictures.py runs/demo
     python tools/make_pictures.py runs/reproduce
 
-The first writes fleet, scenes, weather, sharpness and clearing.png into docs/pictures; the same
-code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished demo
+The first writes fleet, coats, scenes, weather, sharpness and clearing.png into docs/pictures; the
+same code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished demo
 on procedural ground, the third attacks.png from the camouflages of a reproduction.
 """
 
@@ -24,6 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.patterned import lay_patterns
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
@@ -39,6 +40,7 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 from skyproof.vehicles.vehicle import VehicleBatch
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "pictures"
@@ -109,14 +111,15 @@ def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
     ]
 
 
-def draw_fleet() -> Image.Image:
+def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS) -> Image.Image:
     """Four vehicles of each body type, fine above, as detectors see them below."""
     names, fine, coarse = [], [], []
     for index, body_type in enumerate(BODY_RANGES):
         settings = FleetSettings(
-            count=PER_TYPE, weights={body_type: 1.0}, first_number=index * PER_TYPE
+            PER_TYPE, {body_type: 1.0}, first_number=index * PER_TYPE, paints=paints
         )
-        fleet = sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index))
+        generator = torch.Generator().manual_seed(24 + index)
+        fleet = lay_patterns(sample_fleet(settings, generator=generator), generator=generator)
         vehicles = fleet.batch(fleet.ids)
         sharp = close_up(
             vehicles,
@@ -385,6 +388,7 @@ def main() -> None:
     else:
         sheets = {
             "fleet.png": draw_fleet(),
+            "coats.png": draw_fleet(PaintVariety(0.25, 0.25, 0.25, 0.25)),
             "scenes.png": draw_scenes(),
             "weather.png": draw_weather_sheet(),
             "sharpness.png": draw_sharpness_sheet(),
