@@ -7,8 +7,8 @@ They show procedural vehicles and ground, nothing else.
     python tools/make_pictures.py runs/reproduce
 
 The first writes fleet, coats, scenes, weather, sharpness and clearing.png into docs/pictures; the
-same code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished demo
-on procedural ground, the third attacks.png from the camouflages of a reproduction.
+same code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished
+demo on procedural ground, the third attacks.png from the camouflages of a reproduction.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.vehicles.bodies import BODY_RANGES
-from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.vehicles.fleet import FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -113,24 +113,24 @@ def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
 
 def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS) -> Image.Image:
     """Four vehicles of each body type, fine above, as detectors see them below."""
-    names, fine, coarse = [], [], []
+    fleets = []
     for index, body_type in enumerate(BODY_RANGES):
         settings = FleetSettings(
             PER_TYPE, {body_type: 1.0}, first_number=index * PER_TYPE, paints=paints
         )
-        generator = torch.Generator().manual_seed(24 + index)
-        fleet = lay_patterns(sample_fleet(settings, generator=generator), generator=generator)
-        vehicles = fleet.batch(fleet.ids)
-        sharp = close_up(
-            vehicles,
-            gsd_m=GSD_M / ENLARGE,
-            side_m=CELL_PX[1] * GSD_M,
-            heading_rad=math.pi / 2,
-            tilt_rad=0.0,
-        )
-        names += fleet.ids
-        fine += cells(sharp, 1)
-        coarse += cells(as_detectors_see(vehicles), ENLARGE)
+        fleets.append(sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index)))
+    fleet = lay_patterns(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
+    names = fleet.ids
+    vehicles = fleet.batch(names)
+    sharp = close_up(
+        vehicles,
+        gsd_m=GSD_M / ENLARGE,
+        side_m=CELL_PX[1] * GSD_M,
+        heading_rad=math.pi / 2,
+        tilt_rad=0.0,
+    )
+    fine = cells(sharp, 1)
+    coarse = cells(as_detectors_see(vehicles), ENLARGE)
 
     wide, high = fine[0].size
     gap, label, caption = 6, 30, 52
