@@ -19,6 +19,14 @@ from skyproof.results.clean import CleanSet
 from skyproof.vehicles.vehicle import Part
 from tests.gate.world import Toy, judging
 
+PAINT = {
+    "kind": "paint_body",
+    "name": "#zzzzzz",
+    "draws": 1,
+    "easr": 0.5,
+    "easr_low": None,
+    "easr_high": None,
+}
 YELLOWS = {"#808000", "#ffff00", "#ffff80"}
 
 
@@ -127,7 +135,7 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
 
 @pytest.mark.parametrize(
     "changed",
-    [{"format": 2}, {"rates": [{}]}, {"sets": []}, {"threshold": 2.0}, {"rates": [{"easr": 2}]}],
+    [{"format": 2}, {"rates": [{}]}, {"sets": []}, {"threshold": 2.0}, {"rates": [PAINT]}],
 )
 def test_a_damaged_record_is_refused(records, tmp_path, changed):
     write_record(tmp_path, records["good"])

@@ -146,6 +146,7 @@ CARDS = [
     Kind("card of a detector", "detectors/retinanet/detector.json", score, slow=True),
     Kind("camouflage", "camouflages/R-U-0/camouflage.json", worn),
     Kind("palette", "palette.json", draw_fixed),
+    Kind("check", "detectors/retinanet/check.json", report, copied=".", slow=True),
 ]
 SCORES = [
     Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)

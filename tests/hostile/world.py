@@ -10,8 +10,12 @@ import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
 
+from skyproof.detectors.card import read_card_and_digest
+from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
 from skyproof.main import run
 from skyproof.plans.preset import PRESETS
+from skyproof.results.checks import Check
+from skyproof.results.statistics.intervals import Interval
 from tests.imagery.made import smooth_noise
 
 __all__ = ["DEMO", "make_world"]
@@ -43,6 +47,7 @@ def make_world(folder: Path) -> None:
     """Writes everything below a folder that is not there yet."""
     command = ["demo", "--out", str(folder), *DEMO]
     assert run(command) == 0
+    _write_check(folder / "detectors/retinanet")
     imagery = folder / "imagery"
     imagery.mkdir()
     _write_photo(imagery / "photo.tif")
@@ -59,6 +64,15 @@ def make_world(folder: Path) -> None:
     palette = {"colours_srgb": [[90, 100, 80], [120, 110, 90], [60, 70, 50]]}
     (folder / "palette.json").write_text(json.dumps(palette))
     shutil.copy(PRESETS["quick"], folder / "preset.json")
+
+
+def _write_check(folder: Path) -> None:
+    card, digest = read_card_and_digest(folder / "detector.json")
+    some = Interval(0.5, 0.25, 0.75)
+    check = Check("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
+    rates = [Rate("paint_body", "#ff8000", 1, some), Rate("blur", "0.4 px", 1, some)]
+    on = MeasuredOn(2, "", ("procedural",), 1, 0)
+    write_record(folder, GateRecord("retinanet", digest, card.threshold, on, [check], rates))
 
 
 def _write_photo(path: Path) -> None:

@@ -329,9 +329,9 @@ def test_undefined_success_is_a_dash(tmp_path):
 def test_synthetic_data_alone_is_said_first(folder):
     lines = write_reproduction(folder).read_text().split("\n\n")
     assert lines[1] == (
-        "**Worth attacking?** RetinaNet was not checked before the attacks: nothing here says "
-        "whether it is worth attacking (skyproof check). YOLOv5 was not checked before the "
-        "attacks: nothing here says whether it is worth attacking (skyproof check)."
+        "**Worth attacking?** RetinaNet was not checked: nothing in this run folder says "
+        "whether it is worth attacking (skyproof check). YOLOv5 was not checked: nothing in this "
+        "run folder says whether it is worth attacking (skyproof check)."
     )
     assert lines[2].startswith(
         "**Synthetic data only.** Ground and vehicles are computer-generated"

@@ -72,9 +72,7 @@ def told(folder):
 
 def test_detectors_that_were_not_checked_are_named_first(run_folder):
     lines = told(run_folder)
-    unchecked = (
-        "was not checked before the attacks: nothing here says whether it is worth attacking"
-    )
+    unchecked = "was not checked: nothing in this run folder says whether it is worth attacking"
     for name in ("RetinaNet", "Faster R-CNN"):
         assert f"{name} {unchecked}" in lines
     assert lines.index(unchecked) < lines.index("Synthetic")
@@ -89,9 +87,9 @@ def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
     checked(run_folder, "faster_rcnn", {})
     lines = told(run_folder)
     assert (
-        "Worth attacking? RetinaNet FAILED the check before the attacks: 1 of 27 plain paints on "
+        "Worth attacking? RetinaNet FAILED the check: 1 of 27 plain paints on "
         "body panels hides more than 5 %; the worst, RGB (128, 128, 0), hides 97 % (90 to 99 %). "
-        "Faster R-CNN passed the check before the attacks: "
+        "Faster R-CNN passed the check: "
     ) in lines
     assert (
         "The frozen threshold of RetinaNet, 0.50, does not carry over to KIT: recall 47 % at "
@@ -108,7 +106,7 @@ def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
 def test_borderline_is_neither(run_folder):
     checked(run_folder, "retinanet", {("paint_whole", "#ffff00"): Interval(0.08, -0.01, 0.2)})
     lines = told(run_folder)
-    assert "RetinaNet is borderline in the check before the attacks: 1 of 27" in lines
+    assert "RetinaNet is borderline in the check: 1 of 27" in lines
     assert "may do so for the same reason" not in lines
 
 

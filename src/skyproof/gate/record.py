@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from skyproof.documents import read_document
+from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
 from skyproof.results.checks import Check, StoredCheck, check_of
@@ -35,6 +37,8 @@ _REMEDY = "copy the whole folder again, or move this file away and check the det
 Kind = Literal["paint_body", "paint_whole", "blur", "control", "sun"]
 """What a trial changes: a plain paint on body panels or on the whole vehicle, the vehicles'
 sharpness, a random control, or the sun's elevation."""
+
+_PAINT = re.compile("#[0-9a-f]{6}")
 
 _Digest = Annotated[str, Meta(max_length=64)]
 _Label = Annotated[str, Meta(min_length=1, max_length=300)]
@@ -134,6 +138,12 @@ def read_record(folder: Path) -> GateRecord:
     """
     path = Path(folder) / RECORD_FILE
     stored: _Document = read_document(path, _Document, _REMEDY, version=_FORMAT)
+    for row in stored.rates:
+        if row.kind in ("paint_body", "paint_whole") and not _PAINT.fullmatch(row.name):
+            raise StoredFileError(
+                f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
+                f"{_REMEDY}."
+            )
     return GateRecord(
         detector=stored.detector,
         weights_sha256=stored.weights_sha256,

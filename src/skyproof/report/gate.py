@@ -33,7 +33,7 @@ class Swatch:
     Attributes:
         colour: "#ff8000".
         ink: black or white, whichever can be read on it.
-        easr: what it hides, in whole percent, without a sign for it.
+        easr: what it hides, in percent, without the unit.
         outcome: passed, borderline or failed.
         words: the paint and its rate in words.
     """
@@ -98,13 +98,13 @@ def _sentence(name: str, found: Sequence[Finding] | None) -> str:
     shown = detector_name(name)
     if found is None:
         return (
-            f"{shown} was not checked before the attacks: nothing here says whether it is worth "
+            f"{shown} was not checked: nothing in this run folder says whether it is worth "
             "attacking (skyproof check)."
         )
     said = {
-        "passed": "passed the check before the attacks",
-        "borderline": "is borderline in the check before the attacks",
-        "failed": "FAILED the check before the attacks",
+        "passed": "passed the check",
+        "borderline": "is borderline in the check",
+        "failed": "FAILED the check",
     }
     last = worst(found)
     return f"{shown} {said[last.outcome]}: {last.words}."
@@ -117,11 +117,12 @@ def _swatches(record: GateRecord, kind: Kind) -> list[Swatch]:
         bright = 0.3 * red + 0.59 * green + 0.11 * blue > _BRIGHT
         limits = interval(rate.easr.low, rate.easr.high)
         shown = percent(rate.easr.estimate)
+        unit = percent(0).removeprefix("0")
         swatches.append(
             Swatch(
                 rate.name,
                 "#000" if bright else "#fff",
-                f"{100 * rate.easr.estimate:.0f}".replace("-0", "0").replace("-", "−"),
+                shown.removesuffix(unit),
                 rate_outcome(rate),
                 f"{rate_words(rate)}: {shown} ({limits})",
             )
