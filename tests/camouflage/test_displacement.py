@@ -69,11 +69,11 @@ def labels_at_vertices(batch, inset=0.0):
     return batch.parts[:, (v * 512).long().clamp(max=511), column]
 
 
-def test_without_a_generator_it_starts_negative_and_nearly_undeformed(cars):
+def test_without_a_generator_it_starts_half_way_out(cars):
     camouflage = DisplacementMap(named(1.0))
-    assert (camouflage.displacement == -4).all()
+    assert (camouflage.displacement == 0).all()
     width = cars.vertices[..., 1].amax(1) - cars.vertices[..., 1].amin(1)
-    assert (moved(camouflage, cars).norm(dim=-1).amax(1) <= 0.018 * width).all()
+    assert torch.allclose(moved(camouflage, cars).norm(dim=-1).amax(1), 0.5 * width)
 
 
 @pytest.mark.parametrize("magnitude", [0.1, 0.4, 1.0])
@@ -255,7 +255,7 @@ def test_projection_clips_the_map_and_the_finish_makes_it_symmetric(cars):
 
 
 def test_adam_lifts_the_map_within_few_steps(cars):
-    # Pushing the roof out is worth something at once: sigmoid must come from 0.02 past a half.
+    # Pushing the roof out is worth something at once: sigmoid must come from a half nearly to 1.
     camouflage = DisplacementMap(named(0.4))
     optimiser = torch.optim.Adam(
         camouflage.parameters(), lr=0.05 * camouflage.learning_rates["displacement"]
@@ -265,7 +265,7 @@ def test_adam_lifts_the_map_within_few_steps(cars):
         (-camouflage(cars).vertices[..., 2].sum()).backward()
         optimiser.step()
         camouflage.project_()
-    assert camouflage.map()[32, 32] > 0.5
+    assert camouflage.map()[32, 32] > 0.95
 
 
 @pytest.mark.parametrize("magnitude", [-0.1, 1.1, math.nan, math.inf])

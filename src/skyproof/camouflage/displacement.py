@@ -21,7 +21,7 @@ __all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "sample_map"]
 
 DISPLACEMENT_SIZE = 64
 
-_START = -4.0  # sigmoid 0.018: negative (section S4.3) and nearly undeformed
+_START = 0.0  # half-way out, where sigmoid is steepest (section S4.3: "initialised with zeros")
 _LARGEST = 8.0  # sigmoid 0.9997; beyond it nothing moves and nothing is learnt
 
 
@@ -35,7 +35,8 @@ class DisplacementMap(Camouflage):
     Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push
     every vertex towards one corner. Wheels and underside stay where they are, and no vertex is
     pushed below the ground: there its way ends, in the same direction. So a deformed vehicle can
-    still roll.
+    still roll. Of "negative" and "initialised with zeros" it starts at zero: from -4 most of the map
+    never left the flat end of the sigmoid.
 
     Vertices only slide along their rays from the middle, so a body whose every point can be seen
     from there never runs through itself. The bed of a pickup cannot be seen, and does (see
@@ -48,7 +49,7 @@ class DisplacementMap(Camouflage):
             in `Template.uvs`.
     """
 
-    # Sigmoid has to come up from -4 within the steps of one attack.
+    # A map has farther to go than a colour, which lies in [0, 1].
     learning_rates: Mapping[str, float] = {"displacement": 16.0}
 
     def __init__(
@@ -58,7 +59,7 @@ class DisplacementMap(Camouflage):
         generator: torch.Generator | None = None,
         frozen_parts: bool = True,
     ) -> None:
-        """Starts nearly undeformed, or as the random control.
+        """Starts half-way out everywhere, or as the random control.
 
         Args:
             name: of a shape or a combination, such as "S-O@0.4"; at PM = 0 every vehicle keeps its
