@@ -117,7 +117,7 @@ def test_mirrored_vertices_move_alike(cars, frozen_parts):
 def test_both_halves_of_the_map_count_alike():
     camouflage = DisplacementMap(named(0.5))
     with torch.no_grad():
-        camouflage.displacement[20, 10] = 0.0
+        camouflage.displacement[20, 10] = -4.0
     shown = camouflage.map().detach()
     assert shown[20, 10] == shown[20, 53]
     assert float(shown[20, 10]) == pytest.approx(1 / (1 + math.exp(2)))

@@ -35,8 +35,8 @@ class DisplacementMap(Camouflage):
     Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push
     every vertex towards one corner. Wheels and underside stay where they are, and no vertex is
     pushed below the ground: there its way ends, in the same direction. So a deformed vehicle can
-    still roll. Of "negative" and "initialised with zeros" it starts at zero: from -4 most of the map
-    never left the flat end of the sigmoid.
+    still roll. Of "negative" and "initialised with zeros" it starts at zero: from -4 most of the
+    map never left the flat end of the sigmoid.
 
     Vertices only slide along their rays from the middle, so a body whose every point can be seen
     from there never runs through itself. The bed of a pickup cannot be seen, and does (see

@@ -1,0 +1,13 @@
+"""The trained detectors, made once for every test that attacks them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.attacks.trained import Trained, make_trained
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """RetinaNet and Faster R-CNN; tests that ask for them belong to the xdist group "trained"."""
+    return make_trained(tmp_path_factory.mktemp("trained"))
