@@ -17,8 +17,9 @@ demo-cycles: $(VENV)/demo.ok $(BLENDER)/blender.ok
 
 blender: $(BLENDER)/blender.ok
 
+# A file's tests stay in one process: what they share, such as trained detectors, is made once.
 test: $(VENV)/test.ok
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist loadfile
 
 check: $(VENV)/test.ok
 	$(BIN)/ruff check .

@@ -9,5 +9,5 @@ from tests.attacks.trained import Trained, make_trained
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """RetinaNet and Faster R-CNN; tests that ask for them belong to the xdist group "trained"."""
+    """RetinaNet and Faster R-CNN; one file asks for them, and a file's tests share a process."""
     return make_trained(tmp_path_factory.mktemp("trained"))

@@ -13,9 +13,6 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from tests.attacks.trained import STEPS, Trained, drawn
 
-# Training takes most of the time: one process does it, for all of these tests.
-pytestmark = pytest.mark.xdist_group("trained")
-
 LEAST_RECALL = 0.8
 LEAST_GAIN = 0.3
 

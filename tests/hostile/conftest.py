@@ -25,13 +25,8 @@ def ran_here() -> set[str]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keeps these tests in one process, first of all: they share a world, and are counted last.
-
-    They take long together, so that another process has all the rest to do meanwhile.
-    """
+    """Puts these tests first of all, because they take long, and their count last of them."""
     hostile = [item for item in items if "/hostile/" in item.nodeid]
-    for item in hostile:
-        item.add_marker(pytest.mark.xdist_group("hostile"))
     hostile.sort(key=lambda item: "test_summary" in item.nodeid)
     items[:] = [*hostile, *(item for item in items if "/hostile/" not in item.nodeid)]
 

@@ -1,4 +1,4 @@
-"""How many hostile inputs were tried: at least 2,000 in every run of the tests."""
+"""How many hostile inputs were tried: at least 2,000 by `pytest tests/hostile`, in one process."""
 
 import pytest
 
