@@ -29,6 +29,7 @@ STEPS = flags(
     "--training.checkpoint-every 2 --attack.steps 4 --attack.batch-size 2 "
     "--attack.checkpoint-every 2"
 )
+WORN = ("T-U", "T-PixFcMa", "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
 TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
 
 
@@ -82,7 +83,7 @@ def worn(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The finished run's test scenes in each of its camouflages: test-T-U, test-R-U-0, ..."""
     folder = tmp_path_factory.mktemp("worn")
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
-    for name in ("T-U", "R-U-0", "R-U-1"):
+    for name in WORN:
         call = ["render", "--scenes", finished / "scenes/test.jsonl", *world, "--device", "cpu"]
         call += ["--camouflage", finished / "camouflages" / name]
         assert run(list(map(str, [*call, "--out", folder / f"test-{name}"]))) == 0

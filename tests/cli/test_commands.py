@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Answer, Skyproof, bytes_of
+from tests.cli.conftest import WORN, Answer, Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
 
@@ -163,7 +163,7 @@ def test_score_of_ready_datasets(
         *("score", "--detectors", finished / "detectors/retinanet"),
         *("--original", finished / "datasets/test", *CPU),
     ]
-    pairs = [f"{name}={worn}/test-{name}" for name in ("T-U", "R-U-0", "R-U-1")]
+    pairs = [f"{name}={worn}/test-{name}" for name in WORN]
     out = tmp_path / "scores"
     answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
     assert answer.code == 0, answer.err
