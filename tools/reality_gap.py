@@ -49,6 +49,7 @@ from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import SPLITS
+from skyproof.scenes.weather import MIXED_CONDITIONS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 GSD_M, IMAGE_PX = 0.125, 192
@@ -61,7 +62,6 @@ HELD_OUT = (
     "Minsk=minsk_drone/DJI_0010*@0.04",
     "Minsk=minsk_drone/DJI_0012*@0.04",
 )
-MIXED_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun")
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ TRIALS: dict[str, Trial] = {
     "uniform places": Trial(parked_share=0.0),
     "blur 1.0": Trial(blur_sigma_px=1.0),
     "blur 0.4": Trial(blur_sigma_px=0.4),
-    "mixed weather": Trial(conditions=MIXED_WEATHER),
+    "mixed weather": Trial(conditions=MIXED_CONDITIONS),
     "second seed": Trial(seed=1),
     "soft shadows": Trial(sky_share=0.5, shadow_light=(0.4, 0.42, 0.47)),
     "cleared ground": Trial(ground=("cleared",)),
@@ -136,7 +136,7 @@ FINAL: dict[str, Trial] = {
     # and more vehicles.
     "renders": Trial(
         ground=("procedural", "cleared"),
-        conditions=MIXED_WEATHER,
+        conditions=MIXED_CONDITIONS,
         vehicles=240,
         images=3000,
         steps=2400,

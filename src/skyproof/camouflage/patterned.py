@@ -44,8 +44,10 @@ def lay_patterns(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
         fleet: as `sample_fleet` drew it; it is left as it is.
         generator: on the CPU.
     """
+    worn = [row for row, name in enumerate(fleet.ids) if _is_patterned(fleet, name)]
+    if not worn:
+        return fleet
     textures = fleet.textures.clone()
-    worn = (row for row, name in enumerate(fleet.ids) if _is_patterned(fleet, name))
     for turn, row in enumerate(worn):
         constraints = _TEXTURES[turn % len(_TEXTURES)]
         name = CamouflageName("texture", constraints, random=True)

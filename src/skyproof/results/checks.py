@@ -151,7 +151,7 @@ _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 class StoredCheck:
     """A check as `Check.json` gives it.
 
-    Checks of before 0.3.0 have an interval of the average precision alone, and no best threshold.
+    Checks of before there was a gate have an interval of the average precision alone.
     """
 
     detector: Name

@@ -25,7 +25,7 @@ Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 # Nothing paints whiter or blacker; catalogue paints are held to the same limits.
 _DARKEST = 0.03
 _BRIGHTEST = 0.93
-_CHROMATICITIES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
+_HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
 _CANDIDATES = 64
 
 
@@ -40,7 +40,7 @@ def uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, 
     found = torch.zeros(0, 3)
     while len(found) < count:
         draws = torch.rand(_CANDIDATES, 3, generator=generator)
-        low, high = _CHROMATICITIES.T
+        low, high = _HUES.T
         cielab = torch.cat([100 * draws[:, :1], low + (high - low) * draws[:, 1:]], dim=1)
         srgb = cielab_to_srgb(cielab)
         # What sRGB cannot show was clipped, and does not come back.
@@ -58,28 +58,28 @@ def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float
     if coat == "two_tone":
         return _two_tones(canvas, generator)
     (colour,) = uniform_colours(1, generator=generator)
-    _cover(canvas, torch.ones_like(canvas.z, dtype=torch.bool), colour)
+    canvas.fill(_everywhere(canvas), colour, Part.BODY)
     if coat == "livery":
         _livery(canvas, generator)
     return colour
 
 
-def _cover(canvas: Canvas, where: Tensor, colour: Tensor) -> None:
-    canvas.fill(where & (canvas.parts == Part.BODY), colour, Part.BODY)
+def _everywhere(canvas: Canvas) -> Tensor:
+    return torch.ones_like(canvas.z, dtype=torch.bool)
 
 
 def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
     """Roof, bonnet and boot, or the lower half of the sides, in another colour than the rest."""
     first, second = uniform_colours(2, generator=generator)
     kind = int(torch.randint(3, (1,), generator=generator))
-    _cover(canvas, torch.ones_like(canvas.z, dtype=torch.bool), first)
+    canvas.fill(_everywhere(canvas), first, Part.BODY)
     if kind == 0:
         where = canvas.upper & (canvas.z > canvas.rail_z - 0.05)
     elif kind == 1:
         where = canvas.upper.expand_as(canvas.z)
     else:
         where = canvas.z < 0.5 * canvas.body.dimensions.height
-    _cover(canvas, where, second)
+    canvas.fill(where, second, Part.BODY)
     return first
 
 
@@ -115,4 +115,4 @@ def _livery(canvas: Canvas, generator: torch.Generator) -> None:
         else:
             # Everything before or behind a place.
             where = canvas.behind < along
-        _cover(canvas, where.expand_as(canvas.z), colour)
+        canvas.fill(where.expand_as(canvas.z), colour, Part.BODY)
