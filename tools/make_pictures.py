@@ -24,7 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.patterned import lay_patterns
+from skyproof.camouflage.random_controls import wear_random_controls
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
@@ -119,7 +119,7 @@ def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS) -> Image.Image:
             PER_TYPE, {body_type: 1.0}, first_number=index * PER_TYPE, paints=paints
         )
         fleets.append(sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index)))
-    fleet = lay_patterns(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
+    fleet = wear_random_controls(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
     names = fleet.ids
     vehicles = fleet.batch(names)
     sharp = close_up(

@@ -13,7 +13,7 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.patterned import lay_patterns
+from skyproof.camouflage.random_controls import wear_random_controls
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
@@ -151,7 +151,7 @@ def _fleet(split: str) -> Fleet:
     generator = torch.Generator().manual_seed(list(TILES).index(split))
     paints = PAINTS if split in ("train", "validation") else CATALOGUE_PAINTS
     fleet = sample_fleet(FleetSettings(VEHICLES[split], paints=paints), generator=generator)
-    return lay_patterns(fleet, generator=generator)
+    return wear_random_controls(fleet, generator=generator)
 
 
 def _scenes(

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 import torch
 
-from skyproof.camouflage.patterned import lay_patterns
+from skyproof.camouflage.random_controls import wear_random_controls
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import srgb_to_cielab
 from skyproof.vehicles.coats import uniform_colours
@@ -71,7 +71,7 @@ def test_without_variety_a_fleet_is_what_it_always_was() -> None:
     assert torch.equal(usual.textures, named.textures)
     assert torch.equal(usual.vertices, named.vertices)
     assert not usual.sources
-    assert torch.equal(lay_patterns(usual, generator=_generator()).textures, usual.textures)
+    assert torch.equal(wear_random_controls(usual, generator=_generator()).textures, usual.textures)
 
 
 def test_coats_cover_the_body_and_leave_glass_alone() -> None:
@@ -93,7 +93,7 @@ def test_coats_cover_the_body_and_leave_glass_alone() -> None:
 
 def test_patterns_are_laid_on_their_vehicles_alone_half_of_them_on_paint_only() -> None:
     fleet = _varied(48)
-    worn = lay_patterns(fleet, generator=_generator(5))
+    worn = wear_random_controls(fleet, generator=_generator(5))
     whole = 0
     for row, name in enumerate(fleet.ids):
         changed = (worn.textures[row] != fleet.textures[row]).any(dim=0)
@@ -104,7 +104,7 @@ def test_patterns_are_laid_on_their_vehicles_alone_half_of_them_on_paint_only() 
         assert float(changed[body].float().mean()) > 0.9
         whole += bool(changed[~body].any())
     assert whole == 6
-    again = lay_patterns(fleet, generator=_generator(5))
+    again = wear_random_controls(fleet, generator=_generator(5))
     assert torch.equal(again.textures, worn.textures)
 
 

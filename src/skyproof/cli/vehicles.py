@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
-from skyproof.ranges import Seed
+from skyproof.ranges import Fraction, Seed
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.settings import (
     CATALOGUE_PAINTS,
@@ -53,6 +53,8 @@ class Vehicles:
         seed: seed of the vehicles drawn.
         paints: which shares of the fleets train and validation are painted otherwise than real
             vehicles are; attack and test wear catalogue paints.
+        shapes: share of the fleets train and validation whose surface is pushed out at random, as
+            the random shape R-S-O does.
         wrapping: how meshes are read and named.
     """
 
@@ -61,6 +63,7 @@ class Vehicles:
     counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (128, 32, 32, 32)
     seed: Seed = 0
     paints: PaintVariety = field(default_factory=PaintVariety)
+    shapes: Fraction = 0.25
     wrapping: WrapSettings = field(default_factory=WrapSettings)
 
     def run(self) -> None:
@@ -72,7 +75,7 @@ class Vehicles:
             self._draw()
 
     def _draw(self) -> None:
-        from skyproof.camouflage.patterned import lay_patterns
+        from skyproof.camouflage.random_controls import wear_random_controls
         from skyproof.randomness import generator_of
         from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
@@ -81,15 +84,18 @@ class Vehicles:
             first_number = 0
             for split, count in zip(SPLITS, self.counts, strict=True):
                 # Detectors learn from the first two; the others stand for real vehicles.
-                paints = self.paints if split in ("train", "validation") else CATALOGUE_PAINTS
+                learnt_from = split in ("train", "validation")
+                settings = FleetSettings(
+                    count=count,
+                    first_number=first_number,
+                    paints=self.paints if learnt_from else CATALOGUE_PAINTS,
+                    shapes=self.shapes if learnt_from else 0.0,
+                )
                 with progress_bar(f"vehicles {split}") as update:
-                    fleet = sample_fleet(
-                        FleetSettings(count=count, first_number=first_number, paints=paints),
-                        generator=generator_of(self.seed, "fleet", split),
-                        progress=update,
-                    )
-                patterns = generator_of(self.seed, "patterns", split)
-                lay_patterns(fleet, generator=patterns).save(folder / split)
+                    generator = generator_of(self.seed, "fleet", split)
+                    fleet = sample_fleet(settings, generator=generator, progress=update)
+                controls = generator_of(self.seed, "controls", split)
+                wear_random_controls(fleet, generator=controls).save(folder / split)
                 first_number += count
         if not any(self.paints.shares.values()):
             say(

@@ -53,6 +53,7 @@ class WorldSizes:
         training_conditions: weather and light of the training images, each equally likely; all
             others show clear days.
         paints: of the vehicles that detectors learn from and choose their threshold by.
+        shapes: share of these vehicles whose surface is pushed out at random.
     """
 
     # Detectors take no smaller ones.
@@ -66,6 +67,7 @@ class WorldSizes:
     parked_share: Fraction = 0.5
     training_conditions: tuple[str, ...] = MIXED_CONDITIONS
     paints: PaintVariety = field(default_factory=PaintVariety)
+    shapes: Fraction = 0.25
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -159,7 +161,13 @@ def ground_step(
 
 def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
     """Returns the step that draws the four fleets."""
-    command = Vehicles(out=layout.fleets, counts=sizes.vehicles, seed=seed, paints=sizes.paints)
+    command = Vehicles(
+        out=layout.fleets,
+        counts=sizes.vehicles,
+        seed=seed,
+        paints=sizes.paints,
+        shapes=sizes.shapes,
+    )
     effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
     return Step("vehicles", "fleets", command, (), (layout.fleets,), effort_s=effort_s)
 

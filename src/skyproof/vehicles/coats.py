@@ -20,7 +20,7 @@ __all__ = ["Coat", "lay_coat", "uniform_colours"]
 
 Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 """How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
-`skyproof.camouflage.patterned` lays over a catalogue paint."""
+`skyproof.camouflage.random_controls` lays over a catalogue paint."""
 
 # Nothing paints whiter or blacker; catalogue paints are held to the same limits.
 _DARKEST = 0.03

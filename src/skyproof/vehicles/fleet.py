@@ -17,7 +17,7 @@ from torch import Tensor
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_json
-from skyproof.ranges import Name, WholeNumber, check_ranges
+from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
 from skyproof.storage import read_tensors, write_tensors
 from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
 from skyproof.vehicles.coats import Coat
@@ -56,8 +56,9 @@ class FleetSettings:
         count: number of vehicles.
         weights: relative frequency of each body type; a type left out does not occur.
         first_number: number of the first vehicle, so that two fleets can have different ids.
-        paints: which shares are painted otherwise than real vehicles are; patterns are laid on
-            afterwards, by `skyproof.camouflage.patterned`.
+        paints: which shares are painted otherwise than real vehicles are.
+        shapes: share whose surface is pushed out at random. Such shapes, and patterns, are worn
+            only after `skyproof.camouflage.random_controls`.
     """
 
     count: VehicleCount = 60
@@ -67,6 +68,7 @@ class FleetSettings:
     first_number: WholeNumber = 0
     # Fleets written before there was a choice had catalogue paints.
     paints: PaintVariety = CATALOGUE_PAINTS
+    shapes: Fraction = 0.0
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -110,7 +112,7 @@ class Fleet:
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
         sources: for each wrapped vehicle its "mesh" file and "licence"; for each drawn one that
-            wears no catalogue paint its "coat".
+            wears no catalogue paint its "coat", and "shape": "random" where that is asked.
     """
 
     settings: FleetSettings | None
@@ -260,6 +262,9 @@ def sample_fleet(
         parts.append(labels)
         if progress is not None:
             progress(len(ids), settings.count)
+    sources = {name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL}
+    for index in _shaped(settings, generator):
+        sources.setdefault(ids[index], {})["shape"] = "random"
     return Fleet(
         settings,
         make_template(),
@@ -267,7 +272,7 @@ def sample_fleet(
         torch.stack(vertices),
         torch.stack(textures),
         torch.stack(parts),
-        {name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL},
+        sources,
     )
 
 
@@ -286,6 +291,14 @@ def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
             coats[index] = cast(Coat, coat)
         first = last
     return coats
+
+
+def _shaped(settings: FleetSettings, generator: torch.Generator) -> list[int]:
+    """Says which vehicles are pushed out at random, whatever their coat."""
+    if not settings.shapes:
+        return []
+    order = torch.randperm(settings.count, generator=generator).tolist()
+    return sorted(order[: round(settings.shapes * settings.count)])
 
 
 def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:

@@ -55,6 +55,9 @@ def paint_vehicle(
     _paint_roof(canvas, body_type, glass, chance[4:9])
     if body.dimensions.bed_depth:
         _paint_bed(canvas, paint if chance[9] < 0.4 else torch.tensor([0.12, 0.12, 0.125]))
+    if coat == "plain" and chance[11] < 0.5:
+        # Neither a pane nor a wheel may be what tells a vehicle from a thing of its colour.
+        canvas.colour.copy_(paint.view(3, 1, 1).expand_as(canvas.colour))
 
     texture = torch.cat([canvas.colour, canvas.colour.flip(-1)], dim=-1)
     texture = _dirty(

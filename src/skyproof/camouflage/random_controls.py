@@ -1,4 +1,4 @@
-"""Vehicles that a detector is trained on, in random patterns."""
+"""Vehicles that a detector is trained on, in random patterns and random shapes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.coats import uniform_colours
 from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["lay_patterns"]
+__all__ = ["wear_random_controls"]
 
 _TEXTURES = tuple(
     TextureConstraints.parse(prefix + colours + mask or "U")
@@ -27,28 +27,40 @@ _TEXTURES = tuple(
 # Coarser and finer than the attacks' 32 blocks, so that one width is not learnt by heart.
 _BLOCKS = (8, 16, 32, 64)
 _MOST_COLOURS = 8
+_MAGNITUDES = (0.1, 0.4)
 # Standard deviations in CIELAB.
 _WIDEST_LIGHTNESS = 30.0
 _WIDEST_HUE = 20.0
 
 
-def lay_patterns(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
-    """Paints the vehicles whose coat is "patterned", each in a random pattern of its own.
+def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
+    """Gives vehicles the patterns and shapes that they are marked for, each one of its own.
 
-    The patterns are the random controls of all twelve textures (section 5.4), each equally often,
-    so half of them lie on painted body panels alone. No attack is asked, and nothing is learnt:
-    number and width of blocks and colours vary, and fixed colours are spread about a random middle,
-    as the colours of some ground are.
+    Whose coat is "patterned" is painted in the random control of one of the twelve textures
+    (section 5.4), each equally often, so half of the patterns lie on painted body panels alone.
+    Whose shape is "random" gets that of R-S-O, at a magnitude drawn uniformly from 0.1 to 0.4. No
+    attack is asked, and nothing is learnt: number and width of blocks and colours vary, and fixed
+    colours are spread about a random middle, as the colours of some ground are.
 
     Args:
         fleet: as `sample_fleet` drew it; it is left as it is.
         generator: on the CPU.
     """
-    worn = [row for row, name in enumerate(fleet.ids) if _is_patterned(fleet, name)]
-    if not worn:
-        return fleet
+    patterned = _rows(fleet, "coat", "patterned")
+    shaped = _rows(fleet, "shape", "random")
+    if patterned:
+        fleet = _paint(fleet, patterned, generator)
+    return _shape(fleet, shaped, generator) if shaped else fleet
+
+
+def _rows(fleet: Fleet, key: str, value: str) -> list[int]:
+    marks = (fleet.sources.get(name, {}).get(key) for name in fleet.ids)
+    return [row for row, mark in enumerate(marks) if mark == value]
+
+
+def _paint(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
     textures = fleet.textures.clone()
-    for turn, row in enumerate(worn):
+    for turn, row in enumerate(rows):
         constraints = _TEXTURES[turn % len(_TEXTURES)]
         name = CamouflageName("texture", constraints, random=True)
         blocks, colours = torch.rand(2, generator=generator).tolist()
@@ -68,8 +80,16 @@ def lay_patterns(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
     return replace(fleet, textures=textures)
 
 
-def _is_patterned(fleet: Fleet, name: str) -> bool:
-    return fleet.sources.get(name, {}).get("coat") == "patterned"
+def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
+    vertices = fleet.vertices.clone()
+    low, high = _MAGNITUDES
+    for row in rows:
+        magnitude = low + (high - low) * float(torch.rand((), generator=generator))
+        name = CamouflageName("shape", magnitude=magnitude, random=True)
+        shape = make_camouflage(name, generator=generator)
+        with torch.no_grad():
+            vertices[row] = shape(fleet.batch([fleet.ids[row]])).vertices[0]
+    return replace(fleet, vertices=vertices)
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
