@@ -55,6 +55,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
     detector = inputs / "detectors/retinanet"
     imported = ["--vehicle-classes", "3", "--validation", inputs / "datasets/test"]
     imported += ["--out", out / "new"]
+    checked = ["check", detector, "--backgrounds", inputs / "nowhere"]
     calls: dict[str, Sequence[object]] = {
         "demo": ["demo", "--out", out / "new", *DEMO, "--imagery", inputs / "nowhere.tif"],
         "reproduce": ["reproduce", "--preset", inputs / "nowhere.json", "--out", out / "new"],
@@ -67,6 +68,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
         "train": kinds.train(inputs, out),
+        "check": [*checked, "--fleet", inputs / "nowhere"],
         "import": ["import", inputs / "palette.json", "--kind", "torchvision", *imported],
         "attack": ["attack", "R-PixFc", "--palette", inputs / "palette.json", "--out", out / "new"],
         "score": ["score", "--detectors", detector, "--out", out / "new"],

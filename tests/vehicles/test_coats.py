@@ -20,8 +20,9 @@ def _generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def _varied(count: int = 24) -> Fleet:
-    return sample_fleet(FleetSettings(count=count, paints=_PAINTS), generator=_generator())
+def _varied(count: int = 24, shapes: float = 0.0) -> Fleet:
+    settings = FleetSettings(count=count, paints=_PAINTS, shapes=shapes)
+    return sample_fleet(settings, generator=_generator())
 
 
 def _coat(fleet: Fleet, name: str) -> str:
@@ -74,8 +75,9 @@ def test_without_variety_a_fleet_is_what_it_always_was() -> None:
     assert torch.equal(wear_random_controls(usual, generator=_generator()).textures, usual.textures)
 
 
-def test_coats_cover_the_body_and_leave_glass_alone() -> None:
-    fleet = _varied()
+def test_coats_cover_the_body_and_half_of_the_plain_ones_glass_too() -> None:
+    fleet = _varied(48)
+    covered = []
     for name in fleet.ids:
         vehicle = fleet.batch([name])
         body = vehicle.parts[0] == Part.BODY
@@ -86,9 +88,14 @@ def test_coats_cover_the_body_and_leave_glass_alone() -> None:
         if _coat(fleet, name) == "plain":
             # Seams and dust apart, one colour.
             assert spread < 0.1
+            covered.append(float((pane.mean(dim=1) - paint.mean(dim=1)).abs().max()) < 0.05)
+            if covered[-1]:
+                continue
         if _coat(fleet, name) in ("two_tone", "livery"):
             assert spread > 0.02
         assert float(pane.mean()) < 0.35
+    assert 3 <= sum(covered) <= 9
+    assert len(covered) == 12
 
 
 def test_patterns_are_laid_on_their_vehicles_alone_half_of_them_on_paint_only() -> None:
@@ -106,6 +113,31 @@ def test_patterns_are_laid_on_their_vehicles_alone_half_of_them_on_paint_only() 
     assert whole == 6
     again = wear_random_controls(fleet, generator=_generator(5))
     assert torch.equal(again.textures, worn.textures)
+
+
+def test_shapes_are_pushed_out_whatever_the_coat_each_by_its_own_map() -> None:
+    fleet = _varied(shapes=0.5)
+    plain = _varied()
+    # Shapes are drawn last, so that a fleet with them is otherwise the one without.
+    assert torch.equal(fleet.textures, plain.textures)
+    assert torch.equal(fleet.vertices, plain.vertices)
+    worn = wear_random_controls(fleet, generator=_generator(5))
+    shaped = [name for name in fleet.ids if fleet.sources.get(name, {}).get("shape") == "random"]
+    assert len(shaped) == 12
+    assert {_coat(fleet, name) for name in shaped} > {"catalogue", "patterned"}
+    farthest = []
+    for row, name in enumerate(fleet.ids):
+        moved = (worn.vertices[row] - fleet.vertices[row]).norm(dim=1)
+        if name not in shaped:
+            assert not moved.any()
+            continue
+        width_m = fleet.size_m(name)[1]
+        farthest.append(float(moved.max()) / width_m)
+        # As in R-S-O some vertices stay nearly where they are.
+        assert float(moved.median()) < 0.8 * float(moved.max())
+    assert 0.05 < min(farthest)
+    assert max(farthest) <= 0.4
+    assert len(set(farthest)) == len(farthest)
 
 
 def test_shares_above_one_are_refused_in_one_sentence() -> None:
