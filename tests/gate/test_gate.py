@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.paint import LATTICE, plain_paint
+from skyproof.camouflage.paint import LATTICE, TWO_TONES, plain_paint, two_tone_paint
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.gate.check import check_detectors
@@ -34,10 +34,11 @@ def test_every_trial_is_made_once_and_every_draw_differs():
     trials = make_trials(torch.rand(5, 3), draws=2, seed=0)
     counted = {
         kind: len({trial.name for trial in trials if trial.kind == kind})
-        for kind in ("paint_body", "paint_whole", "blur", "control", "sun")
+        for kind in ("paint_body", "paint_whole", "two_tone", "blur", "control", "sun")
     }
-    assert counted == {"paint_body": 27, "paint_whole": 27, "blur": 4, "control": 6, "sun": 4}
-    assert len(trials) == 27 + 27 + 4 + 12 + 4
+    paints = {"paint_body": 27, "paint_whole": 27, "two_tone": 8}
+    assert counted == {**paints, "blur": 4, "control": 6, "sun": 4}
+    assert len(trials) == 27 + 27 + 8 + 4 + 12 + 4
     first, second = (trial.camouflage for trial in trials if trial.name == "R-U")
     assert not torch.equal(first.cells, second.cells)
     again = make_trials(torch.rand(5, 3), draws=1, seed=0)
@@ -60,6 +61,28 @@ def test_a_paint_lies_on_body_panels_or_everywhere_and_can_be_stored(fleet, tmp_
     assert len(set(LATTICE)) == 27
 
 
+def test_two_tones_meet_at_the_shoulder_and_can_be_stored(fleet, tmp_path):
+    vehicles = fleet.batch(fleet.ids)
+    paint = two_tone_paint((255, 0, 0), (0, 0, 255))
+    worn = paint(vehicles).worn_texture()
+    is_body = vehicles.parts == Part.BODY
+    # The middle columns of the map are the middle of the roof, the bonnet and the boot.
+    columns = torch.arange(512).expand_as(is_body)
+    on_top = is_body & ((columns - 255.5).abs() < 60)
+    on_sides = is_body & ((columns - 255.5).abs() > 140)
+    assert on_top.any()
+    assert on_sides.any()
+    for where, colour in ((on_top, (1.0, 0.0, 0.0)), (on_sides, (0.0, 0.0, 1.0))):
+        shown = worn.permute(0, 2, 3, 1)[where]
+        assert torch.equal(shown, torch.tensor(colour).expand_as(shown))
+    own = vehicles.texture.float() / 255
+    other = (~is_body)[:, None].expand_as(worn)
+    assert torch.equal(worn[other], own[other])
+    save_camouflage(tmp_path / "paint", paint)
+    assert torch.equal(load_camouflage(tmp_path / "paint")(vehicles).worn_texture(), worn)
+    assert len(set(TWO_TONES)) == 8
+
+
 def test_a_detector_that_finds_everything_passes(records):
     record = records["good"]
     assert {rate.easr.estimate for rate in record.rates} == {0.0}
@@ -74,6 +97,8 @@ def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
     record = records["blind"]
     for kind in ("paint_body", "paint_whole"):
         assert {r.name for r in record.of_kind(kind) if r.easr.estimate > 0.05} == YELLOWS
+    two_tones = [r.name for r in record.of_kind("two_tone") if r.easr.estimate > 0.05]
+    assert two_tones == ["#ffff00#0000ff"]
     for kind in ("blur", "control", "sun"):
         assert {r.easr.estimate for r in record.of_kind(kind)} == {0.0}
     found = findings(record)
@@ -81,6 +106,7 @@ def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
     assert {each.criterion for each in found if each.outcome == "failed"} == {
         "plain paints on body panels",
         "plain paints on the whole vehicle",
+        "two-tone paints",
     }
     assert worst(found).words.startswith("3 of 27 plain paints on")
 
@@ -88,8 +114,8 @@ def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
 def test_blur_and_sun_change_the_picture(records, good):
     unchanged, *changed = good.contrasts
     assert len(records) == 2
-    assert len(changed) == 27 + 27 + 4 + 12 + 4
-    blurs, suns = changed[54:58], changed[-4:]
+    assert len(changed) == 27 + 27 + 8 + 4 + 12 + 4
+    blurs, suns = changed[62:66], changed[-4:]
     assert len({*blurs, unchanged}) == len({*suns, unchanged}) == 5
 
 

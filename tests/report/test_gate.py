@@ -103,6 +103,18 @@ def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
     assert "plain paints on body panels failed RGB (128, 128, 0) 97 % (90 to 99 %)" in text
 
 
+def test_a_threshold_left_to_chance_is_told_though_the_check_is_passed(run_folder):
+    checked(run_folder, "retinanet", {})
+    card = run_folder / "detectors" / "retinanet" / "detector.json"
+    assert "chance decides it" not in told(run_folder)
+    write_json(card, {**json.loads(card.read_text()), "validation_vehicles": 5})
+    (run_folder / "report.html").unlink()
+    assert (
+        "The threshold of RetinaNet was chosen on 5 vehicles, and with fewer than 50 chance "
+        "decides it"
+    ) in told(run_folder)
+
+
 def test_borderline_is_neither(run_folder):
     checked(run_folder, "retinanet", {("paint_whole", "#ffff00"): Interval(0.08, -0.01, 0.2)})
     lines = told(run_folder)

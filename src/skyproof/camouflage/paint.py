@@ -1,4 +1,4 @@
-"""Plain paints: one colour on the painted body panels or on the whole vehicle, not learnt."""
+"""Paints that nobody learnt: one colour on body panels or on everything, or two tones."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import torch
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.vehicles.template import TOPOLOGY_BELT, column_u
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["LATTICE", "Colour", "plain_paint"]
+__all__ = ["LATTICE", "TWO_TONES", "Colour", "plain_paint", "two_tone_paint"]
 
 Colour = tuple[int, int, int]
 """sRGB bytes: red, green, blue."""
@@ -22,6 +24,13 @@ LATTICE: tuple[Colour, ...] = tuple(itertools.product(_LEVELS, _LEVELS, _LEVELS)
 
 They lie on the border of sRGB too, so nothing is clipped and no colour lies outside of them.
 """
+
+TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
+    ((red, green, blue), (255 - red, 255 - green, 255 - blue))
+    for red, green, blue in LATTICE
+    if 128 not in (red, green, blue)
+)
+"""Eight pairs of a colour and its opposite: the largest contrasts that two tones can have."""
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
@@ -46,5 +55,32 @@ def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
     paint = UniversalTexture(name, generator=torch.Generator(), blocks=1)
     with torch.no_grad():
         paint.cells.copy_(torch.tensor(colour).view(3, 1, 1) / 255)
+    paint.finalise()
+    return paint.requires_grad_(False)
+
+
+def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
+    """Returns two colours on the painted body panels as a finished camouflage.
+
+    Args:
+        upper: sRGB bytes of what lies above the shoulder: roof, pillars, bonnet and boot.
+        lower: of the sides below it.
+
+    Returns:
+        A texture named "R-Ma_two_tone_ff8000_007fff".
+    """
+    name = CamouflageName(
+        "texture",
+        TextureConstraints(masked=True),
+        random=True,
+        variant=f"two_tone_{bytes(upper).hex()}_{bytes(lower).hex()}",
+    )
+    paint = UniversalTexture(name, generator=torch.Generator())
+    shoulder = float(column_u()[TOPOLOGY_BELT])
+    u = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
+    above = (u > shoulder) & (u < 1 - shoulder)
+    colours = torch.tensor([lower, upper]) / 255
+    with torch.no_grad():
+        paint.cells.copy_(colours[above.long()].T[:, None, :])
     paint.finalise()
     return paint.requires_grad_(False)

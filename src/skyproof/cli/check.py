@@ -32,9 +32,9 @@ class Check:
 
     A detector that a plain paint, a sharper picture or a lower sun makes blind ranks no attacks:
     each of them hides everything. Measured are clean AP, precision and recall on rendered scenes
-    and on photographs (--frames), and what 54 plain paints, four sharpnesses, six random controls
-    and four suns hide. The answer is stored as `check.json` in every detector folder, and every
-    report opens with it. Detectors that are checked already are shown again.
+    and on photographs (--frames), and what 54 plain and eight two-tone paints, four sharpnesses,
+    six random controls and four suns hide. The answer is stored as `check.json` in every detector
+    folder, and every report opens with it. Detectors that are checked already are shown again.
 
     With --freeze it freezes another threshold instead, in a copy of the detector.
 
@@ -93,6 +93,7 @@ class Check:
         from skyproof.cli.check_words import lines
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
+        from skyproof.detectors.card import read_card
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
@@ -101,8 +102,9 @@ class Check:
         fleet = Fleet.load(self.fleet)
         scenes = self._scenes(backgrounds, fleet)
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
-        for record in self._checked(device, backgrounds, fleet, scenes, frames):
-            for line in lines(record):
+        records = self._checked(device, backgrounds, fleet, scenes, frames)
+        for folder, record in zip(self.detectors, records, strict=True):
+            for line in lines(record, read_card(folder).doubts):
                 say(line)
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:

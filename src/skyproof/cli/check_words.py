@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import wrap
 
 from skyproof.gate.record import GateRecord
@@ -27,8 +28,13 @@ _WIDTH = 110
 _INDENT = 48
 
 
-def lines(record: GateRecord) -> list[str]:
-    """Tells in a few lines what was measured, and what follows of it."""
+def lines(record: GateRecord, doubts: Sequence[str] = ()) -> list[str]:
+    """Tells in a few lines what was measured, and what follows of it.
+
+    Args:
+        record: what the gate measured.
+        doubts: of its card, in a sentence each.
+    """
     found = findings(record)
     told = [
         f"{detector_name(record.detector)}: {verdict(found).upper()} "
@@ -40,7 +46,7 @@ def lines(record: GateRecord) -> list[str]:
         told += _told(finding.criterion, finding, _changes(finding))
     return told + [
         line
-        for sentence in misfit_thresholds(record.sets)
+        for sentence in (*doubts, *misfit_thresholds(record.sets))
         for line in wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
     ]
 

@@ -61,9 +61,9 @@ def check_detectors(
     """Tells of every detector, before any attack, whether it is worth attacking.
 
     The scenes are drawn as they are, then once more for each trial: 27 plain paints on body panels
-    and 27 on the whole vehicle, four sharpnesses, six random controls, four suns. Counted is what
-    each change hides of the vehicles found before, by centres within 1 m at the frozen threshold,
-    as for any camouflage. Nothing is written.
+    and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, six random controls, four
+    suns. Counted is what each change hides of the vehicles found before, by centres within 1 m at
+    the frozen threshold, as for any camouflage. Nothing is written.
 
     Args:
         judges: detectors with their cards.

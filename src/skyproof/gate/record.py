@@ -34,11 +34,16 @@ RECORD_FILE = "check.json"
 _FORMAT = 1
 _REMEDY = "copy the whole folder again, or move this file away and check the detector again"
 
-Kind = Literal["paint_body", "paint_whole", "blur", "control", "sun"]
-"""What a trial changes: a plain paint on body panels or on the whole vehicle, the vehicles'
-sharpness, a random control, or the sun's elevation."""
+Kind = Literal["paint_body", "paint_whole", "two_tone", "blur", "control", "sun"]
+"""What a trial changes: a plain paint on body panels or on the whole vehicle, two tones on body
+panels, the vehicles' sharpness, a random control, or the sun's elevation."""
 
 _PAINT = re.compile("#[0-9a-f]{6}")
+_PAINTS: dict[Kind, re.Pattern[str]] = {
+    "paint_body": _PAINT,
+    "paint_whole": _PAINT,
+    "two_tone": re.compile("(#[0-9a-f]{6}){2}"),
+}
 
 _Digest = Annotated[str, Meta(max_length=64)]
 _Label = Annotated[str, Meta(min_length=1, max_length=300)]
@@ -51,7 +56,7 @@ class Rate:
 
     Attributes:
         kind: what was changed.
-        name: how: "#ff8000", "0.7 px", "R-PixFc", "25°".
+        name: how: "#ff8000", "#ff8000#007fff" (the upper half first), "0.7 px", "R-PixFc", "25°".
         draws: how many there were, of which `easr` is the mean; 1 but for random controls.
         easr: vehicles lost less vehicles gained, over those found in the unchanged picture.
     """
@@ -139,7 +144,8 @@ def read_record(folder: Path) -> GateRecord:
     path = Path(folder) / RECORD_FILE
     stored: _Document = read_document(path, _Document, _REMEDY, version=_FORMAT)
     for row in stored.rates:
-        if row.kind in ("paint_body", "paint_whole") and not _PAINT.fullmatch(row.name):
+        form = _PAINTS.get(row.kind)
+        if form is not None and not form.fullmatch(row.name):
             raise StoredFileError(
                 f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
                 f"{_REMEDY}."

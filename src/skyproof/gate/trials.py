@@ -1,4 +1,4 @@
-"""Which changes the gate tries: plain paints, sharpness, random controls, and the sun."""
+"""Which changes the gate tries: paints, sharpness, random controls, and the sun."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.paint import LATTICE, plain_paint
+from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, two_tone_paint
 from skyproof.gate.record import Kind
 from skyproof.randomness import generator_of
 
@@ -52,9 +52,13 @@ def make_trials(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list
     """
     kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
     paints = [
-        Trial(kind, f"#{bytes(colour).hex()}", plain_paint(colour, masked=masked))
+        Trial(kind, _hex(colour), plain_paint(colour, masked=masked))
         for kind, masked in kinds
         for colour in LATTICE
+    ]
+    paints += [
+        Trial("two_tone", f"{_hex(upper)}{_hex(lower)}", two_tone_paint(upper, lower))
+        for upper, lower in TWO_TONES
     ]
     blurs = [Trial("blur", f"{sigma:g} px", blur_sigma_px=sigma) for sigma in BLURS_PX]
     controls = [
@@ -64,6 +68,10 @@ def make_trials(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list
     ]
     suns = [Trial("sun", f"{angle:g}°", sun_elevation_deg=angle) for angle in SUN_ELEVATIONS_DEG]
     return [*paints, *blurs, *controls, *suns]
+
+
+def _hex(colour: Colour) -> str:
+    return f"#{bytes(colour).hex()}"
 
 
 def _drawn(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> Camouflage:

@@ -45,6 +45,7 @@ _SEVERITY: dict[Outcome, int] = {"passed": 0, "borderline": 1, "failed": 2}
 _MANY: dict[Kind, str] = {
     "paint_body": "plain paints on body panels",
     "paint_whole": "plain paints on the whole vehicle",
+    "two_tone": "two-tone paints",
     "blur": "degrees of blur",
     "control": "random controls",
     "sun": "elevations of the sun",
@@ -109,8 +110,9 @@ def misfit_thresholds(checks: Sequence[Check]) -> list[str]:
 
 def rate_words(rate: Rate) -> str:
     """What was changed, in words: the paint "#ff8000" as "RGB (255, 128, 0)"."""
-    if rate.kind in ("paint_body", "paint_whole"):
-        return f"RGB {tuple(bytes.fromhex(rate.name.removeprefix('#')))}"
+    if rate.kind in ("paint_body", "paint_whole", "two_tone"):
+        colours = rate.name.removeprefix("#").split("#")
+        return "RGB " + " over ".join(str(tuple(bytes.fromhex(colour))) for colour in colours)
     return rate.name
 
 

@@ -71,6 +71,9 @@ def read_gate(results: Results) -> Gate:
     records = read_records(Layout(results.folder).detectors)
     found = {name: findings(records[name]) for name in results.judges if name in records}
     sentences = [_sentence(name, found.get(name)) for name in results.judges]
+    for name in results.judges:
+        if name in results.detectors:
+            sentences += results.detectors[name].doubts(detector_name(name))
     for name in found:
         sentences += misfit_thresholds(records[name].sets)
     if any(name in found and verdict(found[name]) == "failed" for name in results.judges):

@@ -8,9 +8,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
+from skyproof.detectors.doubts import find_doubts
 from skyproof.documents import check_document, read_document, read_lines
 from skyproof.errors import StoredFileError
-from skyproof.ranges import Fraction, Name, Seed
+from skyproof.ranges import Fraction, Name, Seed, WholeNumber
 
 __all__ = [
     "AttackRecord",
@@ -91,7 +92,18 @@ class DetectorFacts(Struct, frozen=True):
     parameters: Annotated[int, Meta(ge=0, le=10**12)] | None = None
     threshold: Finite | None = None
     validation: Validation = Validation()
+    validation_vehicles: WholeNumber | None = None
     trained_on: Text = ""
+    brought: Any = None
+
+    def doubts(self, name: str) -> list[str]:
+        """What speaks against attacking it at all, in a sentence each; see `find_doubts`."""
+        return find_doubts(
+            name,
+            imported=self.brought is not None,
+            ap_centre_1m=self.validation.ap_centre_1m,
+            vehicles=self.validation_vehicles,
+        )
 
 
 class _Attack(Struct, frozen=True):

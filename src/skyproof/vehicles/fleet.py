@@ -262,7 +262,9 @@ def sample_fleet(
         parts.append(labels)
         if progress is not None:
             progress(len(ids), settings.count)
-    sources = {name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL}
+    sources = {
+        name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
+    }
     for index in _shaped(settings, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
     return Fleet(
