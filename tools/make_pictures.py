@@ -111,12 +111,16 @@ def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
     ]
 
 
-def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS) -> Image.Image:
+def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS, shapes: float = 0.0) -> Image.Image:
     """Four vehicles of each body type, fine above, as detectors see them below."""
     fleets = []
     for index, body_type in enumerate(BODY_RANGES):
         settings = FleetSettings(
-            PER_TYPE, {body_type: 1.0}, first_number=index * PER_TYPE, paints=paints
+            PER_TYPE,
+            {body_type: 1.0},
+            first_number=index * PER_TYPE,
+            paints=paints,
+            shapes=shapes,
         )
         fleets.append(sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index)))
     fleet = wear_random_controls(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
@@ -388,7 +392,7 @@ def main() -> None:
     else:
         sheets = {
             "fleet.png": draw_fleet(),
-            "coats.png": draw_fleet(PaintVariety(0.25, 0.25, 0.25, 0.25)),
+            "coats.png": draw_fleet(PaintVariety(0.25, 0.25, 0.25, 0.25), shapes=0.25),
             "scenes.png": draw_scenes(),
             "weather.png": draw_weather_sheet(),
             "sharpness.png": draw_sharpness_sheet(),

@@ -86,3 +86,40 @@ def test_a_texture_learnt_with_a_sabotaged_loss_does_not(
         sabotage(patch, detector)
         learnt = trained.learn("T-U", tmp_path, [detector])
     assert trained.success(learnt)[name] < control[name] + LEAST_GAIN
+
+
+def drop(patch: pytest.MonkeyPatch, detector: TrainableDetector, part: str) -> None:
+    """Leaves one part out of Faster R-CNN's loss."""
+    own = getattr(detector, part)
+    patch.setattr(detector, part, lambda *arguments: 0.0 * own(*arguments))
+
+
+def pull(detector: TrainableDetector, images: Tensor) -> Tensor:
+    """What an attack's loss asks of every pixel: its gradient with an empty truth."""
+    shown = images.clone().requires_grad_()
+    empty = [torch.zeros(0, 4)] * len(images)
+    (gradient,) = torch.autograd.grad(detector.loss(shown, empty).sum(), shown)
+    return gradient
+
+
+def test_proposals_and_regions_both_ask_for_a_change(
+    trained: Trained, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their sum is the whole, so a loss of either part alone is told from it.
+
+    A texture learnt with the regions' loss alone hides as well from this detector, so rates do not
+    tell them apart.
+    """
+    (detector,) = (each for each in trained.detectors if each.name == "faster_rcnn")
+    found = trained.clean[detector.name].nonzero()[:8, 0].tolist()
+    images, _ = trained.rendered(None, [trained.test[index] for index in found])
+    shown = torch.stack(images).float() / 255
+    whole = pull(detector, shown)
+    alone = {}
+    for kept, dropped in (("regions", "_proposal_loss"), ("proposals", "_region_loss")):
+        with monkeypatch.context() as patch:
+            drop(patch, detector, dropped)
+            alone[kept] = pull(detector, shown)
+    norms = {name: float(each.norm() / whole.norm()) for name, each in alone.items()}
+    assert torch.allclose(whole, sum(alone.values()), atol=1e-4 * float(whole.abs().max()))
+    assert all(0.05 < float((whole - each).norm() / whole.norm()) for each in alone.values()), norms

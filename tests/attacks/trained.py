@@ -38,7 +38,7 @@ TILES = {"train": 8, "validation": 3, "attack": 3, "test": 6}
 TILE_PX = 200
 VEHICLES = {"train": 30, "validation": 8, "attack": 8, "test": 10}
 # Focal loss starts slowly.
-STEPS = {"retinanet": 330, "faster_rcnn": 220}
+STEPS = {"retinanet": 240, "faster_rcnn": 150}
 BATCH = 16
 # Enough patterns that so short a training learns them: with fewer, random ones hide two in three.
 PAINTS = PaintVariety(plain=0.15, two_tone=0.05, livery=0.05, patterned=0.45)
@@ -85,15 +85,18 @@ class Trained:
 
     def success(self, camouflage: Camouflage) -> dict[str, float]:
         """The share of the vehicles found before that each detector loses."""
-        images, boxes = self._rendered(camouflage)
+        images, boxes = self.rendered(camouflage, self.test)
         after = _found(self.detectors, self.thresholds, _dataset(images, boxes))
         return {
             name: float((before & ~after[name]).sum() / before.sum())
             for name, before in self.clean.items()
         }
 
-    def _rendered(self, camouflage: Camouflage) -> tuple[list[Tensor], list[Tensor]]:
-        return render(self.ground, self.fleets["test"], self.test, camouflage)
+    def rendered(
+        self, camouflage: Camouflage | None, scenes: list[Scene]
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        """Images as bytes and the boxes in them."""
+        return render(self.ground, self.fleets["test"], scenes, camouflage)
 
 
 def drawn(name: str, seed: int = 0) -> Camouflage:
