@@ -33,12 +33,12 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 
 SIDE_PX = 96
-TRAINING_IMAGES, VALIDATION_IMAGES, TEST_SCENES = 300, 40, 80
+TRAINING_IMAGES, VALIDATION_IMAGES, TEST_SCENES = 240, 40, 80
 TILES = {"train": 8, "validation": 3, "attack": 3, "test": 6}
 TILE_PX = 200
 VEHICLES = {"train": 30, "validation": 8, "attack": 8, "test": 10}
 # Focal loss starts slowly.
-STEPS = {"retinanet": 240, "faster_rcnn": 150}
+STEPS = {"retinanet": 240, "faster_rcnn": 220}
 BATCH = 16
 # Enough patterns that so short a training learns them: with fewer, random ones hide two in three.
 PAINTS = PaintVariety(plain=0.15, two_tone=0.05, livery=0.05, patterned=0.45)

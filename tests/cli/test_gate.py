@@ -28,7 +28,13 @@ def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: S
     assert answer.code == 0, answer.err
     for words in ("RetinaNet: ", "rendered scenes", "validation", "precision", "recall"):
         assert words in answer.out
-    for words in ("chosen on", "27 hide more than", "degrees of blur", "random controls", "elevations of the s"):
+    for words in (
+        "chosen on",
+        "27 hide more than",
+        "degrees of blur",
+        "random controls",
+        "elevations of the s",
+    ):
         assert words in answer.out
     record = read_record(detector)
     card = json.loads((detector / "detector.json").read_text())

@@ -262,7 +262,7 @@ def sample_fleet(
         parts.append(labels)
         if progress is not None:
             progress(len(ids), settings.count)
-    sources = {
+    sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }
     for index in _shaped(settings, generator):
