@@ -74,6 +74,20 @@ def test_fleets_share_no_vehicle_and_come_from_seeds_of_their_own(tmp_path, skyp
     skyproof(*none).refused("--counts", "from 1")
 
 
+def test_only_what_detectors_learn_from_is_out_of_shape(tmp_path):
+    Vehicles(tmp_path / "fleets", counts=(3, 2, 2, 2), shapes=1.0).run()
+    Vehicles(tmp_path / "usual", counts=(3, 2, 2, 2), shapes=0.0).run()
+    for split in SPLITS:
+        shaped, usual = (Fleet.load(tmp_path / name / split) for name in ("fleets", "usual"))
+        moved = (shaped.vertices != usual.vertices).flatten(1).any(1)
+        assert bool(moved.all()) == (split in ("train", "validation"))
+        assert bool(moved.any()) == (split in ("train", "validation"))
+    # A quarter is the default.
+    Vehicles(tmp_path / "default", counts=(8, 1, 1, 1)).run()
+    fleet = Fleet.load(tmp_path / "default" / "train")
+    assert sum("shape" in source for source in fleet.sources.values()) == 2
+
+
 def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: Skyproof):
     shares = ("plain", "two-tone", "livery", "patterned")
     none = [word for share in shares for word in (f"--paints.{share}", 0)]
