@@ -29,7 +29,7 @@ from skyproof.plans.steps import (
     train_step,
 )
 from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
-from skyproof.ranges import GroundResolution, Seed, WholeNumber
+from skyproof.ranges import Count, GroundResolution, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.seeds import next_seed
 
@@ -66,16 +66,18 @@ class DemoSizes(WorldSizes):
         check_scenes: test scenes on which detectors are checked before the attacks; 0 for no check.
     """
 
+    image_px: Annotated[int, Meta(ge=96, le=16_384)] = 160
+    training_vehicles: Count = 5
     random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
     check_scenes: WholeNumber = 12
 
 
 def _training() -> TrainingSettings:
-    return TrainingSettings(steps=1000, batch_size=8, validate_every=250)
+    return TrainingSettings(steps=700, batch_size=8, validate_every=175)
 
 
 def _attack() -> AttackSettings:
-    return AttackSettings(steps=120)
+    return AttackSettings(steps=100)
 
 
 @dataclass(frozen=True)
