@@ -27,6 +27,7 @@ import torch
 from PIL import Image
 
 from skyproof.main import run
+from tests.barely_trained import everything_counts
 
 
 def plain(path: object) -> str:
@@ -88,7 +89,11 @@ def main() -> None:
             child = os.fork()
         if not child:
             arm(how, fragment, nth)
-            with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+            with (
+                everything_counts(),
+                open(os.devnull, "w") as nowhere,
+                contextlib.redirect_stdout(nowhere),
+            ):
                 code = run(["demo", "--out", str(folder), *arguments])
             os._exit(code)
         if how in ("appears", "interrupt"):

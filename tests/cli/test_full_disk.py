@@ -12,6 +12,7 @@ import pyarrow.parquet
 import pytest
 from PIL import Image
 
+from tests.barely_trained import everything_counts
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
 # What is written, which write of it fails, and the file or folder whose presence means that the
@@ -92,7 +93,8 @@ def test_full_disk_in_every_stage(tmp_path: Path, finished: Path, skyproof: Skyp
     for case, (fragment, nth, result) in CASES.items():
         with pytest.MonkeyPatch.context() as monkeypatch:
             disk = FullDisk(monkeypatch, fragment, nth)
-            answer = skyproof("demo", "--out", folder, *TINY)
+            with everything_counts():
+                answer = skyproof("demo", "--out", folder, *TINY)
         assert disk.left == 0, case
         answer.refused("No space left on device", "free space", str(folder))
         # Only what bears this name counts as finished.
@@ -132,7 +134,8 @@ def test_really_full_disk(small_disk: Path, finished: Path, skyproof: Skyproof) 
         )
         used = 64 * 2**20 - free
         filler.write_bytes(b"x" * max(0, 64 * 2**20 - used - max(0, room - used)))
-        answer = skyproof("demo", "--out", small_disk / "run", *TINY)
+        with everything_counts():
+            answer = skyproof("demo", "--out", small_disk / "run", *TINY)
         if answer.code == 0:
             break
         answer.refused("No space left on device", "free space", str(small_disk / "run"))

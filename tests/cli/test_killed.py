@@ -12,12 +12,13 @@ from pathlib import Path
 from tests.cli.conftest import STEPS, TINY, assert_same_results
 
 HELPER = Path(__file__).with_name("killed.py")
+ROOT = HELPER.parents[2]
 
 
 def ended_at(folder: Path, moments: list[list[object]]) -> tuple[list[tuple[int, list[str]]], str]:
     done = subprocess.run(
         [sys.executable, str(HELPER), str(folder), json.dumps(moments), *TINY],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=300,
