@@ -73,7 +73,7 @@ class DemoSizes(WorldSizes):
 
 
 def _training() -> TrainingSettings:
-    return TrainingSettings(steps=700, batch_size=8, validate_every=175)
+    return TrainingSettings(steps=500, batch_size=8, validate_every=125)
 
 
 def _attack() -> AttackSettings:
