@@ -69,6 +69,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
         "skyproof/plans/Snakefile",
         "skyproof/plans/quick.json",
         "skyproof/plans/paper.json",
+        "skyproof/plans/reference.json",
         "skyproof/report/report.html.j2",
         "skyproof/cycles/worker.py",
     }

@@ -154,6 +154,7 @@ PLANS = {
     "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
     "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
     "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),
+    "reference": reproduction_plan(Preset.parse(read("reference")), Path()),
 }
 
 
@@ -329,7 +330,7 @@ def test_presets_by_name_or_file(tmp_path):
     own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
     with pytest.raises(ConfigurationError, match="no field 'sed'"):
         read_preset(str(own))
-    with pytest.raises(ConfigurationError, match="quick or paper"):
+    with pytest.raises(ConfigurationError, match="quick, paper, reference"):
         read_preset("quik")
 
 
@@ -360,7 +361,7 @@ def test_names_of_options_come_from_fields_alone():
                     f"--{each.name}.{key}".replace("_", "-") for key in get_type_hints(value)
                 )
 
-    for preset in ("quick", "paper"):
+    for preset in ("quick", "paper", "reference"):
         for step in reproduction_plan(Preset.parse(read(preset)), Path(), cycles=True).steps:
             options = {word for word in step_words(step) if word.startswith("--")}
             assert options <= set(known(type(step.command))), step.id

@@ -23,7 +23,10 @@ from skyproof.scenes.sensor import BlurChoice
 
 __all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
 
-PRESETS = {name: Path(__file__).with_name(f"{name}.json") for name in ("quick", "paper")}
+PRESETS = {
+    name: Path(__file__).with_name(f"{name}.json") for name in ("quick", "paper", "reference")
+}
+"""The paper's tables in small and in full, and the training of the shipped detectors."""
 
 Known = Literal["retinanet", "faster_rcnn", "yolov5"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
@@ -149,7 +152,7 @@ class Preset:
 
 
 def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
-    """Reads a preset: "quick", "paper", or the path of a JSON file of their form.
+    """Reads a preset: "quick", "paper", "reference", or the path of a JSON file of their form.
 
     Returns:
         Its name, its file, its values as the file has them, and what they say.
@@ -160,7 +163,7 @@ def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():
         raise ConfigurationError(
-            f"--preset expects {' or '.join(PRESETS)}, or a JSON file of the same form; {preset} "
+            f"--preset expects {', '.join(PRESETS)}, or a JSON file of the same form; {preset} "
             "is none."
         )
     values: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY, error=ConfigurationError)

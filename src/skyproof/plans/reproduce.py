@@ -34,7 +34,8 @@ class Reproduce:
     for.
 
     Attributes:
-        preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), or a JSON
+        preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), reference
+            (training and check of the detectors that skyproof brings along), or a JSON
             file like theirs.
         out: run folder.
         cores: CPU cores to use; all where not given. With 1, the steps are done one after the other
