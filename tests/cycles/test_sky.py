@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.cycles.materials import CAMOUFLAGE, material_labels, material_table
+from skyproof.render.materials import CAMOUFLAGE, material_labels, material_table
 from skyproof.cycles.sky import daylight
 from skyproof.scenes.scene import Sun
 from skyproof.vehicles.vehicle import Overlay, Part

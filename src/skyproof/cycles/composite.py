@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.scenes.sensor import Sensor
 
@@ -24,6 +25,7 @@ def composite_crops(
     seed: int,
     margin_px: int,
     sensor: Sensor,
+    lights: SceneLights,
 ) -> Float[Tensor, "3 H W"]:
     """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
 
@@ -41,6 +43,7 @@ def composite_crops(
         seed: of the noise.
         margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels.
         sensor: blur and noise.
+        lights: how this one photograph shows light.
     """
     if not crops:
         return photograph
@@ -64,7 +67,9 @@ def composite_crops(
     colour, alpha, taken = (
         blurred(layer[None], [sensor])[0, :, middle, middle] for layer in (colour, alpha, taken)
     )
-    pixels = linear_to_srgb((srgb_to_linear(photograph) * (1 - taken) + colour).clamp(min=0.0))
+    ground = lights.received(srgb_to_linear(photograph)[None])
+    mixed = (ground * (1 - taken) + colour).clamp(min=0.0)
+    pixels = linear_to_srgb(lights.shown(mixed))[0]
     if sensor.noise > 0:
         steps = torch.arange(size, device=photograph.device)[None]
         noise = sensor_noise([seed], steps, steps, photograph[None])[0]

@@ -17,10 +17,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skyproof.cycles.materials import material_labels, material_table
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.sky import SUN_DIAMETER_RAD, daylight
+from skyproof.render.lighting import sky_light
+from skyproof.render.materials import material_labels, material_table
 from skyproof.render.placed import Placed
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -93,7 +95,7 @@ def crop_jobs(
     ground: Float[Tensor, "B 3 H W"],
     windows: Int[Tensor, "N 4"],
     settings: CyclesSettings,
-    sky_share: float,
+    lights: Sequence[Light],
 ) -> list[Job]:
     """One job for every vehicle that the image may show.
 
@@ -103,10 +105,10 @@ def crop_jobs(
         scenes: as drawn.
         vehicles: one row per placement.
         placed: the same, in their scenes.
-        ground: the photographs in linear light.
+        ground: the photographs as the ground's reflectance.
         windows: of `crop_windows`.
         settings: samples and finish.
-        sky_share: the sky's part of the light.
+        lights: how each scene's photograph shows light.
     """
     low, high = windows[:, :2], windows[:, 2:]
     rows = _Rows(vehicles, placed)
@@ -114,7 +116,7 @@ def crop_jobs(
     scene_of = placed.scene.cpu()
     jobs = []
     for index, scene in enumerate(scenes):
-        light = daylight(scene.sun, sky_share, scene.weather.overcast)
+        light = daylight(scene.sun, *sky_light(lights[index], scene.weather.overcast))
         own = scene_of == index
         for number, row in enumerate(own.nonzero()[:, 0].tolist()):
             if not bool((high[row] > low[row]).all()):
@@ -128,7 +130,9 @@ def crop_jobs(
                 "gsd_m": placed.gsd_m,
                 "viewer": list(scene.camera.direction),
                 "sun": list(scene.sun.direction),
-                "sun_irradiance": list(light.sun_irradiance),
+                "sun_irradiance": [
+                    (1 - scene.placements[number].shade) * each for each in light.sun_irradiance
+                ],
                 "sun_diameter_rad": SUN_DIAMETER_RAD,
                 "ground_origin_px": origin,
                 "samples": settings.samples,

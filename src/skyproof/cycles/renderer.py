@@ -17,8 +17,15 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.frames import Frames
+from skyproof.render.lighting import scene_lights
 from skyproof.render.placed import label, nothing_placed, place, visible_samples
-from skyproof.render.renderer import Backgrounds, photographs, sensor_record, sensors
+from skyproof.render.renderer import (
+    Backgrounds,
+    photographed_lights,
+    photographs,
+    sensor_record,
+    sensors,
+)
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.scene import Scene
@@ -61,7 +68,6 @@ class CyclesRenderer:
         return {
             **asdict(self.settings),
             **sensor_record(self.backgrounds, scenes, self.shared),
-            "sky_share": self.shared.sky_share,
             "blender": self.workers.blender.version,
         }
 
@@ -81,16 +87,18 @@ class CyclesRenderer:
             return nothing_placed(finish_images(ground, scenes), masks=masks)
         placed = place(scenes, vehicles)
         shown_by = sensors(self.backgrounds, scenes, self.shared)
+        shown = photographed_lights(self.backgrounds, scenes, self.shared)
+        lights = scene_lights(shown, scenes, ground)
         margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
         windows = crop_windows(placed, margin_px, [sensor.blur_radius_px for sensor in shown_by])
         jobs = crop_jobs(
             scenes,
             vehicles,
             placed,
-            srgb_to_linear(ground),
+            lights.received(srgb_to_linear(ground)),
             windows,
             self.settings,
-            self.shared.sky_share,
+            shown,
         )
         drawn = [
             torch.from_numpy(crop).permute(2, 0, 1).to(ground) for crop in self.workers.run(jobs)
@@ -103,7 +111,14 @@ class CyclesRenderer:
                 if job.scene == index
             ]
             images.append(
-                composite_crops(ground[index], crops, scene.seed, margin_px, shown_by[index])
+                composite_crops(
+                    ground[index],
+                    crops,
+                    scene.seed,
+                    margin_px,
+                    shown_by[index],
+                    lights.of(index),
+                )
             )
         finished = finish_images(torch.stack(images), scenes)
         factor = self.shared.supersampling

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyproof.scenes.light import Light, SunEstimate
+
 __all__ = ["Canvas", "GroundSensor", "Patch", "beside", "pick", "reflectance", "textured"]
 
 Array = NDArray[np.floating[Any]]
@@ -18,6 +20,10 @@ Place = tuple[float, float]
 
 MARGIN_M = 6.0
 """Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
+
+
+_SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)
+_SHOULDER = 0.6
 
 
 def reflectance(colour: Colour) -> Array:
@@ -285,8 +291,11 @@ class Canvas:
         ) / np.sqrt(1 + gradient_x**2 + gradient_y**2)
         return (lit * np.clip(cosine, 0, None)).astype(np.float32)
 
-    def photograph(self, sensor: GroundSensor) -> NDArray[np.uint8]:
-        """Lights the canvas and takes its picture, `[3, size, size]` sRGB bytes."""
+    def photograph(self, sensor: GroundSensor) -> tuple[NDArray[np.uint8], Light]:
+        """Lights the canvas and takes its picture, `[3, size, size]` sRGB bytes.
+
+        It also says which light that is, so that vehicles can be put into it.
+        """
         rng = self.rng
         overcast = float(
             rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25])
@@ -300,10 +309,7 @@ class Canvas:
         )
         around = ndimage.uniform_filter(self.height, max(3, round(3.0 / self.gsd_m)))
         openness = 1 - 0.45 * np.clip((around - self.height) / 3.0, 0, 1)
-        light = (
-            sun * self._sunlight()[..., None] * np.asarray([1.03, 1.0, 0.95], np.float32)
-            + sky * openness[..., None]
-        )
+        light = sun * self._sunlight()[..., None] * _SUN_COLOUR + sky * openness[..., None]
         cut = slice(self.margin_px, self.margin_px + self.size_px)
         # Blur and saturation come before the cut and the tone curve: optics act on light, and
         # there is no border to pad.
@@ -319,12 +325,39 @@ class Canvas:
         ) + sensor.haze
         # A soft shoulder instead of hard clipping, as camera tone curves have.
         picture = np.clip(picture, 0, None)
-        picture = np.where(picture < 0.6, picture, 0.6 + 0.4 * np.tanh((picture - 0.6) / 0.4))
+        bent = _SHOULDER + (1 - _SHOULDER) * np.tanh((picture - _SHOULDER) / (1 - _SHOULDER))
+        picture = np.where(picture < _SHOULDER, picture, bent)
         encoded = picture ** np.float32(1 / 2.2)
         encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
-        return np.ascontiguousarray(
+        image = np.ascontiguousarray(
             (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1)
         )
+        level = sun * math.sin(self.sun_elevation_rad) * _SUN_COLOUR
+        return image, self._light(level, np.broadcast_to(sky, 3), sensor)
+
+    def _light(self, sun: Array, sky: Array, sensor: GroundSensor) -> Light:
+        """Returns the light as vehicles need it.
+
+        Args:
+            sun: what the direct sun sends to level ground, red, green, blue.
+            sky: what the open sky sends there.
+            sensor: which shows them.
+        """
+        shown = (sun + sky) * sensor.exposure * np.asarray(sensor.tint)
+        return Light(
+            white=_rounded(shown + sensor.haze),
+            black=(round(sensor.haze, 4),) * 3,
+            shoulder=_SHOULDER,
+            sky=_rounded(sky / (sun + sky)),
+            sun=SunEstimate(
+                round(self.sun_azimuth_rad, 4), round(self.sun_elevation_rad, 4), known_from="drawn"
+            ),
+        )
+
+
+def _rounded(values: Array) -> tuple[float, float, float]:
+    red, green, blue = (round(float(value), 4) for value in values)
+    return red, green, blue
 
 
 def pick(canvas: Canvas, colours: tuple[Colour, ...], spread: float = 0.12) -> Array:

@@ -14,6 +14,7 @@ from torch import Tensor
 from skyproof.ground.built_up import draw_car_park, draw_crossroads, draw_street, draw_yard
 from skyproof.ground.canvas import Canvas, GroundSensor
 from skyproof.ground.open_country import draw_fields, draw_park, draw_village
+from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 
 __all__ = ["GROUND_KINDS", "KIND_SHARES", "Ground", "draw_ground", "draw_ground_and_sun"]
@@ -26,15 +27,13 @@ class Ground:
     Attributes:
         image: `[3, H, W]` sRGB bytes.
         kind: what it shows.
-        sun_azimuth_rad: the sun that cast its shadows, as in `Sun`.
-        sun_elevation_rad: its height above the horizon.
+        light: the light it lies in, and how the picture shows it.
         sensor: the blur and noise it was photographed with.
     """
 
     image: UInt8[Tensor, "3 H W"]
     kind: str
-    sun_azimuth_rad: float
-    sun_elevation_rad: float
+    light: Light
     sensor: Sensor
 
 
@@ -63,9 +62,9 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     canvas = Canvas(size_px, gsd_m, rng, axes_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
     camera = GroundSensor.draw(rng)
-    image = torch.from_numpy(canvas.photograph(camera))
+    picture, light = canvas.photograph(camera)
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
-    return Ground(image, kind, canvas.sun_azimuth_rad, canvas.sun_elevation_rad, sensor)
+    return Ground(torch.from_numpy(picture), kind, light, sensor)
 
 
 GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {

@@ -63,9 +63,8 @@ def write_procedural_backgrounds(
                 height_px=size_px,
                 source="procedural",
                 kind=ground.kind,
-                sun_azimuth_rad=ground.sun_azimuth_rad,
-                sun_elevation_rad=ground.sun_elevation_rad,
                 sensor=ground.sensor,
+                light=ground.light,
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)

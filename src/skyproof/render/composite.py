@@ -10,10 +10,14 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.layers import Layers
+from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.scenes.sensor import Sensor
 
 __all__ = ["composite"]
+
+# A Gaussian never ends; less than this of the light is no contact shadow.
+_FAINTEST = 1e-3
 
 
 def composite(
@@ -24,14 +28,16 @@ def composite(
     scene: Int[Tensor, " N"],
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
-    shadow_light: Float[Tensor, "B 3"],
+    lights: SceneLights,
     sensors: Sequence[Sensor],
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
-    I = I_bg * (1 - (1 - shadow light) * G(shadow)) * (1 - G(coverage)) + G(coverage * colour), in
-    linear light. A pixel that nothing reaches keeps the photograph's value exactly. A nearer
-    vehicle hides a farther one; shadows fall on the ground alone.
+    I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is what
+    G(shadow) leaves of the sun and G(contact) of the sky. It is shown as the photograph shows
+    light: between its black and its white, and bent where its shoulder begins. A pixel that nothing
+    reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall
+    on the ground alone.
 
     Differences from the paper: I_bg + G(I_fg - I_bg) (section 3.2) is the same on even ground, but
     leaves I_bg - G(I_bg) standing on top of the vehicle: lane markings shine through. The
@@ -40,11 +46,12 @@ def composite(
     Args:
         photographs: sRGB; written over.
         bodies: per vehicle linear colour times coverage (3), and coverage (1).
-        shadows: per vehicle the shaded part of each pixel (1).
+        shadows: per vehicle the part of the sun and the part of the sky that each pixel of the
+            ground loses (2).
         scene: each vehicle's image.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: decide the noise, one per image.
-        shadow_light: per image and channel, what remains of the light in a cast shadow.
+        lights: how the photographs show light.
         sensors: blur and noise, one per image.
     """
     count, _, height, width = photographs.shape
@@ -67,16 +74,19 @@ def composite(
     ground_srgb = photographs.view(-1)[place]
 
     # Light adds up; then the sensor makes a picture of it.
-    ground = srgb_to_linear(ground_srgb)
+    ground = lights.received(srgb_to_linear(ground_srgb))
     colour = layers[:, :3]
     alpha = layers[:, 3:]
-    kept_light = 1 - (1 - shadow_light[:, :, None, None]) * shadow
-    pixels = linear_to_srgb(ground * kept_light * (1 - alpha) + colour)
+    sky = lights.sky[:, :, None, None]
+    cast, contact = shadow.split(1, dim=1)
+    # What sees no sun lies on the vehicle's far side, and loses the brighter half of the sky.
+    kept_light = (1 - (1 - sky) * cast - sky * contact * (1 + 0.5 * cast)).clamp(min=0.0)
+    pixels = linear_to_srgb(lights.shown(ground * kept_light * (1 - alpha) + colour))
     if any(sensor.noise > 0 for sensor in sensors):
         noise = sensor_noise(seeds, y, x, ground)
         strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
         pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
-    reached = (alpha.detach() > 0) | (shadow.detach() > 0)
+    reached = (alpha.detach() > 0) | (shadow.detach() > _FAINTEST).any(1, keepdim=True)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
 
     # Only what lies inside the photographs is written.

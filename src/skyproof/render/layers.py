@@ -10,8 +10,9 @@ from torch import Tensor
 
 from skyproof.geometry.meshes import vertex_normals
 from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
+from skyproof.render.materials import CAMOUFLAGE, gloss_table
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import LinearTexture, light
+from skyproof.render.shade import Lighting, LinearTexture, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -67,11 +68,9 @@ def draw_bodies(
     screen: Float[Tensor, "N V 2"],
     depth: Float[Tensor, "N V"],
     vertices: Float[Tensor, "N V 3"],
-    viewer: Float[Tensor, "N 3"],
-    sun: Float[Tensor, "N 3"],
+    lighting: Lighting,
     vehicles: VehicleBatch,
     settings: RenderSettings,
-    sky_share: Float[Tensor, " N"] | None = None,
 ) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
     """Draws vehicles as the camera sees them, averaged from samples to pixels (section S2.2).
 
@@ -80,11 +79,9 @@ def draw_bodies(
         screen: vertices in image pixels.
         depth: metres, smaller is nearer.
         vertices: metres, world frame.
-        viewer: unit vectors towards the camera.
-        sun: unit vectors towards the sun.
-        vehicles: give template and texture.
+        lighting: on each vehicle.
+        vehicles: give template, texture and parts.
         settings: light and supersampling.
-        sky_share: the sky's part of the light, where it is not the settings'.
 
     Returns:
         What each sample sees, and per pixel linear colour times coverage (3) and coverage (1).
@@ -104,18 +101,15 @@ def draw_bodies(
     normals = vertex_normals(vertices, template.faces)[:, template.faces]
     uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
     surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
-    directions = torch.cat(
-        (sun, viewer, torch.nn.functional.normalize(sun + viewer, dim=-1)), dim=1
-    )
+    gloss = gloss_table(settings.gloss).to(normals)
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         row = vehicle * len(template.faces) + face
         uv, normal = _interpolate(surface.index_select(0, row), weights).split((2, 3), dim=1)
         normal = torch.nn.functional.normalize(normal, dim=-1)
         albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
-        to_sun, to_viewer, half = directions.index_select(0, vehicle).split(3, dim=1)
-        sky = None if sky_share is None else sky_share.index_select(0, vehicle)[:, None]
-        diffuse, mirrored = light(normal, to_sun, to_viewer, half, settings, sky)
+        finish = gloss.index_select(0, _labels(vehicles, uv, vehicle))
+        diffuse, mirrored = light(normal, lighting.of(vehicle), finish, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
     # Light on the visible samples, averaged to pixels.
@@ -151,6 +145,24 @@ def draw_shadows(
         points = silhouette_points(samples, flat, faces, seen)
         layers = layers + _edges(seen, points, white, white.new_ones(len(points.face), 3), factor)
     return layers[:, 3:]
+
+
+@torch.no_grad()
+def _labels(
+    vehicles: VehicleBatch, uv: Float[Tensor, "K 2"], vehicle: Int[Tensor, " K"]
+) -> Int[Tensor, " K"]:
+    """Returns the part at (u, v), or `CAMOUFLAGE` where a camouflage covers it."""
+    if vehicles.repainted:
+        return torch.full_like(vehicle, CAMOUFLAGE)
+    height, width = vehicles.parts.shape[1:]
+    column = (uv[:, 0] * width).long() % width
+    row = (uv[:, 1] * height).long().clamp(0, height - 1)
+    place = (vehicle * height + row) * width + column
+    label = vehicles.parts.view(-1).index_select(0, place).long()
+    if vehicles.overlay is None:
+        return label
+    covered = vehicles.overlay.mask.view(-1).index_select(0, place)
+    return label.masked_fill(covered, CAMOUFLAGE)
 
 
 @torch.no_grad()

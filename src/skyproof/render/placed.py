@@ -28,6 +28,9 @@ class Placed:
         vertices: metres, world frame.
         viewer, sun: unit vectors towards camera and sun.
         ground: where each vehicle stands, metres.
+        heading: radians, from x towards y.
+        extent: the lowest and highest of the vehicle's own x, y and z, metres, vehicle frame.
+        sunlit: the part of the sun's direct light that the photograph's shadows leave it.
         screen: vertices in image pixels.
         depth: metres along the view; smaller is nearer.
         shadow_screen: where the vertices' shadows fall, image pixels.
@@ -39,6 +42,9 @@ class Placed:
     viewer: Float[Tensor, "N 3"]
     sun: Float[Tensor, "N 3"]
     ground: Float[Tensor, "N 3"]
+    heading: Float[Tensor, " N"]
+    extent: Float[Tensor, "N 2 3"]
+    sunlit: Float[Tensor, " N"]
     screen: Float[Tensor, "N V 2"]
     depth: Float[Tensor, "N V"]
     shadow_screen: Float[Tensor, "N V 2"]
@@ -76,6 +82,9 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
         viewer,
         sun,
         ground,
+        heading,
+        torch.stack((vehicles.vertices.amin(1), vehicles.vertices.amax(1)), dim=1),
+        1 - like.new_tensor([placement.shade for placement in placements]),
         screen,
         depth,
         shadow_screen,

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
@@ -29,6 +30,9 @@ class _Asphalt:
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         return Sensor(blur_sigma_px=0.0, noise=0.0)
+
+    def light_of(self, window: BackgroundWindow) -> Light:
+        return Light()
 
 
 @torch.no_grad()

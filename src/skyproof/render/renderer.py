@@ -13,16 +13,26 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
+from skyproof.render.contact import contact_shadows, surrounded
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
+from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
-from skyproof.render.weather import finish_images, shadow_lights, sky_shares, wet_grounds
+from skyproof.render.weather import finish_images, wet_grounds
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Backgrounds", "TorchRenderer", "photographs", "sensor_record", "sensors"]
+__all__ = [
+    "Backgrounds",
+    "TorchRenderer",
+    "photographed_lights",
+    "photographs",
+    "sensor_record",
+    "sensors",
+]
 
 _Read = TypeVar("_Read")
 
@@ -37,6 +47,10 @@ class Backgrounds(Protocol):
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         """What took it."""
+        ...
+
+    def light_of(self, window: BackgroundWindow) -> Light:
+        """How it shows light."""
         ...
 
 
@@ -71,6 +85,17 @@ def sensors(
         StoredFileError: the background set lacks a scene's background; names the scene.
     """
     return [settings.sensor_on(_of_scene(scene, backgrounds.sensor_of)) for scene in scenes]
+
+
+def photographed_lights(
+    backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
+) -> list[Light]:
+    """How the vehicles of each scene are lit: as its photograph, where nothing else is set.
+
+    Raises:
+        StoredFileError: the background set lacks a scene's background; names the scene.
+    """
+    return [settings.light or _of_scene(scene, backgrounds.light_of) for scene in scenes]
 
 
 def sensor_record(
@@ -119,7 +144,6 @@ class TorchRenderer:
         return {
             **asdict(self.settings),
             **sensor_record(self.backgrounds, scenes, self.settings),
-            "shadow_light": list(self.settings.shadow_light),
         }
 
     def __call__(
@@ -140,21 +164,30 @@ class TorchRenderer:
         placed = place(scenes, vehicles)
         settings = self.settings
         window = windows_around(placed.screen)
-        cast = windows_around(placed.shadow_screen)
-        sky = sky_shares(scenes, settings.sky_share, vehicles.vertices)
-        own_sky = None if sky is None else sky[placed.scene]
+        cast = windows_around(torch.cat((placed.shadow_screen, surrounded(placed)), dim=1))
+        lights = scene_lights(
+            photographed_lights(self.backgrounds, scenes, settings), scenes, vehicles.vertices
+        )
         visibility, bodies = draw_bodies(
             window,
             placed.screen,
             placed.depth,
             placed.vertices,
-            placed.viewer,
-            placed.sun,
+            lighting(placed, lights),
             vehicles,
             settings,
-            own_sky,
         )
         shadows = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)
+        # In a photographed shadow there is no sun to lose, and the sky is all there is.
+        share = lights.sky[placed.scene].mean(1)
+        left = (1 - share) * placed.sunlit + share
+        shadows = torch.cat(
+            (
+                shadows * placed.sunlit[:, None, None, None],
+                contact_shadows(cast, placed) / left[:, None, None, None],
+            ),
+            dim=1,
+        )
         image = composite(
             ground,
             bodies=Layers(window, bodies),
@@ -162,7 +195,7 @@ class TorchRenderer:
             scene=placed.scene,
             nearness=(placed.ground * placed.viewer).sum(-1),
             seeds=[scene.seed for scene in scenes],
-            shadow_light=shadow_lights(scenes, settings.shadow_light, vehicles.vertices),
+            lights=lights,
             sensors=sensors(self.backgrounds, scenes, settings),
         )
         image = finish_images(image, scenes)

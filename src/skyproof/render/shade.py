@@ -1,7 +1,8 @@
-"""Light on visible samples: texture, sun, sky, light from the ground, clear-coat reflection."""
+"""Light on visible samples: texture, sun, sky, light from the ground, and what gloss mirrors."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,15 @@ from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.settings import RenderSettings
+from skyproof.render.sky import CLEAR, OVERCAST, mean_luminance, relative_luminance
 from skyproof.vehicles.vehicle import Overlay
 
-__all__ = ["LinearTexture", "light"]
+__all__ = ["Lighting", "LinearTexture", "light"]
+
+# Of the change from mirrored sky to mirrored ground, around the horizon.
+_HORIZON_SHARPNESS = 12.0
+# In units of white; path tracing cuts single paths there, too.
+_BRIGHTEST_GLINT = 5.0
 
 
 class LinearTexture:
@@ -173,53 +180,90 @@ class _Halve(torch.autograd.Function):
         )
 
 
+@dataclass(frozen=True)
+class Lighting:
+    """The light on each of N vehicles, in units in which a white matt surface on open ground is 1.
+
+    Attributes:
+        sun: unit vectors towards the sun.
+        viewer: unit vectors towards the camera.
+        sky: the sky's part of the light on open ground, red, green, blue.
+        overcast: which part of the sky's light comes from clouds, 0 to 1.
+        sunlit: the part of the sun's direct light that reaches the vehicle: less than 1 where it
+            stands in a shadow of the photograph.
+        clear_mean: mean luminance of the clear sky, by which its directions are scaled.
+    """
+
+    sun: Float[Tensor, "N 3"]
+    viewer: Float[Tensor, "N 3"]
+    sky: Float[Tensor, "N 3"]
+    overcast: Float[Tensor, "N 1"]
+    sunlit: Float[Tensor, "N 1"]
+    clear_mean: Float[Tensor, "N 1"]
+
+    def of(self, vehicle: Int[Tensor, " K"]) -> Lighting:
+        """Returns a row for each sample; all at once, because one look-up is cheaper than six."""
+        parts = (self.sun, self.viewer, self.sky, self.overcast, self.sunlit, self.clear_mean)
+        rows = torch.cat(parts, dim=1).index_select(0, vehicle)
+        return Lighting(*rows.split((3, 3, 3, 1, 1, 1), dim=1))
+
+
 def light(
     normal: Float[Tensor, "K 3"],
-    sun: Float[Tensor, "K 3"],
-    viewer: Float[Tensor, "K 3"],
-    half: Float[Tensor, "K 3"],
+    lighting: Lighting,
+    gloss: Float[Tensor, "K 2"],
     settings: RenderSettings,
-    sky_share: Float[Tensor, "K 1"] | None = None,
-) -> tuple[Float[Tensor, "K 1"], Float[Tensor, "K 1"]]:
-    """How much light falls on a surface and how much is mirrored by its clear coat.
+) -> tuple[Float[Tensor, "K 3"], Float[Tensor, "K 3"]]:
+    """How much light falls on a surface and how much its gloss mirrors, per channel.
 
-    Units: a white matt surface lying on open ground sends 1, whatever the sun's elevation, because
-    the photograph's exposure was set for its own light. Diffuse radiance is albedo * diffuse; the
-    mirrored part is added to it. What the coat mirrors does not reach the paint (Fresnel towards
-    the viewer, as path tracers layer a coat).
+    Units: a white matt surface lying on open ground sends 1 in every channel, whatever the sun's
+    elevation, because the photograph's exposure was set for its own light. Diffuse radiance is
+    albedo * diffuse; the mirrored part is added to it. What the gloss mirrors does not reach the
+    paint (Fresnel towards the viewer, as path tracers layer a coat).
 
     Args:
         normal: unit normals, world axes.
-        sun: unit vectors towards the sun.
-        viewer: unit vectors towards the camera.
-        half: unit vectors half-way between the two.
-        settings: material and light.
-        sky_share: where it is not the settings', under an overcast sky; 1 leaves no direct sun.
+        lighting: a row for each sample.
+        gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them.
+        settings: the ground's light.
 
     Returns:
         The diffuse factor and the mirrored radiance.
     """
-    sky = settings.sky_share if sky_share is None else sky_share
-    # Not a quotient, whose last bit differs between numbers and tensors: clear scenes look the same
-    # in every batch.
-    sun_strength = (1 - sky) * sun[:, 2:].reciprocal()
+    # The sun's light across its rays, and the light that ground around sends back.
+    sun = lighting.sun
+    viewer = lighting.viewer
+    sky = lighting.sky
+    direct = (1 - sky) * lighting.sunlit
+    strength = direct * sun[:, 2:].reciprocal()
+    ground = settings.ground_reflectance * (direct + sky)
+    # Matt: sun, open sky above, ground below.
     towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
     open_sky = 0.5 + 0.5 * normal[:, 2:]
-    diffuse = (
-        sun_strength * towards_sun + sky * open_sky + settings.ground_reflectance * (1 - open_sky)
-    )
+    diffuse = strength * towards_sun + sky * open_sky + ground * (1 - open_sky)
+    # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
+    reflectance, exponent = gloss.split(1, dim=1)
     cosine = (normal * viewer).sum(-1, keepdim=True)
-    fresnel = settings.reflectance + (1 - settings.reflectance) * _fifth_power(
+    # Schlick's, for reflectances up to that of the table; nothing where nothing is mirrored.
+    fresnel = reflectance + (settings.gloss - reflectance) * _fifth_power(
         1 - cosine.clamp(0.0, 1.0)
     )
-    # From above, a steep side mirrors the ground, not the sky.
-    mirrored_up = 0.5 + 0.5 * (2 * cosine * normal[:, 2:] - viewer[:, 2:])
-    surroundings = sky * mirrored_up + settings.ground_reflectance * (1 - mirrored_up)
-    lobe = (normal * half).sum(-1, keepdim=True).clamp(min=0.0) ** settings.glint_exponent
-    glint = (
-        settings.reflectance * (settings.glint_exponent + 8) / 8 * lobe * towards_sun * sun_strength
-    )
+    mirrored = 2 * cosine * normal - viewer
+    up = mirrored[:, 2:]
+    clear = relative_luminance(CLEAR, up, (mirrored * sun).sum(-1, keepdim=True))
+    luminance = torch.lerp(clear / lighting.clear_mean, _overcast(up), lighting.overcast)
+    above = torch.sigmoid(up * _HORIZON_SHARPNESS)
+    surroundings = above * (sky * luminance) + (1 - above) * ground
+    # The sun's glint, which a sensor shows as white long before it ends.
+    half = torch.nn.functional.normalize(sun + viewer, dim=-1)
+    lobe = (normal * half).sum(-1, keepdim=True).clamp(min=1e-6) ** exponent
+    peak = reflectance * (exponent + 8) / 8
+    glint = (peak * lobe * towards_sun * strength).clamp(max=_BRIGHTEST_GLINT)
     return diffuse * (1 - fresnel), fresnel * surroundings + glint
+
+
+def _overcast(up: Tensor) -> Tensor:
+    return relative_luminance(OVERCAST, up, up) / mean_luminance(OVERCAST, 90)
 
 
 def _fifth_power(value: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.weather import Weather
 
-__all__ = ["AIRLIGHT", "finish_images", "jpeg", "shadow_lights", "sky_shares", "wet", "wet_grounds"]
+__all__ = ["AIRLIGHT", "finish_images", "jpeg", "wet", "wet_grounds"]
 
 AIRLIGHT = (0.42, 0.47, 0.54)
 """Linear light of haze seen from above, before black ground: grey with a little blue."""
@@ -25,26 +25,6 @@ _WATER_INDEX = 1.33
 # Any odd constant: the picture's noise must not repeat the noise on its vehicles, which has the
 # scene's own seed.
 _NOISE_STREAM = 0x5DEECE66D
-
-
-def sky_shares(scenes: Sequence[Scene], clear: float, like: Tensor) -> Float[Tensor, " B"] | None:
-    """The sky's part of the light in every scene; None where all have a clear sky's, `clear`.
-
-    Overcast moves the sun's part to the sky, so that a white matt surface lying on open ground
-    still sends 1.
-    """
-    if not any(scene.weather.overcast for scene in scenes):
-        return None
-    return like.new_tensor([clear + (1 - clear) * scene.weather.overcast for scene in scenes])
-
-
-def shadow_lights(
-    scenes: Sequence[Scene], clear: tuple[float, float, float], like: Tensor
-) -> Float[Tensor, "B 3"]:
-    """Returns what remains of light in shadows: `clear` under a clear sky, all under clouds."""
-    remaining = like.new_tensor(clear).expand(len(scenes), 3)
-    overcast = like.new_tensor([scene.weather.overcast for scene in scenes])[:, None]
-    return remaining + (1 - remaining) * overcast
 
 
 def wet_grounds(

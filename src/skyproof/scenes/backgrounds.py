@@ -22,7 +22,8 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import inside, write_beside, write_json
 from skyproof.pictures import read_pixels
-from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name, Radians
+from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.splits import Split
@@ -58,9 +59,8 @@ class BackgroundTile:
             resolution.
         kind: of a procedural tile, what it shows.
         licence: as the source states it, or None.
-        sun_azimuth_rad: the sun that cast the shadows of a procedural tile, as in `Sun`.
-        sun_elevation_rad: its height above the horizon.
         sensor: what took this tile, where that is not the set's.
+        light: how this tile shows light, where that is not the set's.
     """
 
     id: Name
@@ -72,9 +72,8 @@ class BackgroundTile:
     offset_px: tuple[_Offset, _Offset] = (0, 0)
     kind: str | None = None
     licence: str | None = None
-    sun_azimuth_rad: Radians | None = None
-    sun_elevation_rad: Radians | None = None
     sensor: Sensor | None = None
+    light: Light | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +87,7 @@ class _Index:
     gsd_m: GroundResolution
     tiles: Annotated[tuple[BackgroundTile, ...], Meta(min_length=1)]
     sensor: Sensor = Sensor(PAPER_BLUR_SIGMA_PX)  # noqa: RUF009 (frozen)
+    light: Light = Light()  # noqa: RUF009 (frozen)
 
     def __post_init__(self) -> None:
         ids: set[str] = set()
@@ -108,6 +108,7 @@ class BackgroundSet:
         folder: where it lies.
         gsd_m: metres per pixel of every tile.
         sensor: what took the tiles that name no sensor of their own.
+        light: how the tiles show light that name none of their own.
     """
 
     def __init__(
@@ -116,10 +117,12 @@ class BackgroundSet:
         gsd_m: float,
         tiles: Sequence[BackgroundTile],
         sensor: Sensor | None = None,
+        light: Light | None = None,
     ) -> None:
         self.folder = folder
         self.gsd_m = gsd_m
         self.sensor = sensor or Sensor()
+        self.light = light or Light()
         self._tiles = {tile.id: tile for tile in tiles}
         self._decoded: OrderedDict[str, UInt8[Tensor, "3 H W"]] = OrderedDict()
         # Several threads may draw on one set.
@@ -138,7 +141,7 @@ class BackgroundSet:
         index: _Index = read_document(path, _Index, _REMEDY)
         for tile in index.tiles:
             inside(folder, tile.file, path)
-        return cls(folder, index.gsd_m, index.tiles, index.sensor)
+        return cls(folder, index.gsd_m, index.tiles, index.sensor, index.light)
 
     def tiles(self, split: str) -> list[BackgroundTile]:
         """The tiles of one split, in the order of the index."""
@@ -164,6 +167,16 @@ class BackgroundSet:
             StoredFileError: the window's tile is not in this set.
         """
         return self.tile(window.tile).sensor or self.sensor
+
+    def light_of(self, window: BackgroundWindow) -> Light:
+        """How the photograph that a window shows shows light; vehicles on it are lit alike.
+
+        Its sun is in the tile's axes, not the window's.
+
+        Raises:
+            StoredFileError: the window's tile is not in this set.
+        """
+        return self.tile(window.tile).light or self.light
 
     def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
         """A whole tile, sRGB bytes.
@@ -312,13 +325,18 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
 
 
 def write_index(
-    folder: Path, gsd_m: float, tiles: Sequence[BackgroundTile], sensor: Sensor | None = None
+    folder: Path,
+    gsd_m: float,
+    tiles: Sequence[BackgroundTile],
+    sensor: Sensor | None = None,
+    light: Light | None = None,
 ) -> None:
     """Writes the index, last of all: a folder without one is not a background set."""
     index = {
         "format_version": FORMAT_VERSION,
         "gsd_m": gsd_m,
         "sensor": dataclasses.asdict(sensor or Sensor()),
+        "light": dataclasses.asdict(light or Light()),
         "tiles": [dataclasses.asdict(tile) for tile in tiles],
     }
     write_json(Path(folder) / _INDEX, index)
@@ -336,4 +354,4 @@ def change_sensors(folder: Path, change: Callable[[Sensor], Sensor]) -> None:
         tile if tile.sensor is None else dataclasses.replace(tile, sensor=change(tile.sensor))
         for tile in index.tiles
     ]
-    write_index(folder, index.gsd_m, tiles, change(index.sensor))
+    write_index(folder, index.gsd_m, tiles, change(index.sensor), index.light)

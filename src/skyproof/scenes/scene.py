@@ -14,7 +14,7 @@ from msgspec import Meta
 from skyproof.documents import read_lines
 from skyproof.errors import StoredFileError
 from skyproof.files import write_jsonl
-from skyproof.ranges import Coordinate, GroundResolution, ImageSide, Name, Radians, Seed
+from skyproof.ranges import Coordinate, Fraction, GroundResolution, ImageSide, Name, Radians, Seed
 from skyproof.scenes.weather import CLEAR, Weather
 
 __all__ = [
@@ -120,6 +120,7 @@ class Placement:
     x_m: _Place
     y_m: _Place
     heading_rad: Radians
+    shade: Fraction = 0.0
 
 
 @dataclass(frozen=True)
@@ -176,6 +177,9 @@ def _row(scene: Scene) -> dict[str, Any]:
     # Clear weather is not written, so that scenes of a clear day are one file in every version.
     if scene.weather == CLEAR:
         del row["weather"]
+    for placement in row["placements"]:
+        if not placement["shade"]:
+            del placement["shade"]
     return row
 
 

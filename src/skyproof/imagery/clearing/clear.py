@@ -163,7 +163,7 @@ def clear_backgrounds(
         )
     write_json(out / RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
-    write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor)
+    write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return record
 
 
@@ -195,7 +195,7 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
             raise StoredFileError(f"{path}, rejected: expected a list of tiles; {_REMEDY}.")
         write_json(path, {**record, "rejected": sorted({*before, *ids})})
     copy_ground_index(folder, folder, {tile.id for tile in kept})
-    write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor)
+    write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return [
         split
         for split in SPLITS
@@ -223,7 +223,7 @@ def _find(
 
 def _light(tile: BackgroundTile) -> str:
     """Names what tiles under the same sun share: their source image, or their id where drawn."""
-    return tile.source if tile.sun_azimuth_rad is None else tile.id
+    return tile.source if tile.light is None else tile.id
 
 
 def _shadows(

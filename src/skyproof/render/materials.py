@@ -1,4 +1,4 @@
-"""What each part of a vehicle is made of, for a path tracer."""
+"""What each part of a vehicle is made of: one table for both renderers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 
 from skyproof.vehicles.vehicle import Part, VehicleBatch
 
-__all__ = ["CAMOUFLAGE", "material_labels", "material_table"]
+__all__ = ["CAMOUFLAGE", "gloss_table", "material_labels", "material_table"]
 
 CAMOUFLAGE = len(Part)
 """Label of texels that a camouflage covers, beside the parts' own."""
@@ -27,8 +27,13 @@ _FINISHES = {
 }
 _CAMOUFLAGE = {"gloss": _FINISHES[Part.BODY], "matt": (0.9, 0.0, 0.2, 0.0)}
 
+# Reflectance of a refractive index of 1.5 at normal incidence.
+_REFLECTANCE = 0.04
+# A sharper lobe than this falls between the samples of one pixel.
+_SHARPEST_EXPONENT = 1500.0
 
-def material_table(finish: str) -> Float[Tensor, "8 4"]:
+
+def material_table(finish: str = "gloss") -> Float[Tensor, "8 4"]:
     """Returns the finish of each label, as Blender's Principled BSDF has it.
 
     It is roughness, clear coat, specular level and the coat's roughness.
@@ -37,6 +42,23 @@ def material_table(finish: str) -> Float[Tensor, "8 4"]:
         finish: of camouflage: "gloss", under the same clear coat as paint, or "matt".
     """
     return torch.tensor([_FINISHES[part] for part in Part] + [_CAMOUFLAGE[finish]])
+
+
+def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
+    """Returns what each label mirrors: reflectance at normal incidence, and the glint's exponent.
+
+    The exponent is that of a Blinn-Phong lobe as wide as the microfacet distribution of the same
+    roughness r, 2 / r^4 - 2 (Walter et al. 2007), at most as sharp as samples can show.
+
+    Args:
+        share: of the reflectances.
+    """
+    rows = []
+    for rough, coat, specular, coat_rough in material_table().tolist():
+        reflectance = share * _REFLECTANCE * max(coat, specular / 0.5)
+        exponent = 2 / (coat_rough if coat else rough) ** 4 - 2
+        rows.append((reflectance, min(max(exponent, 1.0), _SHARPEST_EXPONENT)))
+    return torch.tensor(rows)
 
 
 def material_labels(vehicles: VehicleBatch) -> UInt8[Tensor, "N 512 512"]:

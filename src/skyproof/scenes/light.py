@@ -1,0 +1,83 @@
+"""How a photograph shows light: its exposure and haze, the sky's part of the light, and the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
+
+from skyproof.ranges import Fraction, Radians, check_ranges
+from skyproof.scenes.scene import Sun, SunElevation
+
+__all__ = ["CLEAR_SKY", "CLEAR_SKY_COLOUR", "Light", "SunEstimate"]
+
+CLEAR_SKY_COLOUR = (0.824, 1.012, 1.403)
+"""A clear sky's light in linear sRGB, luminance 1, where white is the whole daylight.
+
+It is daylight of 10,000 K on the CIE daylight locus (CIE 15) beside daylight of 6,504 K.
+"""
+
+CLEAR_SKY = (0.206, 0.253, 0.351)
+"""A quarter of the light on level ground, in a clear sky's colour.
+
+The diffuse share of the global irradiance is 0.15 to 0.3 under a clear sky (Iqbal 1983).
+"""
+
+_Level = Annotated[float, Meta(ge=0.05, le=20)]
+_Deviation = Annotated[float, Meta(ge=0, le=3.2)]
+
+
+@dataclass(frozen=True)
+class SunEstimate:
+    """Where the sun stood, and how sure that is.
+
+    Attributes:
+        azimuth_rad: direction towards the sun in the ground plane, from x (right in the tile)
+            towards y (up).
+        elevation_rad: above the horizon.
+        azimuth_sd_rad: standard deviation of the azimuth's error.
+        elevation_sd_rad: the same of the elevation.
+        known_from: in a few words, such as "shadows of 41 vehicles" or "date and time".
+    """
+
+    azimuth_rad: Radians
+    elevation_rad: SunElevation
+    azimuth_sd_rad: _Deviation = 0.0
+    elevation_sd_rad: _Deviation = 0.0
+    known_from: Annotated[str, Meta(max_length=200)] = ""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def sun(self) -> Sun:
+        """The sun at the estimate itself, in the tile's axes."""
+        return Sun(self.azimuth_rad, self.elevation_rad)
+
+
+@dataclass(frozen=True)
+class Light:
+    """How a photograph shows light. The default is the renderer's own: a clear day, well exposed.
+
+    All triples are linear red, green and blue, in units of the picture: 1 is the brightest value
+    that it can hold.
+
+    Attributes:
+        white: what a white matt surface lying in the open sun is shown as; above 1 it burns out.
+        black: what a surface that sends no light is shown as: haze, stray light, raised blacks.
+        shoulder: from this brightness on the picture bends towards its brightest value instead of
+            clipping there, as film and most cameras do; 1 is plain clipping.
+        sky: the sky's part of the light on open ground, which is what is left in a wide shadow;
+            1 is an overcast sky without any sun.
+        sun: None where it is not known.
+    """
+
+    white: tuple[_Level, _Level, _Level] = (1.0, 1.0, 1.0)
+    black: tuple[Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0)
+    shoulder: Annotated[float, Meta(ge=0.3, le=1)] = 1.0
+    sky: tuple[Fraction, Fraction, Fraction] = CLEAR_SKY
+    sun: SunEstimate | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
