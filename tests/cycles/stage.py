@@ -8,7 +8,7 @@ import torch
 from skyproof.cycles.jobs import Job, crop_jobs, crop_windows
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.render.placed import place
-from skyproof.render.settings import RenderSettings
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Template, VehicleBatch
 from tests.render.bodies import rounded_box, sphere_template
@@ -68,7 +68,7 @@ def one_job(
         light,
         windows,
         settings or CyclesSettings(),
-        RenderSettings().sky_share,
+        [Light()],
     )
     return job
 

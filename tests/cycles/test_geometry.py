@@ -14,6 +14,7 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.layers import draw_bodies, draw_shadows, windows_around
 from skyproof.render.placed import place
 from skyproof.render.settings import RenderSettings
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
@@ -81,7 +82,7 @@ def drawn(workers):
         ground,
         windows,
         CyclesSettings(samples=SAMPLES),
-        SETTINGS.sky_share,
+        [Light()] * len(scenes),
     )
     assert len(jobs) == SCENES
     return scenes, vehicles, placed, [job.window_px for job in jobs], workers.run(jobs)

@@ -109,11 +109,11 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
     assert (record["samples"], record["finish"], record["blender"]) == (7, "matt", "4.5.0")
     # Of what the sensor does, all that its images depend on, and no light of the other renderer's
     # own.
-    shared = ("blur_sigma_px", "noise", "sky_share")
+    shared = ("blur_sigma_px", "noise")
     assert {name: record[name] for name in shared} == {
         name: other.record([scene()])[name] for name in shared
     }
-    assert "shadow_light" not in record
+    assert "gloss" not in record
     assert json.loads(json.dumps(record)) == record
     assert json.loads(json.dumps(other.record([scene()]))) == other.record([scene()])
 

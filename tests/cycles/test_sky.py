@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.render.materials import CAMOUFLAGE, material_labels, material_table
 from skyproof.cycles.sky import daylight
+from skyproof.render.materials import CAMOUFLAGE, material_labels, material_table
 from skyproof.scenes.scene import Sun
 from skyproof.vehicles.vehicle import Overlay, Part
 from tests.render.bodies import vehicles

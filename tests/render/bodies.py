@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import torch
 
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Template, VehicleBatch
@@ -128,12 +129,18 @@ class PlainGround:
         value: float | None = 0.4,
         dtype: torch.dtype = torch.float32,
         sensors: Mapping[str, Sensor] | None = None,
+        light: Light | None = None,
     ) -> None:
         self.value, self.dtype, self.sensors = value, dtype, sensors or {}
+        self.light = light or Light()
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         """What took each tile; the paper's where nothing else is said."""
         return self.sensors.get(window.tile, PAPER_SENSOR)
+
+    def light_of(self, window: BackgroundWindow) -> Light:
+        """How it shows light."""
+        return self.light
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:

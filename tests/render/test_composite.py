@@ -8,8 +8,14 @@ import torch
 
 from skyproof.render.composite import composite
 from skyproof.render.layers import Layers, Windows
+from skyproof.render.lighting import scene_lights
 from skyproof.render.settings import RenderSettings
+from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
+from tests.render.bodies import scene
+
+LIGHT = Light()
+SKY = np.array(LIGHT.sky)[:, None, None]
 
 
 def to_linear(srgb):
@@ -47,15 +53,12 @@ def by_hand(photograph, body, body_at, shadow, shadow_at, settings, margin=40):
     ground = to_linear(
         np.pad(photograph, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
     )
-    drawn, shade = np.zeros((4, *ground.shape[1:])), np.zeros((1, *ground.shape[1:]))
+    drawn, shade = np.zeros((4, *ground.shape[1:])), np.zeros((2, *ground.shape[1:]))
     place(drawn, body, *body_at, margin)
     place(shade, shadow, *shadow_at, margin)
     drawn, shade = blurred(drawn, settings.blur_sigma_px), blurred(shade, settings.blur_sigma_px)
     mixed = to_srgb(
-        ground
-        * (1 - shade + np.array(settings.shadow_light)[:, None, None] * shade)
-        * (1 - drawn[3])
-        + drawn[:3]
+        ground * (1 - (1 - SKY) * shade[:1] - SKY * shade[1:]) * (1 - drawn[3]) + drawn[:3]
     )
     return mixed[:, margin : margin + size, margin : margin + size]
 
@@ -65,7 +68,7 @@ def test_on_even_ground_the_blur_is_the_papers():
     settings = RenderSettings(blur_sigma_px=2.4, noise=0.0)
     photograph, body = torch.full((1, 3, 48, 48), 0.4, dtype=torch.float64), layer(11, 1)
     image = compose(
-        photograph, body, [(18, 20)], torch.zeros(1, 1, 3, 3).double(), [(20, 20)], settings
+        photograph, body, [(18, 20)], torch.zeros(1, 2, 3, 3).double(), [(20, 20)], settings
     )
     ground, drawn = to_linear(photograph[0].numpy()), np.zeros((4, 48, 48))
     place(drawn, body[0].numpy(), 18, 20, 0)
@@ -79,7 +82,7 @@ def test_markings_do_not_shine_through_a_vehicle():
     photograph[..., 31:33] = 0.95
     body = torch.cat((torch.full((3, 40, 40), 0.2), torch.ones(1, 40, 40))).double()[None]
     no_shadow, settings = (
-        torch.zeros(1, 1, 3, 3).double(),
+        torch.zeros(1, 2, 3, 3).double(),
         RenderSettings(blur_sigma_px=2.4, noise=0.0),
     )
     image = compose(photograph, body, [(12, 12)], no_shadow, [(20, 20)], settings)
@@ -102,18 +105,19 @@ def compose(
     shadows,
     shadow_at,
     settings,
-    scene=(0,),
+    scenes=(0,),
     nearness=(0.0,),
     seeds=(0,),
+    light=LIGHT,
 ):
     return composite(
         photograph.clone(),
         bodies=Layers(Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
         shadows=Layers(Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
-        scene=torch.tensor(scene),
+        scene=torch.tensor(scenes),
         nearness=torch.tensor(nearness, dtype=photograph.dtype),
         seeds=list(seeds),
-        shadow_light=photograph.new_tensor(settings.shadow_light).expand(len(photograph), 3),
+        lights=scene_lights([light] * len(photograph), [scene()] * len(photograph), photograph),
         sensors=[settings.sensor_on(Sensor())] * len(photograph),
     )
 
@@ -128,7 +132,7 @@ def noise_photograph(count=1, size=48, seed=9):
 @pytest.mark.parametrize("body_at", [(17, 20), (-5, 40)])
 def test_a_hand_made_layer_is_composited_as_numpy_does(sigma_px, body_at):
     settings = RenderSettings(blur_sigma_px=sigma_px, noise=0.0)
-    photograph, body, shadow = noise_photograph(), layer(11, 1), layer(13, 2)[:, 3:]
+    photograph, body, shadow = noise_photograph(), layer(11, 1), layer(13, 2)[:, 2:]
     shadow_at = (body_at[0] + 4, body_at[1] - 6)
     image = compose(photograph, body, [body_at], shadow, [shadow_at], settings)
     expected = by_hand(
@@ -144,7 +148,7 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
     photograph = torch.zeros(1, 3, 48, 48, dtype=torch.float64)
     dot, nothing = (
         torch.ones(1, 4, 1, 1, dtype=torch.float64),
-        torch.zeros(1, 1, 1, 1, dtype=torch.float64),
+        torch.zeros(1, 2, 1, 1, dtype=torch.float64),
     )
     image = compose(photograph, dot, [(24, 24)], nothing, [(24, 24)], settings)
     reached = image[0, 0] > 0
@@ -160,7 +164,7 @@ def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     body, shadow = (
         torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2)
     )
-    image = compose(photograph, body, [(14, 14)], shadow[:, 3:], [(14, 14)], settings)
+    image = compose(photograph, body, [(14, 14)], shadow[:, 2:], [(14, 14)], settings)
     untouched = torch.ones(48, 48, dtype=torch.bool)
     untouched[12:37, 12:37] = False
     assert torch.equal(image[0][:, untouched], photograph[0][:, untouched])
@@ -168,11 +172,13 @@ def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
 
 
 def test_full_shadow_leaves_its_light_of_each_channel():
-    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0, shadow_light=(0.3, 0.2, 0.5))
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
     photograph = noise_photograph()
     nothing = torch.zeros(1, 4, 1, 1, dtype=torch.float64)
-    shade = torch.ones(1, 1, 10, 10, dtype=torch.float64)
-    image = compose(photograph, nothing, [(5, 5)], shade, [(10, 12)], settings)
+    shade = torch.ones(1, 2, 10, 10, dtype=torch.float64)
+    shade[:, 1] = 0.0
+    light = Light(sky=(0.3, 0.2, 0.5))
+    image = compose(photograph, nothing, [(5, 5)], shade, [(10, 12)], settings, light=light)
     shaded = to_linear(image[0, :, 12:22, 10:20].numpy())
     open_ground = to_linear(photograph[0, :, 12:22, 10:20].numpy())
     np.testing.assert_allclose(
@@ -185,7 +191,7 @@ def test_the_nearer_vehicle_hides_the_farther_one(nearness):
     settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
     red, blue = torch.zeros(2, 4, 8, 8, dtype=torch.float64)
     red[[0, 3]], blue[[2, 3]] = 1.0, 1.0
-    nothing = torch.zeros(2, 1, 1, 1, dtype=torch.float64)
+    nothing = torch.zeros(2, 2, 1, 1, dtype=torch.float64)
     image = compose(
         noise_photograph(),
         torch.stack((red, blue)),
@@ -193,7 +199,7 @@ def test_the_nearer_vehicle_hides_the_farther_one(nearness):
         nothing,
         [(10, 10)] * 2,
         settings,
-        scene=(0, 0),
+        scenes=(0, 0),
         nearness=nearness,
     )
     both = image[0, :, 12:18, 14:18]
@@ -206,7 +212,8 @@ def test_the_nearer_vehicle_hides_the_farther_one(nearness):
 def test_two_shadows_on_one_place_shade_it_once():
     settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
     photograph, nothing = noise_photograph(), torch.zeros(2, 4, 1, 1, dtype=torch.float64)
-    shade = torch.ones(2, 1, 6, 6, dtype=torch.float64)
+    shade = torch.ones(2, 2, 6, 6, dtype=torch.float64)
+    shade[:, 1] = 0.0
     twice = compose(
         photograph, nothing, [(0, 0)] * 2, shade, [(10, 10)] * 2, settings, (0, 0), (0.0, 1.0)
     )
@@ -217,7 +224,7 @@ def test_two_shadows_on_one_place_shade_it_once():
 def test_vehicles_land_in_their_own_image():
     settings = RenderSettings(blur_sigma_px=2.4, noise=0.0)
     photographs, bodies = noise_photograph(3), torch.cat((layer(9, 1), layer(9, 2), layer(9, 3)))
-    shadows = torch.zeros(3, 1, 9, 9, dtype=torch.float64)
+    shadows = torch.zeros(3, 2, 9, 9, dtype=torch.float64)
     at = [(5, 5), (30, 8), (12, 28)]
     image = compose(
         photographs, bodies, at, shadows, at, settings, (2, 0, 2), (0.0, 0.0, 1.0), (1, 2, 3)
@@ -232,7 +239,7 @@ def test_noise_lies_on_rendered_pixels_with_the_strength_asked_for():
     photograph = torch.full((1, 3, 96, 96), 0.5, dtype=torch.float64)
     body = torch.ones(1, 4, 60, 60, dtype=torch.float64) * 0.2
     body[:, 3] = 1.0
-    nothing = torch.zeros(1, 1, 1, 1, dtype=torch.float64)
+    nothing = torch.zeros(1, 2, 1, 1, dtype=torch.float64)
     image = compose(photograph, body, [(18, 18)], nothing, [(18, 18)], settings, seeds=(4,))
     inside, other = (
         image[0, :, 25:70, 25:70],
@@ -241,3 +248,32 @@ def test_noise_lies_on_rendered_pixels_with_the_strength_asked_for():
     assert float(inside.std()) == pytest.approx(0.02, rel=0.05)
     assert not torch.equal(image, other), "another seed was meant to give other noise"
     assert torch.equal(image[0, :, :10], photograph[0, :, :10])
+
+
+HAZY = Light(white=(1.3, 1.2, 1.1), black=(0.03, 0.04, 0.05), shoulder=0.6)
+
+
+def test_a_vehicle_is_shown_between_the_photographs_black_and_white():
+    """A black body is as dark as the haze, a white one burns out, a grey one is bent by neither."""
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+    nothing = torch.zeros(1, 2, 1, 1, dtype=torch.float64)
+    for value, expected in ((0.0, (0.03, 0.04, 0.05)), (0.3, (0.411, 0.388, 0.365))):
+        body = torch.full((1, 4, 8, 8), value, dtype=torch.float64)
+        body[:, 3] = 1.0
+        image = compose(
+            noise_photograph(), body, [(10, 10)], nothing, [(10, 10)], settings, light=HAZY
+        )
+        shown = to_linear(image[0, :, 12:16, 12:16].numpy())
+        np.testing.assert_allclose(shown, np.broadcast_to(expected, (4, 4, 3)).T, atol=1e-6)
+    body = torch.ones(1, 4, 8, 8, dtype=torch.float64)
+    image = compose(noise_photograph(), body, [(10, 10)], nothing, [(10, 10)], settings, light=HAZY)
+    red = to_linear(image[0, 0, 12:16, 12:16].numpy())
+    np.testing.assert_allclose(red, 0.6 + 0.4 * math.tanh(0.7 / 0.4), atol=1e-6)
+
+
+def test_light_is_got_back_from_how_it_is_shown():
+    lights = scene_lights([HAZY], [scene()], torch.zeros(1, dtype=torch.float64))
+    light = torch.linspace(0, 1, 50, dtype=torch.float64).view(1, 1, 5, 10).expand(1, 3, 5, 10)
+    torch.testing.assert_close(lights.received(lights.shown(light)), light, atol=1e-9, rtol=0)
+    # What is shown as white is not taken for endless light.
+    assert float(lights.received(torch.ones_like(light)).max()) < 2.0

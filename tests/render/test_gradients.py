@@ -7,9 +7,11 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity, interpolate, normalize
 
+from skyproof.render.materials import gloss_table
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import LinearTexture, light
+from skyproof.render.shade import Lighting, LinearTexture, light
+from skyproof.scenes.light import CLEAR_SKY
 from tests.render.bodies import PlainGround, double, scene, smooth_texture, vehicles
 
 SIZE = 64
@@ -90,8 +92,9 @@ def test_light_passes_gradcheck_in_the_normal():
     ).requires_grad_()
     sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1).expand(6, 3)
     viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1).expand(6, 3)
-    half = normalize(sun + viewer, dim=-1)
-    assert torch.autograd.gradcheck(lambda n: light(n, sun, viewer, half, RenderSettings()), upward)
+    finish = gloss_table()[:6].double()
+    given = lighting_from(sun, viewer)
+    assert torch.autograd.gradcheck(lambda n: light(n, given, finish, RenderSettings()), upward)
 
 
 def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
@@ -100,12 +103,19 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
         sun = torch.tensor(
             [[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]]
         )
-        half = normalize(sun + up, dim=-1)
-        matt, _ = light(up, sun, up, half, RenderSettings(reflectance=0.0))
-        assert float(matt) == pytest.approx(1.0, abs=1e-6)
+        given = lighting_from(sun, up)
+        matt, mirrored = light(up, given, gloss_table(0.0)[:1], RenderSettings(gloss=0.0))
+        assert matt[0].tolist() == pytest.approx([1.0] * 3, abs=1e-6)
+        assert not mirrored.any()
         # What the coat mirrors, seen from straight above, does not reach the paint.
-        coated, _ = light(up, sun, up, half, RenderSettings(reflectance=0.04))
-        assert float(coated) == pytest.approx(0.96, abs=1e-6)
+        coated, _ = light(up, given, gloss_table()[:1], RenderSettings())
+        assert coated[0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
+
+
+def lighting_from(sun, viewer):
+    """A clear day's light on as many samples."""
+    one = torch.ones_like(sun[:, :1])
+    return Lighting(sun, viewer, sun.new_tensor(CLEAR_SKY).expand_as(sun), 0 * one, one, one)
 
 
 def test_the_image_is_differentiable_in_the_texture():
@@ -189,8 +199,7 @@ def agreement(kind, uniform):
     """Returns cosine and slope of autograd at 4x against central differences at 16x."""
 
     def renderer(factor):
-        reflectance = 0.0 if uniform else 0.04
-        settings = RenderSettings(factor, factor, noise=0.0, reflectance=reflectance)
+        settings = RenderSettings(factor, factor, noise=0.0, gloss=0.0 if uniform else 1.0)
         return TorchRenderer(GROUND, settings)
 
     batch = double(vehicles(1, seed=3))

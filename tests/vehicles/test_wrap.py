@@ -15,10 +15,10 @@ from scipy.spatial import ConvexHull
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.measures import measure_texture
 from skyproof.camouflage.shape_measures import measure_shape
-from skyproof.render.materials import material_labels
 from skyproof.geometry.intersections import self_intersections
 from skyproof.geometry.meshes import enclosed_volume_m3
 from skyproof.main import run
+from skyproof.render.materials import material_labels
 from skyproof.render.portrait import close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.template import make_template

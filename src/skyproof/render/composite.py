@@ -16,9 +16,6 @@ from skyproof.scenes.sensor import Sensor
 
 __all__ = ["composite"]
 
-# A Gaussian never ends; less than this of the light is no contact shadow.
-_FAINTEST = 1e-3
-
 
 def composite(
     photographs: Float[Tensor, "B 3 H W"],
@@ -34,7 +31,7 @@ def composite(
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
     I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is what
-    G(shadow) leaves of the sun and G(contact) of the sky. It is shown as the photograph shows
+    the blurred shadows leave of sun and sky. It is shown as the photograph shows
     light: between its black and its white, and bent where its shoulder begins. A pixel that nothing
     reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall
     on the ground alone.
@@ -78,15 +75,14 @@ def composite(
     colour = layers[:, :3]
     alpha = layers[:, 3:]
     sky = lights.sky[:, :, None, None]
-    cast, contact = shadow.split(1, dim=1)
-    # What sees no sun lies on the vehicle's far side, and loses the brighter half of the sky.
-    kept_light = (1 - (1 - sky) * cast - sky * contact * (1 + 0.5 * cast)).clamp(min=0.0)
+    sun_lost, sky_lost = shadow.split(1, dim=1)
+    kept_light = 1 - (1 - sky) * sun_lost - sky * sky_lost
     pixels = linear_to_srgb(lights.shown(ground * kept_light * (1 - alpha) + colour))
     if any(sensor.noise > 0 for sensor in sensors):
         noise = sensor_noise(seeds, y, x, ground)
         strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
         pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
-    reached = (alpha.detach() > 0) | (shadow.detach() > _FAINTEST).any(1, keepdim=True)
+    reached = (alpha.detach() > 0) | (shadow.detach() > 0).any(1, keepdim=True)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
 
     # Only what lies inside the photographs is written.

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
-from skyproof.render.contact import contact_shadows, surrounded
+from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
 from skyproof.render.lighting import lighting, scene_lights
@@ -168,25 +168,20 @@ class TorchRenderer:
         lights = scene_lights(
             photographed_lights(self.backgrounds, scenes, settings), scenes, vehicles.vertices
         )
+        light = lighting(placed, lights)
         visibility, bodies = draw_bodies(
             window,
             placed.screen,
             placed.depth,
             placed.vertices,
-            lighting(placed, lights),
+            light,
             vehicles,
             settings,
         )
-        shadows = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)
-        # In a photographed shadow there is no sun to lose, and the sky is all there is.
-        share = lights.sky[placed.scene].mean(1)
-        left = (1 - share) * placed.sunlit + share
-        shadows = torch.cat(
-            (
-                shadows * placed.sunlit[:, None, None, None],
-                contact_shadows(cast, placed) / left[:, None, None, None],
-            ),
-            dim=1,
+        shadows = ground_shadows(
+            draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings),
+            contact_shadows(cast, placed),
+            light,
         )
         image = composite(
             ground,
