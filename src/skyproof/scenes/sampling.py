@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import SunEstimate
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
@@ -101,6 +103,12 @@ def _sample_scene(
         azimuth_rad=2 * math.pi * sun_turn,
         elevation_rad=lowest + (highest - lowest) * sun_height,
     )
+    known = backgrounds.light_of(window).sun
+    if settings.sun == "photograph" and known is not None:
+        photographed = _sun_of(known, window.rotation_rad, generator=generator)
+        # A low sun is drawn from the photograph's side, with longer shadows than are in it.
+        low = condition == "low_sun"
+        sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
     return Scene(
         id=name,
         background=window,
@@ -109,6 +117,17 @@ def _sample_scene(
         placements=placements,
         seed=seed,
         weather=draw_weather(condition, strength),
+    )
+
+
+def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generator) -> Sun:
+    """Draws the photograph's sun, as surely as it is known, in the axes of a turned window."""
+    azimuth, elevation = torch.randn(2, dtype=torch.float64, generator=generator).tolist()
+    azimuth_rad = known.azimuth_rad + azimuth * known.azimuth_sd_rad - rotation_rad
+    elevation_rad = known.elevation_rad + elevation * known.elevation_sd_rad
+    return Sun(
+        azimuth_rad % (2 * math.pi),
+        min(max(elevation_rad, LOW_SUN_ELEVATION_RAD[0]), math.pi / 2),
     )
 
 

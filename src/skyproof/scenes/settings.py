@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -34,6 +34,8 @@ class SceneSettings:
         vehicles_maximum: the most vehicles in an image, every number between equally likely; 1 in
             an attack.
         tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
+        sun: "photograph" for that of the ground, where it is known, else as the next two say;
+            "uniform" for a uniform azimuth and elevation everywhere, as in the paper.
         sun_elevation_minimum_rad: the lowest sun; the sun's azimuth is uniform.
         sun_elevation_maximum_rad: the highest sun, every elevation between equally likely.
         gap_m: the least free room between two vehicles.
@@ -49,6 +51,7 @@ class SceneSettings:
     vehicles_minimum: _Vehicles = 1
     vehicles_maximum: _Vehicles = 5
     tilt_maximum_rad: Tilt = _TILT_RAD
+    sun: Literal["photograph", "uniform"] = "photograph"
     sun_elevation_minimum_rad: SunElevation = _LOWEST_SUN_RAD
     sun_elevation_maximum_rad: SunElevation = _HIGHEST_SUN_RAD
     gap_m: _Clearance = 0.4
