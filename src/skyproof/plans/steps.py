@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
+from skyproof.cli.reference import Reference
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
@@ -22,6 +23,7 @@ __all__ = [
     "attack_step",
     "check_step",
     "control_step",
+    "reference_step",
     "report_step",
     "score_step",
     "train_step",
@@ -94,6 +96,19 @@ def train_step(
         growing=True,
         effort_s=START_S + _TRAIN_S * megapixels,
     )
+
+
+def reference_step(layout: Layout, name: str, *, check: bool) -> Step:
+    """Returns the step that takes one of the detectors that come trained.
+
+    Args:
+        layout: the run folder's.
+        name: of the detector.
+        check: whether what the check found when it was made comes with it.
+    """
+    command = Reference(layout.detectors, (name,), check)
+    outputs = (layout.detector(name) / "detector.json",)
+    return Step("reference", name, command, (), outputs, effort_s=START_S)
 
 
 def check_step(

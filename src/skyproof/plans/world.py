@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta
 
@@ -23,11 +23,13 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
+__all__ = ["GSD_M", "RENDERED", "Rendered", "WorldSizes", "render_s", "render_step", "world_steps"]
 
 GSD_M = 0.125
 
 Rendered = Literal["train", "validation", "test"]
+RENDERED: tuple[Rendered, ...] = get_args(Rendered)
+"""The splits of which there are images; an attack draws its own as it goes."""
 
 # Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
 _GROUND_S = 2.6
@@ -113,12 +115,13 @@ def world_steps(
     sizes: WorldSizes,
     seed: int,
     *,
+    splits: Sequence[Rendered] = RENDERED,
     imagery: Sequence[Path] = (),
     imagery_gsd_m: float | None = None,
     blur_sigma_px: BlurChoice | None = None,
     device: str = "auto",
 ) -> list[Step]:
-    """Returns the steps from nothing to rendered images to train, validate and test on."""
+    """Returns the steps from nothing to rendered images of some splits."""
     ground = ground_step(
         layout,
         sizes,
@@ -127,7 +130,6 @@ def world_steps(
         imagery_gsd_m=imagery_gsd_m,
         blur_sigma_px=blur_sigma_px,
     )
-    splits: tuple[Rendered, ...] = ("train", "validation", "test")
     scenes = [scene_step(layout, sizes, split, seed) for split in splits]
     rendered = [render_step(layout, sizes, split, device=device) for split in splits]
     return [ground, vehicles_step(layout, sizes, seed), *scenes, *rendered]
