@@ -34,7 +34,7 @@ from skyproof.gate.verdict import findings, verdict
 from skyproof.layout import Layout
 from skyproof.plans.preset import Preset
 from skyproof.plans.reproduction import reproduction_plan
-from skyproof.results.stored import read_environment, read_timings
+from skyproof.results.stored import read_environment
 from skyproof.storage import write_tensors
 from skyproof.words import detector_name, percent
 
@@ -68,8 +68,8 @@ in a checkout. No data and no weights of others went in.
 - Weights are stored in half precision and computed with in single precision. Threshold, validation
   and check are those of the halved weights.
 
-| detector | AP in validation | threshold | check | training, minutes | halving moves a vehicle's score by at most | vehicles that it wins or loses |
-| -- | -- | -- | -- | -- | -- | -- |
+| detector | AP in validation | threshold | check | halving moves a vehicle's score by at most | vehicles that it wins or loses |
+| -- | -- | -- | -- | -- | -- |
 {rows}
 
 AP is that of centres within 1 m on rendered images. YOLOv5 is not among them: its library is under
@@ -111,9 +111,7 @@ class ShipReference:
             made = [Path(scratch) / name for name in REFERENCE_DETECTORS]
             changes = [_halve(layout, folder) for folder in made]
             replace(check, detectors=tuple(made)).run()
-            rows = [
-                _row(layout, folder, change) for folder, change in zip(made, changes, strict=True)
-            ]
+            rows = [_row(folder, change) for folder, change in zip(made, changes, strict=True)]
             for folder in made:
                 shutil.rmtree(self.out / folder.name, ignore_errors=True)
                 shutil.move(folder, self.out)
@@ -166,18 +164,15 @@ def _matched(detector: Any, layout: Layout) -> MatchTable:
     return match_images(detect_all(detector, test), test, criterion="centre_1m")
 
 
-def _row(layout: Layout, folder: Path, change: tuple[float, int, int]) -> str:
+def _row(folder: Path, change: tuple[float, int, int]) -> str:
     """What the page says of a detector; opening it shows that its files belong together."""
     card: DetectorCard = load_detector(folder).card
     moved, changed, vehicles = change
-    times = {(row.stage, row.name): row.seconds for row in read_timings(layout.timings)}
-    seconds = times.get(("train", card.name))
     cells = [
         detector_name(card.name),
         percent(card.validation["ap_centre_1m"], 1),
         f"{card.threshold:.3f}",
         verdict(findings(read_record(folder))),
-        "–" if seconds is None else f"{seconds / 60:.0f}",
         f"{moved:.4f}",
         f"{changed} of {vehicles}",
     ]
