@@ -122,14 +122,16 @@ def test_on_imagery_of_the_users_they_are_checked_there(tmp_path: Path, skyproof
 def test_the_command_copies_them_whole_and_overwrites_nothing(
     tmp_path: Path, skyproof: Skyproof
 ) -> None:
-    assert skyproof("reference", "--out", tmp_path / "both").code == 0
+    answer = skyproof("reference", "--out", tmp_path / "both")
+    assert answer.code == 0, answer.err
+    assert answer.out.count("plain paints on body panels") == 2
     assert bytes_of(tmp_path / "both") == {
         f"{name}/{file}": (REFERENCE_FOLDER / name / file).read_bytes()
         for name in REFERENCE_DETECTORS
         for file in FILES
     }
     one = ["reference", "--out", tmp_path / "one", "--detectors", "faster_rcnn"]
-    assert skyproof(*one, "--no-check").code == 0
+    assert "plain paints" not in skyproof(*one, "--no-check").out
     assert set(bytes_of(tmp_path / "one")) == {
         f"faster_rcnn/{file}" for file in FILES - {"check.json"}
     }
@@ -159,6 +161,10 @@ def _of_another_network(path: Path) -> None:
     shutil.copy(path.parents[1] / "faster_rcnn" / path.name, path)
 
 
+def _torn_check(path: Path) -> None:
+    path.with_name("check.json").write_text("{")
+
+
 def _changed(path: Path) -> None:
     data = np.fromfile(path, np.uint8)
     data[-1] ^= 1
@@ -173,15 +179,17 @@ def _changed(path: Path) -> None:
         (_of_another_version, "format 2"),
         (_of_another_network, "does not fit a slim retinanet"),
         (_changed, "not the file that detector.json was written for"),
+        (_torn_check, "check.json"),
     ],
 )
 def test_damaged_or_of_another_version_is_one_sentence(
     elsewhere: Path, tmp_path: Path, skyproof: Skyproof, harm: Callable[[Path], None], told: str
 ) -> None:
     harm(elsewhere / "retinanet" / "weights.safetensors")
-    skyproof("reference", "--out", tmp_path / "out").refused(told, "install skyproof again")
+    remedy = "copy the whole folder again" if harm is _torn_check else "install skyproof again"
+    skyproof("reference", "--out", tmp_path / "out").refused(told, remedy)
     assert not (tmp_path / "out").exists()
-    skyproof("demo", "--out", tmp_path / "run", *UNTRAINED).refused(told, "install skyproof again")
+    skyproof("demo", "--out", tmp_path / "run", *UNTRAINED).refused(told, remedy)
     assert not (tmp_path / "run" / "backgrounds").exists()
 
 

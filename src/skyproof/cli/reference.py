@@ -17,7 +17,7 @@ class Reference:
     """Copies the detectors that come with skyproof into a folder, ready to be attacked.
 
     They learnt from procedural ground and vehicles alone. Each becomes a detector folder like any
-    other, with what the check found of it.
+    other, with what the check found of it when it was made, which is shown.
 
     Attributes:
         out: folder in which every detector gets its own, by its name.
@@ -31,10 +31,11 @@ class Reference:
     check: bool = True
 
     def run(self) -> None:
-        """Copies the detectors, and prints where they lie."""
+        """Copies the detectors, and prints what was found of them and where they lie."""
+        from skyproof.cli.check_words import lines
         from skyproof.detectors.reference_detectors import reference_detector, reference_folder
         from skyproof.files import finished_folder, refuse_existing, write_bytes
-        from skyproof.gate.record import RECORD_FILE
+        from skyproof.gate.record import RECORD_FILE, read_record
 
         names = tuple(dict.fromkeys(self.detectors))
         if not names:
@@ -42,12 +43,16 @@ class Reference:
                 f"--detectors expects {' or '.join(REFERENCE_DETECTORS)}, got none."
             )
         # What is damaged or in the way shows before anything is written.
+        found: list[list[str]] = []
         for name in names:
-            reference_detector(name)
+            card = reference_detector(name).card
+            found.append(lines(read_record(reference_folder(name)), card.doubts))
             refuse_existing(self.out / name)
-        for name in names:
+        for name, told in zip(names, found, strict=True):
             with finished_folder(self.out / name) as folder:
                 for file in reference_folder(name).iterdir():
                     if self.check or file.name != RECORD_FILE:
                         write_bytes(folder / file.name, file.read_bytes())
+            for line in told if self.check else ():
+                say(line)
             say(f"Detector: {(self.out / name).resolve()}")

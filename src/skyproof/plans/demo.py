@@ -80,7 +80,7 @@ class _Answers(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class DemoSizes(WorldSizes):
-    """How much of everything; the defaults fit 6 minutes on 2 CPU cores, 20 with training.
+    """How much of everything; meant for 6 minutes on 2 CPU cores, and for 20 with training.
 
     Attributes:
         random_draws: random controls to compare each texture with.

@@ -108,7 +108,7 @@ def reference_step(layout: Layout, name: str, *, check: bool) -> Step:
     """
     command = Reference(layout.detectors, (name,), check)
     outputs = (layout.detector(name) / "detector.json",)
-    return Step("reference", name, command, (), outputs, effort_s=START_S)
+    return Step("reference", name, command, (), outputs, effort_s=0.1)
 
 
 def check_step(
