@@ -5,7 +5,7 @@
 
 RUN/tiles is labelled imagery cut by `skyproof ground`, RUN/rendered what `skyproof render` drew on
 the same tiles after `skyproof clear`, in images as large as the tiles, so that both show their
-pixels unchanged (docs/imagery.md).
+pixels unchanged (docs/results/reality/README.md).
 
 A small network learns to tell windows around rendered vehicles from those around real ones, on
 other ground and other vehicles than it is tested on; so it does on windows that show the vehicle
