@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 from realism_crops import Crop
-from realism_folds import SAME_SPOT_M
+from realism_folds import SAME_SPOT_M, spots
 from torch import Tensor
 
 from skyproof.files import write_beside
@@ -71,7 +71,7 @@ def write_pairs(path: Path, crops: Sequence[Crop], chosen: Sequence[tuple[int, i
 
 
 def write_told(path: Path, crops: Sequence[Crop], scores: NDArray[np.float64]) -> None:
-    """Writes what is told best and worst.
+    """Writes what is told best and worst, one window of each spot.
 
     From above: real windows that look most real and most rendered to the networks, rendered ones
     that look most rendered and most real.
@@ -81,16 +81,15 @@ def write_told(path: Path, crops: Sequence[Crop], scores: NDArray[np.float64]) -
         crops: the windows.
         scores: `[N]` mean logits; nan where a window was not tested.
     """
+    spot_of = spots(crops)
+    rendered = np.array([crop.rendered for crop in crops])
     lines = []
-    for rendered in (False, True):
-        own = [
-            index
-            for index in np.argsort(scores)
-            if crops[index].rendered == rendered and not np.isnan(scores[index])
-        ]
-        told = own[::-1] if rendered else own
-        lines += [told[:_COLUMNS], told[::-1][:_COLUMNS]]
-    _write_lines(path, [[crops[index].pixels for index in line] for line in lines], every=2)
+    for kind, sign in ((~rendered, 1), (~rendered, -1), (rendered, -1), (rendered, 1)):
+        own = np.flatnonzero(kind & ~np.isnan(scores))
+        ordered = own[np.argsort(sign * scores[own])]
+        _, first = np.unique(spot_of[ordered], return_index=True)
+        lines.append([crops[index].pixels for index in ordered[np.sort(first)][:_COLUMNS]])
+    _write_lines(path, lines, every=2)
 
 
 def _write_lines(path: Path, lines: Sequence[Sequence[Tensor]], every: int) -> None:
