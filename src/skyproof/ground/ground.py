@@ -29,6 +29,7 @@ class Ground:
         sun_azimuth_rad: the sun that cast its shadows, as in `Sun`.
         sun_elevation_rad: its height above the horizon.
         sensor: the blur and noise it was photographed with.
+        directions: `[H, W]` map of drivable ground, as `skyproof.scenes.directions` says.
     """
 
     image: UInt8[Tensor, "3 H W"]
@@ -36,6 +37,7 @@ class Ground:
     sun_azimuth_rad: float
     sun_elevation_rad: float
     sensor: Sensor
+    directions: UInt8[np.ndarray, "H W"]
 
 
 def draw_ground(
@@ -50,7 +52,8 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
 
     Everything is drawn as reflectance and height; one sun lights it, shadows follow from the
     heights, then a random sensor photographs it (haze, tint, blur, noise). There are no vehicles,
-    but many things of a vehicle's size.
+    but many things of a vehicle's size. Where vehicles may stand is known: in lanes and along
+    kerbs, in bays, drives and yards, on tracks; nowhere in a park.
 
     Args:
         size_px: the tile is size_px x size_px.
@@ -65,7 +68,8 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     camera = GroundSensor.draw(rng)
     image = torch.from_numpy(canvas.photograph(camera))
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
-    return Ground(image, kind, canvas.sun_azimuth_rad, canvas.sun_elevation_rad, sensor)
+    sun = (canvas.sun_azimuth_rad, canvas.sun_elevation_rad)
+    return Ground(image, kind, *sun, sensor, canvas.drivable())
 
 
 GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {

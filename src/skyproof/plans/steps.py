@@ -17,6 +17,7 @@ from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
+from skyproof.scenes.places import Places
 
 __all__ = [
     "AttackJob",
@@ -164,8 +165,15 @@ def check_step(
     )
 
 
-def attack_step(layout: Layout, job: AttackJob, image_px: int, *, device: str = "auto") -> Step:
-    """Returns the step that learns one camouflage."""
+def attack_step(
+    layout: Layout,
+    job: AttackJob,
+    image_px: int,
+    *,
+    places: Places = "uniform",
+    device: str = "auto",
+) -> Step:
+    """Returns the step that learns one camouflage, on vehicles at these places."""
     texture = layout.camouflage(job.texture) if job.texture else None
     command = Attack(
         names=(job.name,),
@@ -175,6 +183,7 @@ def attack_step(layout: Layout, job: AttackJob, image_px: int, *, device: str = 
         fleet=layout.fleets / "attack",
         texture=texture,
         image_px=image_px,
+        places=places,
         settings=job.settings,
         device=device,
     )
