@@ -7,7 +7,7 @@ import torch
 
 import skyproof as sp
 
-network = sp.load_detector("runs/demo/detectors/retinanet").detector
+network = sp.load_detector("runs/trained/detectors/retinanet").detector
 
 
 def ask(picture):  # [H, W, 3] bytes; in place of this ask your library, or a server
@@ -25,7 +25,7 @@ class BlackBox:
         return [sp.Detections(boxes=row[:, :4], scores=row[:, 4]) for row in rows]
 
 
-demo = "runs/demo"
+demo = "runs/trained"
 validation = sp.Dataset.open(f"{demo}/datasets/validation")  # any folder with annotations.json
 threshold = sp.validate(BlackBox(), validation)["threshold"]
 card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from unittest.mock import patch
 
-from skyproof.detectors.average_precision import PrecisionRecall, best_f1_threshold
+from skyproof.detectors.average_precision import PrecisionRecall, frozen_threshold
 from skyproof.detectors.common import LOWEST_SCORE
 
 __all__ = ["everything_counts"]
@@ -21,7 +21,7 @@ def everything_counts() -> Iterator[None]:
     """
 
     def lowest(curve: PrecisionRecall) -> tuple[float, float]:
-        return LOWEST_SCORE, best_f1_threshold(curve)[1]
+        return LOWEST_SCORE, frozen_threshold(curve)[1]
 
-    with patch("skyproof.detectors.training.best_f1_threshold", lowest):
+    with patch("skyproof.detectors.training.frozen_threshold", lowest):
         yield

@@ -35,8 +35,8 @@ DEMO = (
     "--sizes.training-vehicles 3 --sizes.random-draws 2 "
     "--sizes.check-scenes 0 --training.steps 4 "
     "--training.batch-size 2 --training.validate-every 4 --training.checkpoint-every 2 "
-    "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2 --detectors retinanet "
-    "--device cpu --out"
+    "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2 --train "
+    "--detectors retinanet --device cpu --out"
 )
 REPRODUCE = ["reproduce", "--preset", str(TINY_PRESET), "--device", "cpu"]
 WHOLE_RUNS = {

@@ -33,6 +33,7 @@ from .detectors.import_checkpoint import Checkpoint as Checkpoint
 from .detectors.import_checkpoint import import_detector as import_detector
 from .detectors.loaded import LoadedDetector as LoadedDetector
 from .detectors.loaded import load_detector as load_detector
+from .detectors.reference_detectors import reference_detector as reference_detector
 from .detectors.training import validate as validate
 from .gate.check import check_detectors as check_detectors
 from .gate.record import GateRecord as GateRecord

@@ -36,6 +36,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "render": "skyproof.cli.render:Render",
     },
     "Detectors": {
+        "reference": "skyproof.cli.reference:Reference",
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
         "check": "skyproof.cli.check:Check",

@@ -31,7 +31,13 @@ STEPS = flags(
     "--attack.checkpoint-every 2"
 )
 WORN = ("T-U", "T-PixFcMa", "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
-TINY = [*SIZES, *STEPS, "--detectors", "retinanet", "--device", "cpu"]
+TINY = [*SIZES, *STEPS, "--train", "--detectors", "retinanet", "--device", "cpu"]
+
+# The same of detectors that come trained; they take larger networks' time, but see well.
+UNTRAINED = flags(
+    "--sizes.image-px 128 --sizes.tiles 1 1 2 3 --sizes.vehicles 1 1 2 3 --sizes.test-images 6 "
+    "--sizes.random-draws 1 --attack.steps 2 --attack.batch-size 2 --device cpu"
+)
 
 
 @dataclass(frozen=True)

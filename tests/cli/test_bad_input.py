@@ -22,7 +22,7 @@ SMALL = (
     flags(
         "--sizes.image-px 128 --sizes.vehicles 2 1 1 1 --sizes.training-images 8 "
         "--sizes.validation-images 2 --sizes.test-images 2 --sizes.training-vehicles 2 "
-        "--sizes.random-draws 1 --sizes.check-scenes 0 --detectors retinanet --device cpu"
+        "--sizes.random-draws 1 --sizes.check-scenes 0 --train --detectors retinanet --device cpu"
     )
     + STEPS
 )

@@ -73,7 +73,7 @@ def test_another_threshold_is_frozen_in_a_copy(
     call = ["check", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
-    assert read_card(labels).threshold_from == "the largest F1 on labelled images (test)"
+    assert read_card(labels).threshold_from == "the best F1 on labelled images (test)"
     assert (labels / "weights.safetensors").read_bytes() == before["weights.safetensors"]
     skyproof(*call).refused("exists already")
     empty = ["--freeze", "alarms", "--empty", finished / "backgrounds"]

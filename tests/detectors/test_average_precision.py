@@ -11,6 +11,7 @@ from skyproof.detectors.average_precision import (
     PrecisionRecall,
     average_precision,
     best_f1_threshold,
+    frozen_threshold,
     precision_recall,
 )
 from skyproof.detectors.detector import Detections
@@ -138,3 +139,20 @@ def test_f1_threshold_without_any_hit_or_below_the_last() -> None:
     threshold, f1 = best_f1_threshold(curve([0.8], [1], 1))
     assert threshold == pytest.approx((0.8 + 0.01) / 2)
     assert f1 == 1.0
+
+
+def test_the_frozen_threshold_is_the_lowest_that_is_as_good_as_the_best() -> None:
+    # 200 vehicles: 199 are found by 0.9, the last by 0.4; two false alarms lie between, and some
+    # below. F1 is 0.9975 at 0.9, 0.9950 at 0.4, 0.9901 after two more, and 0.9877, 0.9852 after
+    # three and four: the third costs 0.98 of a point, the fourth 1.2.
+    scores = [*np.linspace(0.99, 0.9, 199), 0.7, 0.6, 0.4, 0.3, 0.2, 0.1, 0.05]
+    hits = [*[1] * 199, 0, 0, 1, 0, 0, 0, 0]
+    best, _ = best_f1_threshold(curve(scores, hits, 200))
+    assert best == pytest.approx(0.8)
+    frozen, f1 = frozen_threshold(curve(scores, hits, 200))
+    assert frozen == pytest.approx(0.075)
+    assert f1 == pytest.approx(400 / (200 + 205))
+
+
+def test_the_frozen_threshold_of_nothing_found_is_one() -> None:
+    assert frozen_threshold(curve([0.8], [0], 1)) == (1.0, 0.0)

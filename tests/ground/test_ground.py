@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from skyproof.ground.built_up import draw_car_park
 from skyproof.ground.canvas import Canvas, GroundSensor
 from skyproof.ground.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_ground_and_sun
 
@@ -78,3 +79,84 @@ def test_kinds_and_suns_vary():
     assert {ground.kind for ground in grounds} == set(GROUND_KINDS)
     assert sum(KIND_SHARES.values()) == pytest.approx(1)
     assert len({round(ground.sun_azimuth_rad, 3) for ground in grounds}) == 80
+
+
+def test_vehicles_may_stand_along_a_patch_where_it_lies():
+    canvas = _flat_canvas(0.0)
+    turned = Canvas(160, 0.125, np.random.default_rng(0), axes_rad=0.5)
+    for axes_rad, own in ((0.0, canvas), (0.5, turned)):
+        own.allow(own.rectangle((2.0, 1.0), (3.0, 1.0), 0.3))
+        own.allow(own.rectangle((-4.0, -2.0), (2.0, 1.0)), turn_rad=math.pi / 2)
+        directions = own.drivable()
+        for place, heading in (((2.0, 1.0), 0.3), ((-4.0, -2.0), math.pi / 2)):
+            column, row = (round(value) - own.margin_px for value in own.to_pixels(*place))
+            found = math.radians(int(directions[row, column]) - 1)
+            assert abs(math.sin(found - heading - axes_rad)) < math.radians(0.6)
+        # 3 m x 1 m and 2 m x 1 m.
+        assert (directions > 0).sum() * 0.125**2 == pytest.approx(5.0, rel=0.05)
+        own.forbid(own.rectangle((2.0, 1.0), (5.0, 3.0), 0.3))
+        assert (own.drivable() > 0).sum() * 0.125**2 == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_bending_road_is_followed():
+    canvas = Canvas(320, 0.125, np.random.default_rng(2), axes_rad=0.2)
+    ground = canvas.everywhere(wander_m=3.0)
+    canvas.allow(canvas.band(ground, 0.0, 0.4))
+    directions = canvas.drivable()
+    rows, columns = np.nonzero(directions)
+    assert np.ptp(directions[rows, columns].astype(int)) > 15, "it bends"
+    for row, column in list(zip(rows, columns, strict=True))[::40]:
+        heading = math.radians(int(directions[row, column]) - 1)
+        # 1.5 m on along the heading the road's middle is still there.
+        ahead = round(row - 12 * math.sin(heading)), round(column + 12 * math.cos(heading))
+        if min(ahead) >= 1 and max(ahead) < 318:
+            near = directions[ahead[0] - 1 : ahead[0] + 2, ahead[1] - 1 : ahead[1] + 2]
+            assert near.any()
+
+
+@pytest.mark.parametrize("kind", list(GROUND_KINDS))
+def test_where_vehicles_may_stand_nothing_is_in_the_way(kind):
+    places = 0
+    for seed in range(3):
+        canvas = Canvas(240, 0.125, np.random.default_rng(seed), axes_rad=0.4 + seed)
+        GROUND_KINDS[kind](canvas)
+        directions = canvas.drivable()
+        rows, columns = np.nonzero(directions)
+        chosen = np.random.default_rng(0).permutation(len(rows))[:60]
+        places += len(chosen)
+        u, v = np.meshgrid(np.linspace(-2.1, 2.1, 24), np.linspace(-0.8, 0.8, 10))
+        for row, column in zip(rows[chosen], columns[chosen], strict=True):
+            heading = math.radians(int(directions[row, column]) - 1)
+            x = column + (math.cos(heading) * u - math.sin(heading) * v) / 0.125
+            y = row - (math.sin(heading) * u + math.cos(heading) * v) / 0.125
+            margin = canvas.margin_px
+            under = canvas.height[(y + margin).astype(int), (x + margin).astype(int)]
+            assert under.max() < 0.3, "a vehicle would stand in something"
+    assert (places == 0) == (kind == "park")
+
+
+def test_bays_of_a_car_park_are_between_its_lines():
+    seen = 0
+    for seed in range(6):
+        canvas = Canvas(240, 0.125, np.random.default_rng(seed), axes_rad=0.3)
+        draw_car_park(canvas)
+        bright = canvas.reflectance.mean(2)
+        directions = canvas.drivable()
+        # Bays stand across the rows, slanted by up to 0.35 of their length.
+        rows, columns = np.nonzero(directions)
+        headings = np.radians(directions[rows, columns].astype(float) - 1)
+        turns = headings - 0.3 - math.pi / 2
+        bays = np.nonzero(np.abs(np.sin(turns)) < math.sin(math.atan(0.35) + 0.02))[0]
+        # The mean brightness at so many metres to the left and right of all bays' middles.
+        aside = np.linspace(-1.7, 1.7, 69)[:, None]
+        x = columns[bays] - np.sin(headings[bays]) * aside / 0.125 + canvas.margin_px
+        y = rows[bays] - np.cos(headings[bays]) * aside / 0.125 + canvas.margin_px
+        profile = bright[y.astype(int), x.astype(int)].mean(1)
+        line_m = [abs(float(aside[:34][profile[:34].argmax()][0]))]
+        line_m.append(float(aside[35:][profile[35:].argmax()][0]))
+        if min(profile[:34].max(), profile[35:].max()) > 1.2 * profile[34]:
+            seen += 1
+            # Lines are 2.3 to 2.7 m apart, nearer where bays are slanted.
+            assert 2.0 < sum(line_m) < 2.8
+            assert abs(line_m[0] - line_m[1]) < 0.45
+    assert seen >= 4

@@ -67,6 +67,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "vehicles": ["vehicles", "--out", out / "new", "--counts", 1, 1, 1, 1],
         "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
+        "reference": ["reference", "--out", out / "new"],
         "train": kinds.train(inputs, out),
         "check": [*checked, "--fleet", inputs / "nowhere"],
         "import": ["import", inputs / "palette.json", "--kind", "torchvision", *imported],

@@ -28,7 +28,7 @@ DEMO = [
     *(f"--sizes.{size}" for size in _SIZES.split(",")),
     *(f"--training.{value}" for value in (*_STEPS.split(","), "validate-every 2")),
     *(f"--attack.{value}" for value in _STEPS.split(",")),
-    "--detectors retinanet --device cpu",
+    "--train --detectors retinanet --device cpu",
 ]
 DEMO = [word for option in DEMO for word in option.split(" ")]
 

@@ -1,7 +1,10 @@
 """Clearing a tiled folder: who finds what, what is repaired or left out, what the record says."""
 
 import json
+import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -91,8 +94,9 @@ class Reds:
 
     name = "reds"
 
-    def __init__(self, blind_to=()):
+    def __init__(self, blind_to=(), score_of=None):
         self.blind_to = blind_to
+        self.score_of = score_of or {}
 
     def detect(self, images):
         found = []
@@ -102,9 +106,8 @@ class Reds:
                 part = image[:, int(own[1]) : int(own[3]), int(own[0]) : int(own[2])]
                 if (part[0] - part[1]).mean() > 0.3:
                     boxes.append(own)
-            found.append(
-                Detections(torch.tensor(boxes).reshape(-1, 4), torch.full((len(boxes),), 0.9))
-            )
+            scores = torch.tensor([self.score_of.get(own, 0.9) for own in boxes])
+            found.append(Detections(torch.tensor(boxes).reshape(-1, 4), scores))
         return found
 
 
@@ -134,7 +137,9 @@ def test_labelled_vehicles_and_ignore_regions_are_removed(tmp_path):
     assert all(reds(BackgroundSet.open(folder), name) for name in "acde")
     assert not any(reds(result, name) for name in SPLIT_OF)
     before = BackgroundSet.open(folder)
-    assert [result.tile(name) for name in SPLIT_OF] == [before.tile(name) for name in SPLIT_OF]
+    for name in SPLIT_OF:
+        same = replace(result.tile(name), removed=(), drivable=None)
+        assert same == before.tile(name)
     assert result.gsd_m == 0.125
     totals = record["totals"]
     assert (totals["labelled_removed"], totals["detected_removed"], totals["kept"]) == (5, 0, 5)
@@ -143,6 +148,91 @@ def test_labelled_vehicles_and_ignore_regions_are_removed(tmp_path):
     assert record["inpainting"] == {"name": "ground"}
     assert json.loads((tmp_path / "cleared" / "clearing.json").read_text()) == record
     assert len(json.loads((tmp_path / "cleared" / "index.geojson").read_text())["features"]) == 5
+
+
+def stood(result, name):
+    """What is known of a tile's removed vehicles, headings to 5 degrees."""
+    known = []
+    for one in result.tile(name).removed:
+        heading_deg = None
+        if one.heading_rad is not None:
+            heading_deg = 5 * round(math.degrees(one.heading_rad) / 5) % 180
+        known.append((round(one.x_px), round(one.y_px), heading_deg, one.heading_from))
+    return known
+
+
+def test_it_is_kept_where_and_how_the_vehicles_stood(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde", ignored=[box(60, 80)])
+    # An oriented label, of a vehicle 4 m long and 2 m wide that heads 30 degrees to the left of up.
+    turn = math.radians(120)
+    along = np.array([math.cos(turn), -math.sin(turn)])
+    left = np.array([along[1], -along[0]])
+    corners = [
+        (np.array([55.0, 47.0]) + along * u + left * v).tolist()
+        for u, v in ((16, 8), (16, -8), (-16, -8), (-16, 8))
+    ]
+    change_rows(folder / "validation", corners_px=corners)
+    # A vehicle that the tile's border cuts.
+    change_rows(folder / "attack", visible_fraction=0.6, centre_px=[8.0, 97.0])
+    result, record = cleared(folder, tmp_path)
+    # The ignore region at (60, 80) of tile a is no vehicle; the red boxes lie level.
+    assert stood(result, "a") == [(35, 27, 0, "picture")]
+    assert stood(result, "b") == []
+    assert stood(result, "c") == [(55, 47, 120, "label")]
+    assert stood(result, "d") == [(8, 97, None, None)]
+    assert stood(result, "e") == [(85, 27, 0, "picture")]
+    (oriented,) = result.tile("c").removed
+    assert (oriented.length_m, oriented.width_m) == (4.0, 2.0)
+    (pictured,) = result.tile("a").removed
+    assert pictured.length_m == pytest.approx(30 * 0.125, abs=0.15)
+    assert pictured.width_m == pytest.approx(14 * 0.125, abs=0.1)
+    assert record["totals"]["places"] == 4
+    # It goes with the tiles when some are rejected.
+    drop_tiles(tmp_path / "cleared", ["a"])
+    assert BackgroundSet.open(tmp_path / "cleared").tile("c").removed == (oriented,)
+
+
+def change_rows(folder, **values):
+    """Changes all annotations of a split."""
+    path = folder / "annotations.json"
+    document = json.loads(path.read_text())
+    for row in document["annotations"]:
+        row.update(values)
+    path.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("corners", [[[5, 5]] * 4, [[5, 5], [9, 9]], [[0, 0], [1e9, 0]] * 2])
+def test_corners_that_are_no_vehicles_say_nothing(tmp_path, corners):
+    folder = tiled(tmp_path / "tiled", labelled="c")
+    change_rows(folder / "validation", corners_px=corners)
+    result, _ = cleared(folder, tmp_path)
+    assert stood(result, "c") == [(55, 47, 0, "picture")]
+
+
+def test_places_of_detections_are_kept_where_they_are_sure(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="a")
+    unsure = finder(Reds(score_of={box(40, 40): 0.4}))
+    result, record = cleared(folder, tmp_path, finder=unsure)
+    assert [len(stood(result, name)) for name in "abcde"] == [2, 0, 0, 1, 1]
+    assert stood(result, "d") == [(25, 97, 0, "picture")]
+    assert record["totals"]["detected_removed"] == 3, "removed it is all the same"
+    # Clearing what is cleared keeps the places.
+    again = clear_again(tmp_path)
+    assert again.tile("d").removed == result.tile("d").removed
+
+
+def clear_again(tmp_path):
+    with finished_folder(tmp_path / "again") as partial:
+        clear_backgrounds(tmp_path / "cleared", partial, ground, finder=finder())
+    return BackgroundSet.open(tmp_path / "again")
+
+
+def test_cleared_ground_is_drivable_where_vehicles_stood(tmp_path):
+    result, _ = cleared(tiled(tmp_path / "tiled", labelled="acde"), tmp_path)
+    assert result.tile("b").drivable is None
+    assert result.tile("c").drivable == "drivable/c.png"
+    drivable = result.directions("c") > 0
+    assert drivable[40:54, 40:70].all(), "the plain ground that was filled in"
 
 
 def test_bytes_beside_the_vehicles_stay(tmp_path):
@@ -272,8 +362,9 @@ def test_large_tiles_are_looked_at_in_windows():
     detector = Corner()
     image = torch.zeros(3, 500, 1900, dtype=torch.uint8)
     image[0, 300:310, 1100:1120] = 255
-    boxes = finder(detector).boxes(image, 0.5)
-    assert boxes.tolist() == [[1100, 300, 1120, 310]]
+    found = finder(detector).detections(image, 0.5)
+    assert found.scores.tolist() == pytest.approx([0.9])
+    assert found.boxes.tolist() == [[1100, 300, 1120, 310]]
     assert detector.sizes == ((384, 384),) * 14
 
 

@@ -1,6 +1,7 @@
 """Labels on the way to tiles: through transforms and map coordinates, at borders, out of place."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -190,3 +191,65 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
     with pytest.raises(ConfigurationError, match="border_px expects a number from 0"):
         LabelSettings(WHERE, border_px=-1.0)
+
+
+def turned(x, y, length, width, angle_deg, first=0, mirrored=False):
+    """An oriented label in image pixels, nose at an angle from right towards up."""
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    u, v = length / 2, width / 2
+    around = [(u, v), (u, -v), (-u, -v), (-u, v)]
+    corners = [(x + c * a - s * b, y - s * a - c * b) for a, b in around]
+    corners = corners[first:] + corners[:first]
+    return Label("car", tuple(reversed(corners) if mirrored else corners))
+
+
+def corners_of(folder):
+    """Per annotated vehicle its corners, or None."""
+    return [
+        row.get("corners_px")
+        for file in sorted(folder.glob("*/annotations.json"))
+        for row in json.loads(file.read_text())["annotations"]
+        if not row["iscrowd"]
+    ]
+
+
+@pytest.mark.parametrize("first", [0, 1, 2, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_corners_of_oriented_labels_stay_in_the_order_of_a_vehicle(tmp_path, first, mirrored):
+    # Its middle in the second tile of the first row; its tail reaches into the first one.
+    label = turned(70, 30, 30, 14, 25, first, mirrored)
+    one_image(tmp_path, pixels(label))
+    (corners,) = corners_of(tmp_path / "set")
+    expected = [(x - 64, y) for x, y in turned(70, 30, 30, 14, 25).corners]
+    # Nose and tail are not told apart; left and right are.
+    either = [expected, expected[2:] + expected[:2]]
+    assert any(np.allclose(corners, one, atol=1e-6) for one in either)
+    assert boxes(tmp_path / "set", 1).keys() == {"a-00000-00000"}, "beside, it is ignored"
+
+
+def test_upright_labels_have_no_corners_whatever_the_image(tmp_path):
+    one_image(tmp_path, pixels(box(10, 10, 40, 24), turned(100, 30, 30, 14, 90)))
+    assert corners_of(tmp_path / "set") == [None, None]
+    # In a turned image an upright box says no more of the vehicle than before.
+    affine = Affine.translation(EAST, NORTH) * Affine.rotation(25) * Affine.scale(0.125, -0.125)
+    write_image(tmp_path / "b.tif", noise(400, 400), crs=NZTM, transform=affine)
+    labels = pixels(box(180, 180, 210, 194), turned(220, 220, 30, 14, 10), stem="b")
+    tile([tmp_path / "b.tif"], tmp_path / "turned", labels=(labels, LabelSettings(WHERE, ("car",))))
+    upright, oriented = sorted(corners_of(tmp_path / "turned"), key=bool)
+    assert upright is None
+    front, rear = np.mean(oriented[:2], 0), np.mean(oriented[2:], 0)
+    # 10 degrees in the image, which lies turned by 25.
+    assert np.hypot(*(front - rear)) == pytest.approx(30, abs=0.05)
+    heading_deg = math.degrees(math.atan2(rear[1] - front[1], front[0] - rear[0])) % 180
+    assert heading_deg == pytest.approx(35, abs=0.1)
+
+
+def test_outlines_on_the_ground_are_oriented_too(tmp_path):
+    write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
+    outline = [(EAST + x / 8, NORTH - y / 8) for x, y in turned(40, 40, 36, 15, 120).corners]
+    labels = GroundLabels(("vehicle",), (Label("vehicle", tuple(outline)),), NZTM)
+    tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
+    (corners,) = corners_of(tmp_path / "set")
+    expected = list(turned(40, 40, 36, 15, 120).corners)
+    either = [expected, expected[2:] + expected[:2]]
+    assert any(np.allclose(corners, one, atol=1e-4) for one in either)

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import skyproof
-from tests.cli.conftest import TINY
+from tests.cli.conftest import UNTRAINED
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
@@ -69,10 +70,28 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
         "skyproof/plans/Snakefile",
         "skyproof/plans/quick.json",
         "skyproof/plans/paper.json",
+        "skyproof/detectors/reference/README.md",
+        "skyproof/detectors/reference/retinanet/check.json",
+        "skyproof/detectors/reference/retinanet/detector.json",
+        "skyproof/detectors/reference/retinanet/weights.safetensors",
+        "skyproof/detectors/reference/faster_rcnn/weights.safetensors",
         "skyproof/plans/reference.json",
         "skyproof/report/report.html.j2",
         "skyproof/cycles/worker.py",
     }
+
+
+def test_the_source_distribution_holds_the_reference_detectors(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="needs the extra `test`, with hatchling in it")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, timeout=120, capture_output=True)
+    [built] = tmp_path.glob("*.tar.gz")
+    with tarfile.open(built) as archive:
+        inside = {name.partition("/")[2] for name in archive.getnames()}
+    place = SOURCE / "skyproof" / "detectors" / "reference"
+    files = {path.relative_to(ROOT).as_posix() for path in place.rglob("*") if path.is_file()}
+    assert len(files) == 7
+    assert inside >= {*files, "LICENSE"}
 
 
 def test_the_version_is_told_once() -> None:
@@ -88,7 +107,7 @@ def test_an_installed_wheel_runs_the_demo_and_plans_a_reproduction(environment: 
     assert Path(where.strip()).is_relative_to(environment)
     asked = "from importlib.metadata import version; print(version('skyproof'))"
     assert call(environment, "python", "-c", asked).strip() == skyproof.__version__
-    call(environment, "skyproof", "demo", "--out", "demo", *TINY)
+    call(environment, "skyproof", "demo", "--out", "demo", *UNTRAINED)
     assert (environment / "demo" / "report.html").read_text().rstrip().endswith("</html>")
     assert (environment / "demo" / "results.json").exists()
     plan = ["reproduce", "--preset", "quick", "--out", "quick", "--dry-run"]

@@ -147,10 +147,12 @@ def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
 
 
 PLANS = {
-    "demo": demo_plan(
+    "demo": demo_plan(Demo(), Layout(Path("runs/demo"))),
+    "demo on imagery": demo_plan(
         Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1, blur_sigma_px="paper"),
         Layout(Path("runs/a b")),
     ),
+    "demo that trains": demo_plan(Demo(train=True, cycles=True), Layout(Path("runs/a b"))),
     "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
     "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
     "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),

@@ -13,6 +13,14 @@ from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
 from skyproof.report.report import write_report
 from skyproof.results.checks import BestF1, Check
 from skyproof.results.statistics.intervals import Interval
+from skyproof.scenes.scene import (
+    BackgroundWindow,
+    Camera,
+    Scene,
+    Sun,
+    scenes_digest,
+    write_scenes,
+)
 from tests.report.fabricate import fabricate
 from tests.report.test_report import first_lines, words_of
 
@@ -48,7 +56,7 @@ def clean(name, recall, best_recall, *, real=False):
     )
 
 
-def checked(folder, detector, hidden, *, threshold=THRESHOLD):
+def checked(folder, detector, hidden, *, threshold=THRESHOLD, scenes=(60, "")):
     """Gives a detector of a run a record: what each paint of `hidden` hides, all others nothing."""
     nothing = Interval(0.0, -0.02, 0.02)
     rates = []
@@ -58,7 +66,7 @@ def checked(folder, detector, hidden, *, threshold=THRESHOLD):
             rates.append(Rate(kind, name, 1, hidden.get((kind, name), nothing)))
     rates += [Rate("blur", "0.7 px", 1, nothing), Rate("control", "R-U", 5, nothing)]
     sets = [clean("rendered scenes", 0.97, 0.98), clean("KIT", 0.47, 0.9, real=True)]
-    on = MeasuredOn(60, "", ("procedural",), 5, 0)
+    on = MeasuredOn(*scenes, ("procedural",), 5, 0)
     record = GateRecord(detector, "", threshold, on, sets, rates)
     place = folder / "detectors" / detector
     card = json.loads((place / "detector.json").read_text())
@@ -120,6 +128,22 @@ def test_borderline_is_neither(run_folder):
     lines = told(run_folder)
     assert "RetinaNet is borderline in the check: 1 of 27" in lines
     assert "may do so for the same reason" not in lines
+
+
+def test_a_check_on_other_scenes_than_the_runs_is_told(run_folder):
+    window = BackgroundWindow("tile", 100.0, 100.0, 0.0)
+    camera, sun = Camera(0.1, 0.2, 0.125, 96), Sun(0.3, 0.8)
+    scenes = [Scene(f"test-{number}", window, camera, sun, (), number) for number in range(5)]
+    write_scenes(run_folder / "scenes" / "test.jsonl", scenes)
+    # The check takes the first of the run's scenes; in others a single number may differ.
+    checked(run_folder, "retinanet", {}, scenes=(3, scenes_digest(scenes[:3])))
+    assert "checked before" not in told(run_folder)
+    checked(run_folder, "faster_rcnn", {}, scenes=(3, scenes_digest(scenes[1:4])))
+    (run_folder / "report.html").unlink()
+    assert (
+        "Faster R-CNN was checked before, on 3 scenes of procedural ground, and not on the scenes "
+        "of this run."
+    ) in told(run_folder)
 
 
 def test_a_record_of_another_threshold_counts_for_nothing(run_folder):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -9,6 +10,8 @@ import torch
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.directions import save_directions
+from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow
 
 
@@ -157,6 +160,14 @@ def test_window_outside_or_of_another_set_raises(tmp_path, noise):
         lambda index: index["tiles"].append(index["tiles"][0]),
         lambda index: index.update(gsd_m=1e300),
         lambda index: index.update(sensor={"blur_sigma_px": 1e300}),
+        lambda index: index["tiles"][0].update(drivable="../holiday.png"),
+        lambda index: index["tiles"][0].update(drivable="tiles/one.png"),
+        lambda index: index["tiles"][0].update(drivable="tiles/one.jpg"),
+        lambda index: index["tiles"][0].update(removed=[{"x_px": 3.0}]),
+        lambda index: index["tiles"][0].update(removed=[{"x_px": 3, "y_px": 4, "length_m": 0}]),
+        lambda index: index["tiles"][0].update(
+            removed=[{"x_px": 3, "y_px": 4, "heading_from": "holiday"}]
+        ),
     ],
 )
 def test_damaged_index_raises(tmp_path, noise, damage):
@@ -167,6 +178,38 @@ def test_damaged_index_raises(tmp_path, noise, damage):
     path.write_text(json.dumps(index))
     with pytest.raises(StoredFileError, match=r"index\.json"):
         BackgroundSet.open(tmp_path)
+
+
+def test_a_vehicle_removed_outside_its_tile_is_one_sentence(tmp_path, noise):
+    _set(tmp_path, noise)
+    path = tmp_path / "index.json"
+    index = json.loads(path.read_text())
+    for x, y in ((80.5, 30.0), (40.0, -0.5)):
+        index["tiles"][0]["removed"] = [{"x_px": x, "y_px": y}]
+        path.write_text(json.dumps(index))
+        said = rf"removed at \({x:g}, {y:g}\) px, outside the tile one of 80 x 60 px; copy"
+        with pytest.raises(StoredFileError, match=said):
+            BackgroundSet.open(tmp_path)
+
+
+def test_removed_vehicles_and_maps_are_read_back_and_old_sets_have_none(tmp_path, noise):
+    before = _set(tmp_path, noise).tile("one")
+    assert (before.removed, before.drivable) == ((), None)
+    stood = (RemovedVehicle(3.25, 60.0, 0.5, "label", 4.5, 1.8), RemovedVehicle(80.0, 0.0))
+    values = torch.arange(60 * 80).reshape(60, 80).remainder(181).to(torch.uint8)
+    file = save_directions(tmp_path, "one", values.numpy())
+    write_index(tmp_path, 0.125, [replace(before, removed=stood, drivable=file)])
+    now = BackgroundSet.open(tmp_path)
+    assert now.tile("one").removed == stood
+    assert torch.equal(now.directions("one"), values)
+    assert torch.equal(now.pixels("one"), noise), "pixels and directions are kept apart"
+    # As a set of before names neither.
+    index = json.loads((tmp_path / "index.json").read_text())
+    for name in ("removed", "drivable"):
+        del index["tiles"][0][name]
+    (tmp_path / "index.json").write_text(json.dumps(index))
+    assert BackgroundSet.open(tmp_path).tile("one") == before
+    assert BackgroundSet.open(tmp_path).directions("one") is None
 
 
 def test_a_tile_that_a_link_leads_out_to_is_refused(tmp_path, noise):
@@ -209,6 +252,18 @@ def test_same_seed_same_bytes_whatever_the_counts(tmp_path):
     assert len(first.tiles("train")) == 2
     assert first.tiles("test")[0].sun_elevation_rad > 0
     assert torch.equal(before, torch.random.get_rng_state())
+
+
+def test_drawn_tiles_know_where_vehicles_may_stand(tmp_path):
+    backgrounds = write_procedural_backgrounds(tmp_path, {"train": 8}, 160, seed=3)
+    tiles = backgrounds.tiles("train")
+    kinds = {tile.kind: tile for tile in tiles}
+    assert {"park", "street"} <= set(kinds)
+    assert kinds["park"].drivable is None
+    files = {path.name for path in (tmp_path / "drivable").iterdir()}
+    assert files == {f"{tile.id}.png" for tile in tiles if tile.drivable is not None}
+    assert len(files) >= 5
+    assert backgrounds.directions(kinds["street"].id).shape == (160, 160)
 
 
 def test_progress_and_unknown_split(tmp_path):

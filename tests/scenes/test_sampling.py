@@ -1,5 +1,6 @@
 """Scene sampling: counts, places, no overlap, camera disc, determinism."""
 
+import hashlib
 import math
 
 import numpy as np
@@ -8,7 +9,9 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
-from skyproof.scenes.sampling import rectangles_overlap, sample_scenes
+from skyproof.scenes.footprints import rectangles_overlap
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.scene import write_scenes
 from skyproof.scenes.settings import SceneSettings
 
 SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}
@@ -203,3 +206,23 @@ def test_scenes_without_parking_are_the_same_as_ever(backgrounds):
 def test_refuses_an_impossible_share_of_parked_scenes(share):
     with pytest.raises(ConfigurationError, match="parked_share"):
         SceneSettings(parked_share=share)
+
+
+def test_uniform_scenes_are_the_same_in_every_version(tmp_path):
+    """Scene files that were made before places could be chosen, by their digest."""
+    tiles = [
+        BackgroundTile(f"test-{number}", "none.png", "test", width, 600, "made")
+        for number, width in enumerate((560, 600, 300))
+    ]
+    ground = BackgroundSet(tmp_path, 0.125, tiles)
+    conditions = ("clear", "haze", "low_sun")
+    train = SceneSettings(
+        size_px=192, vehicles_minimum=0, vehicles_maximum=7, parked_share=0.5, conditions=conditions
+    )
+    digest = hashlib.sha256()
+    for settings in (SceneSettings(), train, SceneSettings(size_px=560)):
+        generator = torch.Generator().manual_seed(7)
+        scenes = sample_scenes(settings, ground, "test", SIZES, 40, generator=generator)
+        write_scenes(tmp_path / "scenes.jsonl", scenes)
+        digest.update((tmp_path / "scenes.jsonl").read_bytes())
+    assert digest.hexdigest() == "53aea7da7115139080eb631441a1425fe92128af6b19988e480b8b4495764665"

@@ -14,6 +14,7 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.places import Places
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
@@ -57,6 +58,7 @@ class AttackWorld:
         *,
         size_px: int = 384,
         conditions: Sequence[str] = ("clear",),
+        places: Places = "uniform",
     ) -> AttackWorld:
         """Opens a background set and a fleet folder under the differentiable renderer.
 
@@ -65,12 +67,15 @@ class AttackWorld:
             fleet: fleet folder.
             size_px: image side.
             conditions: weather and light that scenes are drawn from, each equally likely.
+            places: where vehicles stand, as of `SceneSettings`.
 
         Raises:
             ConfigurationError: scenes cannot be drawn so.
             StoredFileError: a folder is missing or damaged.
         """
-        scenes = SceneSettings(size_px=size_px, vehicles_maximum=1, conditions=tuple(conditions))
+        scenes = SceneSettings(
+            size_px=size_px, vehicles_maximum=1, places=places, conditions=tuple(conditions)
+        )
         photographs = BackgroundSet.open(Path(backgrounds))
         return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
 

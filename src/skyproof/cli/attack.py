@@ -16,6 +16,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
+from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Attack:
         texture: folder of the finished texture that a sequential combination puts its shape on.
         image_px: image side; the first detector's training size where not given.
         conditions: weather and light that scenes are drawn from, each equally likely.
+        places: where vehicles stand: uniform (anywhere), removed (where skyproof clear removed
+            vehicles) or drivable (on ground where vehicles may stand).
         camouflage: what the names leave open.
         settings: steps, batch, learning rate, seed; the seed is also that of random draws.
         device: auto, cpu or cuda.
@@ -65,6 +68,7 @@ class Attack:
     texture: Path | None = None
     image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
     conditions: tuple[str, ...] = ("clear",)
+    places: Places = "uniform"
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
@@ -160,6 +164,7 @@ class Attack:
             self.fleet,
             size_px=self.image_px or min(read_card(self.detectors[0]).image_size_px),
             conditions=self.conditions,
+            places=self.places,
         )
         ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
         models = [loaded.detector for loaded in ensemble]

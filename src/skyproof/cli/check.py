@@ -50,7 +50,7 @@ class Check:
         draws: of every random control.
         frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD, as in `score`.
         frame_classes: class names that count as vehicles in the frames.
-        freeze: labels (the threshold of the largest F1 on --frames) or alarms (the lowest with at
+        freeze: labels (the threshold of the best F1 on --frames) or alarms (the lowest with at
             most --alarms-per-km2 detections on --empty).
         empty: for --freeze alarms: background set folder without vehicles; its validation split.
         alarms_per_km2: for --freeze alarms.
@@ -210,7 +210,7 @@ class Check:
                 frames = read_frames(self.frames, self.frame_classes, gsd_m)
                 threshold = threshold_of_labels(judge, frames)
                 names = ", ".join(each.name for each in frames)
-                how = f"the largest F1 on labelled images ({names})"
+                how = f"the best F1 on labelled images ({names})"
             card = replace(judge.card, threshold=threshold, threshold_from=how)
             save_detector(partial, judge.detector, card)
         say(

@@ -25,7 +25,8 @@ class Clear:
     """Removes the vehicles from tiled imagery, so that it can serve as backgrounds.
 
     Labelled vehicles and what a detector finds are masked with their shadows and filled with
-    ground; a detector checks the result, and sheets/index.html shows a person what was done.
+    ground; a detector checks the result, and sheets/index.html shows a person what was done. Where
+    and how the vehicles stood is kept in index.json, for scenes with vehicles at their places.
 
     Attributes:
         folder: tiled folder, as `skyproof ground` writes it from imagery.
@@ -99,7 +100,10 @@ class Clear:
                 "for it."
             )
         removed = totals["labelled_removed"] + totals["detected_removed"]
-        say(f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled.")
+        say(
+            f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
+            f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
+        )
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
         sheet = (self.out / "sheets" / "index.html").resolve()

@@ -39,8 +39,8 @@ class DetectorCard:
         name: as tables show it: "retinanet", "faster_rcnn" or "yolov5" of ours; of another
             detector the name it was given.
         size: "slim", "wide" or "full" of ours, "brought" of an imported one, empty of a black box.
-        threshold: frozen score threshold, chosen for the largest F1 on clean validation images
-            where `threshold_from` says nothing else.
+        threshold: frozen score threshold, chosen by F1 on clean validation images where
+            `threshold_from` says nothing else; see `frozen_threshold`.
         gsd_m: metres per pixel of the images it takes.
         image_size_px: height and width of the first training image, at most those of a training
             window; of an imported detector, of the first validation image.

@@ -64,6 +64,8 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
 def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     """Builds the detector a folder describes and loads its weights; in eval mode, on the CPU.
 
+    Weights may be stored in half precision; the detector has single precision all the same.
+
     Raises:
         StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
         ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing.
@@ -84,6 +86,7 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
         # BatchNorm fills in a missing counter silently, even when loaded strictly.
         if tensors.keys() != detector.state_dict().keys():
             raise RuntimeError("other tensor names")
+        # What is stored as halves is widened here; the digest is that of the widened numbers.
         detector.load_state_dict(tensors)
     except RuntimeError as error:
         raise StoredFileError(

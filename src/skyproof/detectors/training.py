@@ -17,7 +17,7 @@ from torch.optim.swa_utils import AveragedModel
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import (
     average_precision,
-    best_f1_threshold,
+    frozen_threshold,
     precision_recall,
 )
 from skyproof.detectors.batches import WINDOW_PX, training_batches
@@ -177,12 +177,12 @@ def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
     """Measures a detector on labelled images.
 
     Returns:
-        "ap_centre_1m" and "ap_iou_50"; the best "f1" by centres, and the "threshold" it has.
+        "ap_centre_1m" and "ap_iou_50"; the "threshold" to freeze, and its "f1" by centres.
     """
     detections = detect_all(detector, validation)
     centre = match_images(detections, validation, criterion="centre_1m")
     overlap = match_images(detections, validation, criterion="iou_50")
-    threshold, f1 = best_f1_threshold(precision_recall(centre))
+    threshold, f1 = frozen_threshold(precision_recall(centre))
     return {
         "ap_centre_1m": average_precision(centre),
         "ap_iou_50": average_precision(overlap),

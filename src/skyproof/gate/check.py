@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import UInt8
@@ -34,7 +32,7 @@ from skyproof.results.pairs.tiles import cluster_counts
 from skyproof.results.statistics.intervals import mean_interval, resample
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.scene import Scene
+from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
 from skyproof.vehicles.fleet import Fleet
 
@@ -125,7 +123,7 @@ def measured_on(
     tiles = dict.fromkeys(scene.background.tile for scene in scenes)
     return MeasuredOn(
         scenes=len(scenes),
-        scenes_sha256=hashlib.sha256(msgspec.json.encode(list(scenes))).hexdigest(),
+        scenes_sha256=scenes_digest(scenes),
         sources=tuple(dict.fromkeys(backgrounds.tile(name).source for name in tiles)),
         draws=draws,
         seed=seed,

@@ -9,7 +9,7 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureFile
-from skyproof.detectors.average_precision import best_f1_threshold, precision_recall
+from skyproof.detectors.average_precision import frozen_threshold, precision_recall
 from skyproof.detectors.common import LOWEST_SCORE
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import detect_all
@@ -25,14 +25,14 @@ Judge = LoadedDetector[Detector]
 
 
 def threshold_of_labels(judge: Judge, frames: Sequence[CleanSet]) -> float:
-    """Returns the threshold of the largest F1 (centre within 1 m) on labelled images.
+    """Returns the threshold to freeze by F1 (centre within 1 m) on labelled images.
 
     Raises:
         ConfigurationError: there is no vehicle, or the detector finds none.
     """
     images = Dataset.joined([each.images for each in frames])
     matches = match_images(detect_all(judge.detector, images), images, criterion="centre_1m")
-    threshold, f1 = best_f1_threshold(precision_recall(matches))
+    threshold, f1 = frozen_threshold(precision_recall(matches))
     if not f1:
         raise ConfigurationError(
             f"{judge.name} finds none of the {matches.vehicles} labelled vehicles, so no threshold "

@@ -52,6 +52,9 @@ def draw_street(canvas: Canvas) -> None:
             )
             if not drive.empty and rng.random() < 0.8:
                 lay_paving(canvas, drive, PAVING + CONCRETE + ((150, 90, 74),), 0.4)
+                # A vehicle's middle stays half a vehicle from both ends of the drive.
+                middle = (drive_u, centre + side * (front + (verge + depth) / 2))
+                canvas.allow(canvas.rectangle(middle, (verge + depth - 5, 0.5), math.pi / 2))
             house = (plot - float(rng.uniform(5, 7)), depth)
             wing = float(rng.choice([0, math.pi / 2])) if abs(house[0] - depth) < 3 else 0.0
             own_roof = roof if rng.random() < 0.8 else "tiled"
@@ -177,6 +180,7 @@ def draw_car_park(canvas: Canvas) -> None:
     canvas.paint(ground, reflectance(colour), (dividers | spine) * worn)
     stains = in_bays & (canvas.noise("mottle", ground) > 1.4)
     canvas.shade(ground, np.where(stains, 0.85, 1).astype(np.float32))
+    in_bay = np.abs(np.mod(u + bay_m / 2, bay_m) - bay_m / 2) < 0.3
     for row in range(int(-canvas.reach_m // period) - 1, int(canvas.reach_m // period) + 2):
         spine_v = row * period + length_m - offset
         planted = rng.random() < 0.4
@@ -184,6 +188,11 @@ def draw_car_park(canvas: Canvas) -> None:
             strip = canvas.band(ground, spine_v, 1.6)
             canvas.paint(canvas.band(ground, spine_v, 1.9), reflectance((176, 172, 164)))
             lay_grass(canvas, strip)
+        # Vehicles park in the middle of the bays, off what is planted, and drive along the aisles.
+        for half in (-1, 1):
+            bays = ground.v - spine_v - half * (length_m / 2 + (0.5 if planted else 0.0))
+            canvas.allow(ground, in_bay & (np.abs(bays) < 0.3), math.pi / 2 + math.atan(slant))
+        canvas.allow(ground, np.abs(ground.v - spine_v - period / 2) < 0.06)
         for u_m in np.arange(-canvas.reach_m, canvas.reach_m, bay_m):
             bay = (float(u_m), spine_v + float(rng.choice([-1, 1])) * length_m / 2)
             draw = rng.random()
@@ -206,7 +215,9 @@ def draw_car_park(canvas: Canvas) -> None:
     if rng.random() < 0.6:
         size = (float(rng.uniform(20, 60)), float(rng.uniform(12, 25)))
         side = float(rng.choice([-1, 1])) * float(rng.uniform(20, 32))
-        lay_paving(canvas, canvas.rectangle((0.0, side), (size[0] + 8, size[1] + 8)))
+        forecourt = canvas.rectangle((0.0, side), (size[0] + 8, size[1] + 8))
+        lay_paving(canvas, forecourt)
+        canvas.forbid(forecourt)
         add_building(
             canvas,
             (float(rng.uniform(-10, 10)), side),
@@ -227,6 +238,10 @@ def draw_yard(canvas: Canvas) -> None:
         lay_asphalt(canvas, ground)
     else:
         lay_soil(canvas, ground)
+    # Vehicles stand along the halls in some rows and across in others.
+    along = np.mod(ground.v, 16.0) < 8.0
+    canvas.allow(ground, along)
+    canvas.allow(ground, ~along, math.pi / 2)
     for _ in range(int(rng.integers(1, 4))):
         place = (
             float(rng.uniform(-28, 28)),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyproof.scenes.directions import direction_values, with_room
 from skyproof.scenes.light import Light, SunEstimate
 
 __all__ = ["Canvas", "GroundSensor", "Patch", "beside", "pick", "reflectance", "textured"]
@@ -20,6 +21,8 @@ Place = tuple[float, float]
 
 MARGIN_M = 6.0
 """Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
+IN_THE_WAY_M = 0.3
+"""What stands higher than this, no vehicle stands on."""
 
 
 _SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)
@@ -101,6 +104,7 @@ class Canvas:
         self.axes_rad = axes_rad
         self.reflectance = np.zeros((self.pixels, self.pixels, 3), np.float32)
         self.height = np.zeros((self.pixels, self.pixels), np.float32)
+        self.directions = np.zeros((self.pixels, self.pixels), np.uint8)
         self.sun_azimuth_rad = float(rng.uniform(0, 2 * math.pi))
         self.sun_elevation_rad = float(rng.uniform(math.radians(28), math.radians(62)))
         self._fields = self._draw_fields()
@@ -252,6 +256,34 @@ class Canvas:
             np.maximum(
                 region, np.where(patch.coverage > 0.5, height_m, 0), out=region, casting="same_kind"
             )
+
+    def allow(
+        self, patch: Patch, where: NDArray[np.bool_] | bool = True, turn_rad: float = 0.0
+    ) -> None:
+        """Says where the middle of a vehicle may be, under the patch.
+
+        It heads along the patch's u, which may bend, turned by `turn_rad` to the left.
+        """
+        if min(patch.v.shape) < 2:
+            return
+        down, right = np.gradient(patch.v)
+        heading_rad = np.arctan2(-right, -down) + turn_rad
+        region = self.directions[patch.rows, patch.columns]
+        allowed = (patch.coverage > 0.5) & where
+        region[allowed] = direction_values(heading_rad)[allowed]
+
+    def forbid(self, patch: Patch) -> None:
+        """Says that no vehicle stands under the patch."""
+        if not patch.empty:
+            self.directions[patch.rows, patch.columns][patch.coverage > 0] = 0
+
+    def drivable(self) -> NDArray[np.uint8]:
+        """Gives the picture's map of drivable ground, `[size, size]`: what is allowed and free."""
+        cut = slice(self.margin_px, self.margin_px + self.size_px)
+        shown = np.zeros_like(self.directions)
+        shown[cut, cut] = self.directions[cut, cut]
+        free = self.height < IN_THE_WAY_M
+        return np.ascontiguousarray(with_room(shown, free, self.gsd_m)[cut, cut])
 
     def base_height(self, place: tuple[float, float]) -> float:
         """Height of whatever stands at a place, for things put on roofs."""

@@ -29,12 +29,14 @@ class Ground:
         kind: what it shows.
         light: the light it lies in, and how the picture shows it.
         sensor: the blur and noise it was photographed with.
+        directions: `[H, W]` map of drivable ground, as `skyproof.scenes.directions` says.
     """
 
     image: UInt8[Tensor, "3 H W"]
     kind: str
     light: Light
     sensor: Sensor
+    directions: UInt8[np.ndarray, "H W"]
 
 
 def draw_ground(
@@ -49,7 +51,8 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
 
     Everything is drawn as reflectance and height; one sun lights it, shadows follow from the
     heights, then a random sensor photographs it (haze, tint, blur, noise). There are no vehicles,
-    but many things of a vehicle's size.
+    but many things of a vehicle's size. Where vehicles may stand is known: in lanes and along
+    kerbs, in bays, drives and yards, on tracks; nowhere in a park.
 
     Args:
         size_px: the tile is size_px x size_px.
@@ -64,7 +67,7 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     camera = GroundSensor.draw(rng)
     picture, light = canvas.photograph(camera)
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
-    return Ground(torch.from_numpy(picture), kind, light, sensor)
+    return Ground(torch.from_numpy(picture), kind, light, sensor, canvas.drivable())
 
 
 GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {

@@ -13,6 +13,7 @@ from skyproof.ground.plants import add_bush, add_tree
 from skyproof.ground.surfaces import (
     SOIL,
     add_road,
+    allow_lanes,
     lay_asphalt,
     lay_grass,
     lay_soil,
@@ -48,6 +49,7 @@ def draw_fields(canvas: Canvas) -> None:
         add_road(canvas, ground, track_v, width, kerbed=False)
     elif draw < 0.85:
         tracks: Array = pick(canvas, SOIL)
+        canvas.allow(canvas.band(ground, track_v, 0.4))
         for v_m in (-0.9, 0.9):
             rut = canvas.band(ground, track_v + v_m, 0.9, 0.15)
             texture = 1 + 0.1 * canvas.noise("grain", rut) + 0.1 * canvas.noise("mottle", rut)
@@ -74,8 +76,11 @@ def draw_village(canvas: Canvas) -> None:
     rng = canvas.rng
     ground = canvas.everywhere(wander_m=float(rng.uniform(0.5, 3)))
     lay_soil(canvas, ground)
-    road = canvas.band(ground, float(rng.uniform(-12, 12)), float(rng.uniform(3.5, 6)), 0.3)
+    centre = float(rng.uniform(-12, 12))
+    width = float(rng.uniform(3.5, 6))
+    road = canvas.band(ground, centre, width, 0.3)
     (lay_soil if rng.random() < 0.7 else lay_asphalt)(canvas, road)
+    allow_lanes(canvas, road, width, kerbed=False)
     for u_m in np.arange(-canvas.reach_m, canvas.reach_m, 13.0):
         for v_m in np.arange(-canvas.reach_m, canvas.reach_m, 13.0):
             place = (float(u_m + rng.uniform(-3, 3)), float(v_m + rng.uniform(-3, 3)))

@@ -11,6 +11,7 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.directions import save_directions
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["write_procedural_backgrounds"]
@@ -65,6 +66,7 @@ def write_procedural_backgrounds(
                 kind=ground.kind,
                 sensor=ground.sensor,
                 light=ground.light,
+                drivable=save_directions(folder, tile_id, ground.directions),
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)

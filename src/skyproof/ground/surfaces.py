@@ -17,6 +17,7 @@ __all__ = [
     "add_pavement",
     "add_road",
     "add_street_furniture",
+    "allow_lanes",
     "lay_asphalt",
     "lay_grass",
     "lay_paving",
@@ -47,6 +48,9 @@ SOIL: tuple[Colour, ...] = (
     (152, 104, 80),
     (120, 98, 80),
 )
+TWO_LANES_M = 5.0
+PARKED_ALONG_M = 6.0
+"""From this width of a road on vehicles drive both ways, and others park along its kerbs."""
 CONCRETE: tuple[Colour, ...] = ((168, 166, 160), (150, 148, 144), (180, 176, 166))
 
 
@@ -182,6 +186,7 @@ def add_road(
     canvas.shade(road, wheel_tracks.astype(np.float32))
     style = rng.choice(["none", "dashed", "solid"], p=[0.3, 0.5, 0.2])
     lanes = max(2, round(width_m / 3.4))
+    allow_lanes(canvas, road, width_m, kerbed=kerbed)
     for lane in range(1, lanes):
         v_m = (lane / lanes - 0.5) * width_m
         line = canvas.band(road, v_m, 0.14)
@@ -205,6 +210,16 @@ def add_road(
                 centre_v_m + float(rng.uniform(-0.4, 0.4)) * width_m,
             ),
         )
+
+
+def allow_lanes(canvas: Canvas, road: Patch, width_m: float, *, kerbed: bool) -> None:
+    """Lets vehicles drive in the middle of each lane of a road, and park along its kerbs."""
+    lanes = max(2, round(width_m / 3.4)) if width_m >= TWO_LANES_M else 1
+    for lane in range(lanes):
+        canvas.allow(canvas.band(road, ((lane + 0.5) / lanes - 0.5) * width_m, 0.5))
+    if kerbed and width_m >= PARKED_ALONG_M:
+        for side in (-1, 1):
+            canvas.allow(canvas.band(road, side * (width_m / 2 - 1.1), 0.3))
 
 
 def add_street_furniture(canvas: Canvas, v_m: float) -> None:

@@ -13,22 +13,24 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.layout import Layout
-from skyproof.plans.plan import Plan
+from skyproof.plans.plan import Plan, Step
 from skyproof.plans.steps import (
     AttackJob,
     attack_step,
     check_step,
     control_step,
+    reference_step,
     report_step,
     score_step,
     train_step,
 )
-from skyproof.plans.world import GSD_M, WorldSizes, render_step, world_steps
+from skyproof.plans.world import GSD_M, RENDERED, WorldSizes, render_step, world_steps
 from skyproof.ranges import Count, GroundResolution, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.seeds import next_seed
@@ -38,6 +40,25 @@ __all__ = ["Demo", "check_detectors", "demo_plan"]
 
 TEXTURES = ("T-U", "T-PixFcMa")
 """What the demo learns: without any constraint, and in blocks of ground colours on paint alone."""
+
+TRAINED = ("retinanet", "faster_rcnn", "yolov5")
+"""What --train trains where no detector is named."""
+
+_REFERENCE_ATTACK_PX = 128
+"""The largest images, of one vehicle each, in an attack on reference detectors."""
+
+_CHECK_SCENES = 12
+
+_ONLY_TRAINING = (
+    "training_images",
+    "validation_images",
+    "training_vehicles",
+    "parked_share",
+    "training_conditions",
+    "paints",
+    "shapes",
+)
+"""Sizes that say nothing of detectors that come trained."""
 
 
 class _Answer(Struct, frozen=True):
@@ -59,17 +80,23 @@ class _Answers(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class DemoSizes(WorldSizes):
-    """How much of everything; the defaults fit 15 minutes on 2 CPU cores.
+    """How much of everything; meant for 6 minutes on 2 CPU cores, and for 20 with training.
 
     Attributes:
         random_draws: random controls to compare each texture with.
         check_scenes: test scenes on which detectors are checked before the attacks; 0 for no check.
+            Where not given, 12; but for reference detectors none, as they were checked when they
+            were made, unless there are --imagery or --frames to check them on.
     """
 
     image_px: Annotated[int, Meta(ge=96, le=16_384)] = 160
     training_vehicles: Count = 5
     random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
-    check_scenes: WholeNumber = 12
+    check_scenes: WholeNumber | None = None
+
+    def without_training(self) -> DemoSizes:
+        """Returns the same for detectors that come trained: next to nothing to learn from."""
+        return replace(self, tiles=(1, 1, *self.tiles[2:]), vehicles=(1, 1, *self.vehicles[2:]))
 
 
 def _training() -> TrainingSettings:
@@ -82,10 +109,10 @@ def _attack() -> AttackSettings:
 
 @dataclass(frozen=True)
 class Demo:
-    """Builds a world and detectors, attacks them, and writes a report.
+    """Builds a world, attacks detectors in it, and writes a report.
 
-    Stop it whenever you like and give the same command again: it goes on after the last finished
-    step.
+    The detectors come with skyproof, or are trained here (--train). Stop it whenever you like and
+    give the same command again: it goes on after the last finished step.
 
     Attributes:
         out: run folder; the report goes there.
@@ -98,11 +125,14 @@ class Demo:
             `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD` (COCO, YOLO or DOTA labels), e.g. kit/MOS*@0.116.
         frame_classes: class names that count as vehicles in them; other classes are ignored, not
             counted as mistakes.
-        detectors: which to build and attack together.
+        train: train the detectors in this world first, instead of taking those that come with
+            skyproof.
+        detectors: which to attack together: retinanet, faster_rcnn and, with --train, yolov5; where
+            not given, all of these.
         seed: decides everything that is drawn.
         device: auto, cpu or cuda.
         sizes: how much of everything.
-        training: how every detector is trained.
+        training: how every detector is trained, with --train.
         attack: how the texture is learnt.
         cycles: judge the test scenes as Blender Cycles draws them, too; a finished demo goes on
             with that part alone.
@@ -116,7 +146,8 @@ class Demo:
     blur_sigma_px: BlurChoice | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
-    detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
+    train: bool = False
+    detectors: tuple[str, ...] = ()
     seed: Seed = 0
     device: str = "auto"
     sizes: DemoSizes = field(default_factory=DemoSizes)
@@ -141,8 +172,9 @@ class Demo:
             raise ConfigurationError(
                 "--gsd says how many metres a pixel of --imagery has; give --imagery too."
             )
+        self._refuse_what_needs_training()
         device = choose_device(self.device)
-        check_detectors(self.detectors)
+        check_detectors(self.judges)
         layout = Layout(self.out)
         plan = demo_plan(self, layout)
         # Mistakes are looked for first: they should show before an hour's work, not after it.
@@ -157,12 +189,41 @@ class Demo:
             # Somebody else may have begun meanwhile.
             run = RunFolder(self.out, self._config(), plan, self._plan_of)
             run.start(str(device))
-            detectors = ", ".join(self.detectors)
+            detectors = ", ".join(self.judges)
             say(f"skyproof demo on {device}, detectors {detectors}, run folder {self.out}")
             run_serially(plan, run)
             run.finish()
         self._say_answer(layout)
         say(f"Report: {layout.report.resolve()}")
+
+    @property
+    def judges(self) -> tuple[str, ...]:
+        """Names of the detectors: those that were given, or the usual ones."""
+        return self.detectors or (TRAINED if self.train else REFERENCE_DETECTORS)
+
+    def _refuse_what_needs_training(self) -> None:
+        """Shows a detector that does not come trained, and settings of a training that is none.
+
+        Raises:
+            ConfigurationError: there is one, and --train is not given.
+        """
+        if self.train:
+            return
+        for name in self.detectors:
+            reference_folder(name)
+        usual = DemoSizes()
+        changed = [
+            f"--sizes.{name.replace('_', '-')}"
+            for name in _ONLY_TRAINING
+            if getattr(self.sizes, name) != getattr(usual, name)
+        ]
+        if self.training != _training():
+            changed.append("--training")
+        if changed:
+            raise ConfigurationError(
+                f"{changed[0]} says how detectors are trained, and without --train none is; give "
+                "--train too, or leave it out."
+            )
 
     def _config(self) -> dict[str, object]:
         # Where a run is computed, or what is added to it, changes none of its results.
@@ -172,6 +233,7 @@ class Demo:
             "title": "How robust are these vehicle detectors to camouflage?",
             "imagery": [str(path) for path in self.imagery] or "procedural",
             **settings,
+            "detectors": list(self.judges),
         }
 
     def _plan_of(self, config: dict[str, Any]) -> Plan:
@@ -179,6 +241,8 @@ class Demo:
         settings = {key: value for key, value in config.items() if key != "title"}
         if settings.get("imagery") == "procedural":
             settings["imagery"] = []
+        # Every demo of before trained its detectors, and had no word for it.
+        settings.setdefault("train", True)
         stored: Demo = check_document(
             settings, Demo, str(self.out / "config.json"), "choose another --out"
         )
@@ -204,29 +268,41 @@ class Demo:
 
 def demo_plan(demo: Demo, layout: Layout) -> Plan:
     """Returns the demo's steps: two learnt textures, some random ones, judged by all detectors."""
-    sizes = demo.sizes
+    sizes = demo.sizes if demo.train else demo.sizes.without_training()
     seed = demo.seed
     device = demo.device
-    steps = world_steps(
+    detectors = demo.judges
+    check_scenes = sizes.check_scenes
+    if check_scenes is None:
+        # What reference detectors were found to be when they were made holds for procedural ground.
+        check_scenes = _CHECK_SCENES if demo.train or demo.imagery or demo.frames else 0
+    checked = detectors if check_scenes else ()
+    steps: list[Step] = []
+    if not demo.train:
+        steps += [reference_step(layout, name, check=not checked) for name in detectors]
+    steps += world_steps(
         layout,
         sizes,
         seed,
+        splits=RENDERED if demo.train else ("test",),
         imagery=demo.imagery,
         imagery_gsd_m=demo.gsd,
         blur_sigma_px=demo.blur_sigma_px,
         device=device,
     )
-    training = asdict(demo.training)
-    for name in demo.detectors:
-        steps.append(train_step(layout, sizes, name, "slim", training, seed, device=device))
-    checked = demo.detectors if sizes.check_scenes else ()
+    if demo.train:
+        training = asdict(demo.training)
+        steps += [
+            train_step(layout, sizes, name, "slim", training, seed, device=device)
+            for name in detectors
+        ]
     if checked:
         steps.append(
             check_step(
                 layout,
                 sizes,
                 checked,
-                sizes.check_scenes,
+                check_scenes,
                 1,
                 seed,
                 frames=demo.frames,
@@ -236,11 +312,12 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
         )
     settings = replace(demo.attack, seed=next_seed(seed, demo.attack.seed))
     names = [CamouflageName.parse(text) for text in TEXTURES]
-    jobs = [AttackJob(str(name), settings, demo.detectors) for name in names]
+    jobs = [AttackJob(str(name), settings, detectors) for name in names]
+    attack_px = sizes.image_px if demo.train else min(sizes.image_px, _REFERENCE_ATTACK_PX)
     controls = [
         str(name.control.with_repeat(draw)) for name in names for draw in range(sizes.random_draws)
     ]
-    steps += [attack_step(layout, job, sizes.image_px, device=device) for job in jobs]
+    steps += [attack_step(layout, job, attack_px, device=device) for job in jobs]
     if controls:
         steps.append(control_step(layout, controls, seed))
     camouflages = [*TEXTURES, *controls]
@@ -251,7 +328,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
             sizes,
             "test",
             camouflages,
-            demo.detectors,
+            detectors,
             seed,
             frames=demo.frames,
             frame_classes=demo.frame_classes,
@@ -268,7 +345,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 sizes,
                 "test-cycles",
                 camouflages,
-                demo.detectors,
+                detectors,
                 seed,
                 rendering=rendering,
                 device=device,

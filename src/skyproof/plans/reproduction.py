@@ -102,7 +102,7 @@ def reproduction_plan(
         )
     steps.append(control_step(layout, jobs.controls, preset.seed))
     steps += [
-        attack_step(layout, job, preset.attack_image_px, device=device)
+        attack_step(layout, job, preset.attack_image_px, places=sizes.test_places, device=device)
         for job in jobs.attacks.values()
     ]
     scores: list[Step] = []

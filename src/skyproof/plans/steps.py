@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from skyproof.attacks.settings import AttackSettings
 from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
+from skyproof.cli.reference import Reference
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
@@ -16,12 +17,14 @@ from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
+from skyproof.scenes.places import Places
 
 __all__ = [
     "AttackJob",
     "attack_step",
     "check_step",
     "control_step",
+    "reference_step",
     "report_step",
     "score_step",
     "train_step",
@@ -96,6 +99,19 @@ def train_step(
     )
 
 
+def reference_step(layout: Layout, name: str, *, check: bool) -> Step:
+    """Returns the step that takes one of the detectors that come trained.
+
+    Args:
+        layout: the run folder's.
+        name: of the detector.
+        check: whether what the check found when it was made comes with it.
+    """
+    command = Reference(layout.detectors, (name,), check)
+    outputs = (layout.detector(name) / "detector.json",)
+    return Step("reference", name, command, (), outputs, effort_s=0.1)
+
+
 def check_step(
     layout: Layout,
     sizes: WorldSizes,
@@ -149,8 +165,15 @@ def check_step(
     )
 
 
-def attack_step(layout: Layout, job: AttackJob, image_px: int, *, device: str = "auto") -> Step:
-    """Returns the step that learns one camouflage."""
+def attack_step(
+    layout: Layout,
+    job: AttackJob,
+    image_px: int,
+    *,
+    places: Places = "uniform",
+    device: str = "auto",
+) -> Step:
+    """Returns the step that learns one camouflage, on vehicles at these places."""
     texture = layout.camouflage(job.texture) if job.texture else None
     command = Attack(
         names=(job.name,),
@@ -160,6 +183,7 @@ def attack_step(layout: Layout, job: AttackJob, image_px: int, *, device: str = 
         fleet=layout.fleets / "attack",
         texture=texture,
         image_px=image_px,
+        places=places,
         settings=job.settings,
         device=device,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta
 
@@ -18,16 +18,19 @@ from skyproof.imagery.settings import SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
 from skyproof.ranges import Count, Fraction, check_ranges
+from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = ["GSD_M", "WorldSizes", "render_s", "render_step", "world_steps"]
+__all__ = ["GSD_M", "RENDERED", "Rendered", "WorldSizes", "render_s", "render_step", "world_steps"]
 
 GSD_M = 0.125
 
 Rendered = Literal["train", "validation", "test"]
+RENDERED: tuple[Rendered, ...] = get_args(Rendered)
+"""The splits of which there are images; an attack draws its own as it goes."""
 
 # Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
 _GROUND_S = 2.6
@@ -49,7 +52,10 @@ class WorldSizes:
         test_images: images to attack and report on.
         training_vehicles: the most vehicles in one training image; validation and test images have
             1 to 5.
-        parked_share: share of the training images whose vehicles stand in a row, as parked ones do.
+        training_places: where vehicles stand in training images: uniform, removed or drivable.
+        test_places: where they stand in validation, attack and test images.
+        parked_share: share of the training images whose vehicles stand in a row, as parked ones do,
+            where places are uniform.
         training_conditions: weather and light of the training images, each equally likely; all
             others show clear days.
         paints: of the vehicles that detectors learn from and choose their threshold by.
@@ -64,6 +70,8 @@ class WorldSizes:
     validation_images: Count = 120
     test_images: Count = 120
     training_vehicles: Count = 7
+    training_places: Places = "uniform"
+    test_places: Places = "uniform"
     parked_share: Fraction = 0.5
     training_conditions: tuple[str, ...] = MIXED_CONDITIONS
     paints: PaintVariety = field(default_factory=PaintVariety)
@@ -82,14 +90,15 @@ class WorldSizes:
             split: its name.
             image_px: image side; that of the run where not given.
         """
-        usual = SceneSettings(size_px=image_px or self.image_px)
+        usual = SceneSettings(size_px=image_px or self.image_px, places=self.test_places)
         if split == "train":
             # Some training images are empty, so that ground alone is learnt too.
             return replace(
                 usual,
                 vehicles_minimum=0,
                 vehicles_maximum=self.training_vehicles,
-                parked_share=self.parked_share,
+                places=self.training_places,
+                parked_share=self.parked_share if self.training_places == "uniform" else 0.0,
                 conditions=self.training_conditions,
             )
         return replace(usual, vehicles_maximum=1) if split == "attack" else usual
@@ -113,12 +122,13 @@ def world_steps(
     sizes: WorldSizes,
     seed: int,
     *,
+    splits: Sequence[Rendered] = RENDERED,
     imagery: Sequence[Path] = (),
     imagery_gsd_m: float | None = None,
     blur_sigma_px: BlurChoice | None = None,
     device: str = "auto",
 ) -> list[Step]:
-    """Returns the steps from nothing to rendered images to train, validate and test on."""
+    """Returns the steps from nothing to rendered images of some splits."""
     ground = ground_step(
         layout,
         sizes,
@@ -127,7 +137,6 @@ def world_steps(
         imagery_gsd_m=imagery_gsd_m,
         blur_sigma_px=blur_sigma_px,
     )
-    splits: tuple[Rendered, ...] = ("train", "validation", "test")
     scenes = [scene_step(layout, sizes, split, seed) for split in splits]
     rendered = [render_step(layout, sizes, split, device=device) for split in splits]
     return [ground, vehicles_step(layout, sizes, seed), *scenes, *rendered]

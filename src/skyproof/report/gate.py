@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from skyproof.gate.record import GateRecord, Kind, read_records
+from skyproof.gate.record import GateRecord, Kind, MeasuredOn, read_records
 from skyproof.gate.verdict import (
     Finding,
     Outcome,
@@ -18,6 +18,7 @@ from skyproof.gate.verdict import (
 )
 from skyproof.layout import Layout
 from skyproof.results.results import Results
+from skyproof.scenes.scene import read_scenes, scenes_digest
 from skyproof.words import detector_name, interval, percent
 
 __all__ = ["Gate", "Swatch", "read_gate"]
@@ -66,11 +67,12 @@ def read_gate(results: Results) -> Gate:
     """Reads what `skyproof check` left beside the detectors of a run.
 
     Raises:
-        StoredFileError: a `check.json` is damaged.
+        StoredFileError: a `check.json`, or the file of the test scenes, is damaged.
     """
     records = read_records(Layout(results.folder).detectors)
     found = {name: findings(records[name]) for name in results.judges if name in records}
     sentences = [_sentence(name, found.get(name)) for name in results.judges]
+    sentences += _elsewhere({name: records[name].measured_on for name in found}, results)
     for name in results.judges:
         if name in results.detectors:
             sentences += results.detectors[name].doubts(detector_name(name))
@@ -111,6 +113,27 @@ def _sentence(name: str, found: Sequence[Finding] | None) -> str:
     }
     last = worst(found)
     return f"{shown} {said[last.outcome]}: {last.words}."
+
+
+def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str]:
+    """Says of which detectors the check was not made on this run's own test scenes.
+
+    So it is with detectors that were checked before they came into the run.
+    """
+    place = Layout(results.folder).scenes("test")
+    if not measured or not place.exists():
+        return []
+    scenes = read_scenes(place)
+    others: dict[tuple[int, str], list[str]] = {}
+    for name, on in measured.items():
+        if on.scenes_sha256 != scenes_digest(scenes[: on.scenes]):
+            ground = "procedural ground" if on.sources == ("procedural",) else "imagery"
+            others.setdefault((on.scenes, ground), []).append(detector_name(name))
+    return [
+        f"{' and '.join(names)} {'was' if len(names) == 1 else 'were'} checked before, on {count} "
+        f"scenes of {ground}, and not on the scenes of this run."
+        for (count, ground), names in others.items()
+    ]
 
 
 def _swatches(record: GateRecord, kind: Kind) -> list[Swatch]:

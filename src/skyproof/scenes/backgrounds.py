@@ -24,6 +24,7 @@ from skyproof.files import inside, write_beside, write_json
 from skyproof.pictures import read_pixels
 from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name
 from skyproof.scenes.light import Light
+from skyproof.scenes.places import DIRECTIONS, RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.splits import Split
@@ -61,6 +62,9 @@ class BackgroundTile:
         licence: as the source states it, or None.
         sensor: what took this tile, where that is not the set's.
         light: how this tile shows light, where that is not the set's.
+        removed: the vehicles that stood on it before it was cleared.
+        drivable: path inside the folder of the map that says where vehicles may stand
+            (`skyproof.scenes.directions`); None where none may, or nobody looked.
     """
 
     id: Name
@@ -74,6 +78,13 @@ class BackgroundTile:
     licence: str | None = None
     sensor: Sensor | None = None
     light: Light | None = None
+    removed: tuple[RemovedVehicle, ...] = ()
+    drivable: FileReference | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Its picture, and its map of drivable ground where it has one."""
+        return (self.file,) if self.drivable is None else (self.file, self.drivable)
 
 
 @dataclass(frozen=True)
@@ -93,12 +104,18 @@ class _Index:
         ids: set[str] = set()
         files: set[str] = set()
         for tile in self.tiles:
-            if tile.id in ids or tile.file in files:
+            if tile.id in ids or files & {*tile.files} or tile.file == tile.drivable:
                 raise StoredFileError(f"two tiles are called {tile.id}, or are {tile.file}")
-            if not tile.file.endswith(".png"):
+            if not all(file.endswith(".png") for file in tile.files):
                 raise StoredFileError(f"the tile {tile.id} is no .png file")
+            for place in tile.removed:
+                if not (0 <= place.x_px <= tile.width_px and 0 <= place.y_px <= tile.height_px):
+                    raise StoredFileError(
+                        f"a vehicle was removed at ({place.x_px:g}, {place.y_px:g}) px, outside "
+                        f"the tile {tile.id} of {tile.width_px} x {tile.height_px} px"
+                    )
             ids.add(tile.id)
-            files.add(tile.file)
+            files.update(tile.files)
 
 
 class BackgroundSet:
@@ -124,7 +141,8 @@ class BackgroundSet:
         self.sensor = sensor or Sensor()
         self.light = light or Light()
         self._tiles = {tile.id: tile for tile in tiles}
-        self._decoded: OrderedDict[str, UInt8[Tensor, "3 H W"]] = OrderedDict()
+        # By file.
+        self._decoded: OrderedDict[str, UInt8[Tensor, ...]] = OrderedDict()
         # Several threads may draw on one set.
         self._decoding = Lock()
 
@@ -140,7 +158,8 @@ class BackgroundSet:
         path = folder / _INDEX
         index: _Index = read_document(path, _Index, _REMEDY)
         for tile in index.tiles:
-            inside(folder, tile.file, path)
+            for file in tile.files:
+                inside(folder, file, path)
         return cls(folder, index.gsd_m, index.tiles, index.sensor, index.light)
 
     def tiles(self, split: str) -> list[BackgroundTile]:
@@ -185,23 +204,44 @@ class BackgroundSet:
             StoredFileError: the tile's file is missing, damaged or of another size than the index
                 says.
         """
+        tile = self.tile(tile_id)
+        return self._kept(tile.file, lambda: self._decode(tile, tile.file))
+
+    def directions(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
+        """A tile's map of drivable ground, as `skyproof.scenes.directions` says; None without one.
+
+        Raises:
+            StoredFileError: the map's file is missing, damaged or no such map.
+        """
+        tile = self.tile(tile_id)
+        file = tile.drivable
+        if file is None:
+            return None
+        directions = self._kept(file, lambda: self._decode(tile, file)[0].clone())
+        if int(directions.max()) > DIRECTIONS:
+            raise StoredFileError(
+                f"{self.folder / file} holds values above {DIRECTIONS}, so it is no map of "
+                f"drivable ground; {_REMEDY}."
+            )
+        return directions
+
+    def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
+        """Gives what a file holds, decoded once and kept while memory allows."""
         with self._decoding:
-            if tile_id not in self._decoded:
-                self._decoded[tile_id] = self._decode(self.tile(tile_id))
-            self._decoded.move_to_end(tile_id)
-            pixels = self._decoded[tile_id]
-            # The tile that was asked for is the last one, and stays.
+            if file not in self._decoded:
+                self._decoded[file] = decode()
+            self._decoded.move_to_end(file)
+            pixels = self._decoded[file]
+            # The file that was asked for is the last one, and stays.
             while (
                 len(self._decoded) > 1
-                and sum(tile.numel() for tile in self._decoded.values()) > CACHE_BYTES
+                and sum(kept.numel() for kept in self._decoded.values()) > CACHE_BYTES
             ):
                 self._decoded.popitem(last=False)
         return pixels
 
-    def _decode(self, tile: BackgroundTile) -> UInt8[Tensor, "3 H W"]:
-        array = read_pixels(
-            self.folder / tile.file, _REMEDY, size_px=(tile.width_px, tile.height_px)
-        )
+    def _decode(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "3 H W"]:
+        array = read_pixels(self.folder / file, _REMEDY, size_px=(tile.width_px, tile.height_px))
         return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
@@ -279,14 +319,19 @@ class BackgroundSet:
     ) -> BackgroundWindow:
         """Draws a uniform tile of the split, rotation, and place with the window fully inside.
 
-        Where no tile has room for a window turned by 45 degrees but the window fits unturned, as
-        where both have the same size, it is turned by quarters only and lies on whole pixels, so
-        that the tile's pixels are copied.
+        Raises:
+            ConfigurationError: no tile of the split is as large as the window.
+        """
+        tiles = self.window_tiles(split, size_px)
+        tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
+        return self.sample_window_on(tile, size_px, generator=generator)
+
+    def window_tiles(self, split: str, size_px: int) -> list[BackgroundTile]:
+        """The tiles of a split that windows are cut from: those with room to turn, if there are.
 
         Raises:
             ConfigurationError: no tile of the split is as large as the window.
         """
-        room = math.ceil(size_px * math.sqrt(2))
         fitting = [
             tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px
         ]
@@ -295,11 +340,19 @@ class BackgroundSet:
                 f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that "
                 "size needs; choose a smaller image or cut larger tiles."
             )
-        roomy = [tile for tile in fitting if min(tile.width_px, tile.height_px) >= room]
-        tiles = roomy or fitting
-        tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
+        return [tile for tile in fitting if _has_room_to_turn(tile, size_px)] or fitting
+
+    def sample_window_on(
+        self, tile: BackgroundTile, size_px: int, *, generator: torch.Generator
+    ) -> BackgroundWindow:
+        """Draws a rotation, and a place with the window fully inside a tile that is large enough.
+
+        Where the tile has no room for a window turned by 45 degrees, as where both have the same
+        size, it is turned by quarters only and lies on whole pixels, so that the tile's pixels are
+        copied.
+        """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
-        if not roomy:
+        if not _has_room_to_turn(tile, size_px):
             return BackgroundWindow(
                 tile=tile.id,
                 centre_x_px=size_px / 2 + math.floor(x * (tile.width_px - size_px + 1)),
@@ -314,6 +367,10 @@ class BackgroundSet:
             centre_y_px=reach + y * (tile.height_px - 2 * reach),
             rotation_rad=rotation_rad,
         )
+
+
+def _has_room_to_turn(tile: BackgroundTile, size_px: int) -> bool:
+    return min(tile.width_px, tile.height_px) >= math.ceil(size_px * math.sqrt(2))
 
 
 def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
 from skyproof.scenes.light import SunEstimate
+from skyproof.scenes.placing import place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
-__all__ = ["rectangles_overlap", "sample_scenes"]
-
-Rectangle = tuple[float, float, float, float, float]
-"""Centre x, centre y, heading, length, width; metres and radians."""
-
-Sizes = Mapping[str, tuple[float, float, float]]
-"""Per vehicle id its length, width and height in metres."""
+__all__ = ["sample_scenes"]
 
 TRIES = 2000
 
@@ -40,7 +35,9 @@ def sample_scenes(
     generator: torch.Generator,
     prefix: str = "scene",
 ) -> list[Scene]:
-    """Draws scenes with uniform places and headings, vehicles and backgrounds; none overlap.
+    """Draws scenes with uniform vehicles and backgrounds; none overlap.
+
+    Places and headings are uniform too, unless `settings.places` takes them from the ground.
 
     Args:
         settings: how they are drawn.
@@ -52,8 +49,8 @@ def sample_scenes(
         prefix: ids are `<prefix>-<number>`.
 
     Raises:
-        ConfigurationError: no tile is large enough, there are no vehicles to choose from, or the
-            image has no room for its vehicles.
+        ConfigurationError: no tile is large enough, there are no vehicles to choose from, the
+            image has no room for its vehicles, or the ground no places for them.
     """
     half_m = settings.half_m(backgrounds.gsd_m)
     if settings.vehicles_maximum > 0 and not vehicle_sizes_m:
@@ -79,11 +76,17 @@ def _sample_scene(
 ) -> Scene:
     """Draws all of one scene from its seed."""
     generator = torch.Generator().manual_seed(seed)
-    window = backgrounds.sample_window(split, settings.size_px, generator=generator)
+    if settings.places == "uniform":
+        window = backgrounds.sample_window(split, settings.size_px, generator=generator)
+    else:
+        window, placements = place_vehicles(
+            settings, backgrounds, split, vehicle_sizes_m, half_m, generator=generator
+        )
     radius, camera_turn, sun_turn, sun_height = torch.rand(
         4, dtype=torch.float64, generator=generator
     ).tolist()
-    placements = _sample_placements(settings, vehicle_sizes_m, half_m, generator=generator)
+    if settings.places == "uniform":
+        placements = _sample_placements(settings, vehicle_sizes_m, half_m, generator=generator)
     # The weather is drawn last, so that everything else is the same whatever the conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
     condition = settings.conditions[choice]
@@ -158,7 +161,7 @@ def _sample_placements(
             for name, (x, y, turn) in zip(chosen, draws, strict=True)
         )
         rectangles = [
-            _footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements
+            footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements
         ]
         if not any(
             rectangles_overlap(rectangles[i], rectangles[j])
@@ -210,27 +213,3 @@ def _park(
         for name, (middle_m, heading_rad) in zip(names, slots, strict=True)
     )
     return tuple(spot for spot in row if max(abs(spot.x_m), abs(spot.y_m)) <= half_m)
-
-
-def _footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
-    length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
-    return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
-
-
-def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
-    """Tells whether two turned rectangles share area, by the separating axis test."""
-    dx = second[0] - first[0]
-    dy = second[1] - first[1]
-    for heading in (first[2], second[2]):
-        for axis_rad in (heading, heading + math.pi / 2):
-            distance = abs(dx * math.cos(axis_rad) + dy * math.sin(axis_rad))
-            if distance >= _half_extent(first, axis_rad) + _half_extent(second, axis_rad):
-                return False
-    return True
-
-
-def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
-    _, _, heading, length, width = rectangle
-    along = length * abs(math.cos(axis_rad - heading))
-    across = width * abs(math.sin(axis_rad - heading))
-    return (along + across) / 2

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 from msgspec import Meta
 
 from skyproof.documents import read_lines
@@ -27,6 +29,7 @@ __all__ = [
     "SunElevation",
     "Tilt",
     "read_scenes",
+    "scenes_digest",
     "write_scenes",
 ]
 
@@ -170,6 +173,11 @@ def read_scenes(path: Path) -> list[Scene]:
                 f"from {scenes[0].id}); {remedy}."
             )
     return scenes
+
+
+def scenes_digest(scenes: Iterable[Scene]) -> str:
+    """Computes the SHA-256 of scenes; it is the same of drawn ones and of the file they became."""
+    return hashlib.sha256(msgspec.json.encode([_row(scene) for scene in scenes])).hexdigest()
 
 
 def _row(scene: Scene) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, ImageSide, check_ranges
+from skyproof.scenes.places import Places
 from skyproof.scenes.scene import MOST_PLACEMENTS, SunElevation, Tilt
 from skyproof.scenes.weather import CONDITIONS
 
@@ -40,8 +41,11 @@ class SceneSettings:
         sun_elevation_maximum_rad: the highest sun, every elevation between equally likely.
         gap_m: the least free room between two vehicles.
         margin_m: the least distance of a vehicle's centre from the image's edge.
-        parked_share: the share of scenes whose vehicles stand in a row, bumper to bumper or side by
-            side, as parked ones do; 0 in the paper.
+        places: where vehicles stand: uniform, anywhere and any way, as in the paper; removed, where
+            skyproof clear removed vehicles, near in length, a little off and either way round;
+            drivable, on ground where vehicles may stand, along it.
+        parked_share: of uniform places, the share of scenes whose vehicles stand in a row, bumper
+            to bumper or side by side, as parked ones do; 0 in the paper.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
             low_sun, overcast, exposure, noise, jpeg. The same seed gives the same scenes under
             every choice of conditions, but for the weather and the elevation of a low sun.
@@ -56,6 +60,7 @@ class SceneSettings:
     sun_elevation_maximum_rad: SunElevation = _HIGHEST_SUN_RAD
     gap_m: _Clearance = 0.4
     margin_m: _Clearance = 2.0
+    places: Places = "uniform"
     parked_share: Fraction = 0.0
     conditions: tuple[str, ...] = ("clear",)
 
@@ -70,6 +75,11 @@ class SceneSettings:
             raise ConfigurationError(
                 f"sun_elevation_minimum_rad {self.sun_elevation_minimum_rad} is above "
                 f"sun_elevation_maximum_rad {self.sun_elevation_maximum_rad}; change them."
+            )
+        if self.parked_share and self.places != "uniform":
+            raise ConfigurationError(
+                f"parked_share {self.parked_share:g} is a share of uniform places, but places are "
+                f"{self.places}; give 0."
             )
         unknown = sorted(set(self.conditions) - set(CONDITIONS))
         if unknown or not self.conditions:

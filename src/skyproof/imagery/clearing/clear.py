@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,16 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import write_json
 from skyproof.imagery.clearing.inpainting import Inpainting, apply_inpainting, inpainting_record
+from skyproof.imagery.clearing.labelled import (
+    TileLabels,
+    read_labels_of_tiles,
+    removed_vehicles,
+)
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_finder import (
     VehicleFinder,
     check_resolution,
     other_vehicles,
-    read_boxes,
 )
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
@@ -32,9 +36,12 @@ from skyproof.imagery.clearing.vehicle_masks import (
     estimate_shadow,
     vehicle_mask,
 )
+from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.directions import save_directions
+from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
@@ -52,6 +59,7 @@ class Cleared:
         id, split: of the tile.
         labelled: vehicles removed because of a label, ignore regions included.
         detected: vehicles removed because only the detector found them, repairs included.
+        places: vehicles whose place is kept: those that are labelled or surely detected.
         masked_share: of the tile's pixels, after the last round.
         rounds: repairs after the first filling.
         remaining: what the check found in the end; None without a check.
@@ -62,6 +70,7 @@ class Cleared:
     split: str
     labelled: int
     detected: int
+    places: int = 0
     masked_share: float = 0.0
     rounds: int = 0
     remaining: int | None = None
@@ -70,8 +79,12 @@ class Cleared:
 
 @dataclass
 class _Found:
+    """What is removed from a tile; of these, `sure` boxes are vehicles beyond doubt."""
+
     labelled: Float[Tensor, "n 4"]
     detected: Float[Tensor, "m 4"]
+    sure: Float[Tensor, "s 4"]
+    removed: tuple[RemovedVehicle, ...]
     profiles: Float[Tensor, "k directions layers"] = field(
         default_factory=lambda: torch.zeros(0, 1, 1)
     )
@@ -93,14 +106,17 @@ def clear_backgrounds(
 ) -> dict[str, Any]:
     """Writes a tiled folder of the same tiles without their vehicles.
 
+    Where and how these stood is kept with every tile, and where vehicles may stand is looked at
+    anew.
+
     Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
     `checker` still finds something are repaired, and left out if that does not help. A contact
     sheet shows every tile that was changed or left out.
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: gets the tiles, `index.json`, `index.geojson`, `clearing.json` and `sheets/`; use
-            `finished_folder` around it.
+        out: gets the tiles, their maps of drivable ground, `index.json`, `index.geojson`,
+            `clearing.json` and `sheets/`; use `finished_folder` around it.
         inpainting: fills masks; bytes outside the mask are never changed.
         settings: margins and limits.
         finder: finds vehicles that are not labelled.
@@ -118,7 +134,7 @@ def clear_backgrounds(
     settings = settings or ClearSettings()
     backgrounds = BackgroundSet.open(folder)
     tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
-    labels = read_boxes(folder)
+    labels = read_labels_of_tiles(folder)
     if labels is None and finder is None:
         raise ConfigurationError(
             f"{folder} holds no labels (<split>/annotations.json) and no detector was given, so no "
@@ -129,7 +145,8 @@ def clear_backgrounds(
     # Vehicles of all tiles first: a shadow is estimated from all tiles of one picture.
     found = {}
     for done, tile in enumerate(tiles, start=1):
-        found[tile.id] = _find(backgrounds, tile, (labels or {}).get(tile.id), finder, settings)
+        of_tile = (labels or {}).get(tile.id, TileLabels())
+        found[tile.id] = _find(backgrounds, tile, of_tile, finder, settings)
         if progress is not None:
             progress("find", done, len(tiles))
     shadows = _shadows(tiles, found)
@@ -149,7 +166,7 @@ def clear_backgrounds(
             )
             rows.append(row)
             if row.left_out is None:
-                kept.append(tile)
+                kept.append(_with_places(out, tile, found[tile.id], backgrounds.gsd_m))
             if sheet_row is not None:
                 sheet.add(sheet_row)
             if progress is not None:
@@ -206,19 +223,34 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
 def _find(
     backgrounds: BackgroundSet,
     tile: BackgroundTile,
-    labelled: Tensor | None,
+    labels: TileLabels,
     finder: VehicleFinder | None,
     settings: ClearSettings,
 ) -> _Found:
-    labelled = torch.zeros(0, 4) if labelled is None else labelled
-    detected = torch.zeros(0, 4)
+    labelled = labels.boxes
     image = backgrounds.pixels(tile.id)
+    detected, sure = torch.zeros(0, 4), torch.zeros(0, 4)
     if finder is not None:
-        detected = other_vehicles(finder.boxes(image, settings.finding_score), labelled)
-    found = _Found(labelled, detected)
+        detections = other_vehicles(finder.detections(image, settings.finding_score), labelled)
+        detected = detections.boxes
+        # Much of what is removed to be safe is no vehicle.
+        sure = detected[detections.scores >= finder.loaded.threshold]
+    removed = removed_vehicles(image, labels, sure, backgrounds.gsd_m)
+    found = _Found(labelled, detected, torch.cat([labels.vehicle_boxes, sure]), removed)
     if len(found.boxes):
         found.profiles = darkness_profiles(image, found.boxes, gsd_m=backgrounds.gsd_m)
     return found
+
+
+def _with_places(out: Path, tile: BackgroundTile, found: _Found, gsd_m: float) -> BackgroundTile:
+    """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
+    cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
+    directions = drivable_directions(cleared, gsd_m, found.sure)
+    return replace(
+        tile,
+        removed=(*tile.removed, *found.removed),
+        drivable=save_directions(out, tile.id, directions),
+    )
 
 
 def _light(tile: BackgroundTile) -> str:
@@ -250,7 +282,7 @@ def _clear_tile(
     out: Path,
 ) -> tuple[Cleared, SheetRow | None]:
     """Fills one tile, checks it and stores it."""
-    row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected))
+    row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
     before = backgrounds.pixels(tile.id)
     size = (tile.height_px, tile.width_px)
     image = before
@@ -270,7 +302,7 @@ def _clear_tile(
             image = apply_inpainting(inpainting, image, tile_mask)
         if checker is None:
             break
-        remaining = checker.boxes(image, checker.loaded.threshold)
+        remaining = checker.detections(image, checker.loaded.threshold).boxes
         row.remaining = len(remaining)
         if not len(remaining):
             break
@@ -332,6 +364,7 @@ def _record(
             "left_out": dict(left_out),
             "splits_without_tiles": emptied,
             "labelled_removed": sum(row.labelled for row in kept),
+            "places": sum(row.places for row in kept),
             "detected_removed": sum(row.detected for row in kept),
             "masked_share": round(sum(row.masked_share for row in kept) / max(len(kept), 1), 4),
         },

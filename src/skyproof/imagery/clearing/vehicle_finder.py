@@ -1,23 +1,20 @@
-"""Finds vehicles in tiles of any size: from labels, and from a detector."""
+"""Finds vehicles in tiles of any size by a detector."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torchvision import ops
 
-from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import Detector
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
-from skyproof.scenes.splits import SPLITS
 
-__all__ = ["VehicleFinder", "check_resolution", "other_vehicles", "read_boxes"]
+__all__ = ["VehicleFinder", "check_resolution", "other_vehicles"]
 
 SAME_VEHICLE_IOU = 0.3
 
@@ -34,7 +31,7 @@ class VehicleFinder:
     loaded: LoadedDetector[Detector]
     name: str
 
-    def boxes(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Float[Tensor, "n 4"]:
+    def detections(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Detections:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""
         detected = []
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
@@ -45,37 +42,17 @@ class VehicleFinder:
             detected.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
         boxes = torch.cat([f[0] for f in detected])
         scores = torch.cat([f[1] for f in detected])
-        return boxes[ops.nms(boxes, scores, 0.5)].reshape(-1, 4)
+        kept = ops.nms(boxes, scores, 0.5)
+        return Detections(boxes[kept].reshape(-1, 4), scores[kept])
 
 
-def read_boxes(folder: Path) -> dict[str, Float[Tensor, "_ 4"]] | None:
-    """Reads the labelled boxes of every tile id, vehicles and ignore regions alike.
-
-    None where the folder has no labels.
-
-    Raises:
-        StoredFileError: an annotation file is damaged.
-    """
-    folders = [Path(folder) / split for split in SPLITS]
-    datasets = [
-        Dataset.open(split_folder)
-        for split_folder in folders
-        if (split_folder / "annotations.json").is_file()
-    ]
-    if not datasets:
-        return None
-    return {
-        name: torch.cat((vehicles, ignored))
-        for data in datasets
-        for name, vehicles, ignored in zip(data.ids, data.boxes, data.ignore, strict=True)
-    }
-
-
-def other_vehicles(boxes: Tensor, known: Tensor) -> Tensor:
-    """Returns boxes of vehicles that are not among the known ones: IoU below 0.3 with each."""
+def other_vehicles(detections: Detections, known: Float[Tensor, "n 4"]) -> Detections:
+    """Returns those that are not among the known vehicles: IoU below 0.3 with each."""
+    boxes = detections.boxes
     if not len(known) or not len(boxes):
-        return boxes
-    return boxes[ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU]
+        return detections
+    other = ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU
+    return Detections(boxes[other], detections.scores[other])
 
 
 def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ __all__ = [
     "Point",
     "border_strips",
     "bounds",
+    "corners_lengthwise",
+    "is_oriented",
     "require_classes",
     "require_inside",
     "sort_labels",
@@ -85,6 +88,40 @@ def bounds(label: Label) -> tuple[float, float, float, float]:
     """Returns the smallest upright box around a label, xyxy; of no size around a point."""
     xs, ys = zip(*label.corners, strict=True)
     return min(xs), min(ys), max(xs), max(ys)
+
+
+def is_oriented(label: Label) -> bool:
+    """Tells whether a label has four corners that are not those of an upright box.
+
+    To half a percent of its sides, as much as text with few digits rounds.
+    """
+    if len(label.corners) != 4:
+        return False
+    left, top, right, bottom = bounds(label)
+    slack_x, slack_y = _SLACK * (right - left), _SLACK * (bottom - top)
+    return any(
+        min(x - left, right - x) > slack_x or min(y - top, bottom - y) > slack_y
+        for x, y in label.corners
+    )
+
+
+def corners_lengthwise(label: Label) -> tuple[Point, ...]:
+    """Gives the four corners of a label in pixels: front left, front right, rear right, rear left.
+
+    Front and rear are the short sides. Labels do not say which of the two is the front: the one
+    that begins with the earlier corner is taken for it.
+    """
+    corners = label.corners
+    area = sum(
+        x0 * y1 - x1 * y0
+        for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)
+    )
+    # With y down a positive area runs clockwise, as seen, and so do front left and front right.
+    if area < 0:
+        corners = (corners[0], *reversed(corners[1:]))
+    if math.dist(corners[0], corners[1]) > math.dist(corners[1], corners[2]):
+        corners = (*corners[1:], corners[0])
+    return corners
 
 
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:

@@ -22,6 +22,8 @@ from skyproof.imagery.labels.label import (
     Label,
     Labels,
     border_strips,
+    corners_lengthwise,
+    is_oriented,
     require_classes,
     sort_labels,
 )
@@ -38,10 +40,17 @@ EVERYTHING, BORDER = "image without labels", "border of an image"
 
 @dataclass(frozen=True)
 class _Placed:
-    """A label in the coordinates of a plane; `source` where it belongs to one source alone."""
+    """A label in the coordinates of a plane.
+
+    Attributes:
+        label: as it lies there.
+        source: where it belongs to one source alone.
+        oriented: whether it is turned as the vehicle is, and not upright in its file.
+    """
 
     label: Label
     source: int | None
+    oriented: bool = False
 
 
 class PlacedLabels:
@@ -49,6 +58,7 @@ class PlacedLabels:
 
     A vehicle counts on the tile that its centre lies in, with its box cut at the tile's border; on
     the tiles beside it, and where the source has no data at its centre, it is an ignore region.
+    Of an oriented label the corners are kept beside the box.
     Labels in pixels count only where their own source is what the tile shows. What an image without
     any entry in the labels shows is ignored as a whole: nobody looked for vehicles there.
 
@@ -133,10 +143,11 @@ class PlacedLabels:
             for number in numbers:
                 in_plane |= _within(middles, extent_of(self._sources[number], crs))
             inside |= in_plane
-            self._add(
-                plane,
-                (_Placed(label, None) for label in moved if math.isfinite(sum(_middle(label)))),
+            placed = (
+                _Placed(label, None, is_oriented(original))
+                for label, original in zip(moved, labels.labels, strict=True)
             )
+            self._add(plane, (one for one in placed if math.isfinite(sum(_middle(one.label)))))
         if count and not inside.any():
             raise ImageryError(
                 f"None of the {count} labels of {path} lies in the imagery; check their reference "
@@ -178,7 +189,11 @@ class PlacedLabels:
                 kept = [label for label in labels_here if _inside_picture(_middle(label), size)]
                 outside += len(labels_here) - len(kept)
                 self._add(
-                    plane, (_Placed(self._to_plane(label, number, crs), number) for label in kept)
+                    plane,
+                    (
+                        _Placed(self._to_plane(label, number, crs), number, is_oriented(label))
+                        for label in kept
+                    ),
                 )
         if total and outside == total:
             raise ImageryError(
@@ -238,12 +253,13 @@ class PlacedLabels:
             label = dataclasses.replace(
                 item.label, corners=tuple(inverse * corner for corner in item.label.corners)
             )
-            annotations += self._annotate(label, item.source, cell, owner)
+            annotations += self._annotate(label, item, cell, owner)
         return annotations
 
     def _annotate(
-        self, label: Label, source: int | None, cell: Cell, owner: Int[NDArray[np.int32], "S S"]
+        self, label: Label, item: _Placed, cell: Cell, owner: Int[NDArray[np.int32], "S S"]
     ) -> list[Annotation]:
+        source = item.source
         size = cell.size_px
         x, y = _middle(label)
         inside = 0 <= x < size and 0 <= y < size
@@ -276,9 +292,14 @@ class PlacedLabels:
                     / max(_area(label, self._settings, cell), 1e-9)
                 )
             centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2) if ignore else (x, y)
+            corners = corners_lengthwise(label) if item.oriented and not ignore else None
             annotations.append(
                 Annotation(
-                    (box[0], box[1], box[2], box[3]), centre, min(fraction, 1.0), ignore=ignore
+                    (box[0], box[1], box[2], box[3]),
+                    centre,
+                    min(fraction, 1.0),
+                    ignore=ignore,
+                    corners_px=corners,
                 )
             )
         return annotations

@@ -17,6 +17,7 @@ import torch
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
+from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
@@ -33,6 +34,7 @@ from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
 from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.directions import save_directions
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
 
@@ -78,7 +80,8 @@ def tile_imagery(
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
-    It writes `index.json`, `index.geojson`, `<split>/images/*.png` and `tiling.json`.
+    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png` and
+    `tiling.json`.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
     (`lay_grids`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
@@ -87,7 +90,7 @@ def tile_imagery(
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`measure_sensor`).
+    (`measure_sensor`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
     on. Tiles without any vehicle stay.
@@ -126,10 +129,16 @@ def tile_imagery(
             if image is not None:
                 shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
                 tile = _tile(cell, shown)
-                save_tile(folder, tile, torch.from_numpy(image.pixels))
-                kept.append((cell, tile))
+                pixels = torch.from_numpy(image.pixels)
+                save_tile(folder, tile, pixels)
                 if placed is not None:
                     annotations[cell.id] = placed.on(cell, image.owner)
+                vehicles = _vehicles(annotations.get(cell.id))
+                directions = drivable_directions(pixels, settings.gsd_m, vehicles)
+                tile = dataclasses.replace(
+                    tile, drivable=save_directions(folder, tile.id, directions)
+                )
+                kept.append((cell, tile))
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
@@ -180,6 +189,14 @@ def tile_imagery(
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
+
+
+def _vehicles(annotations: Sequence[Annotation] | None) -> torch.Tensor | None:
+    """Gives the boxes of a tile's labelled vehicles, `[n, 4]`; None where nobody labelled."""
+    if annotations is None:
+        return None
+    boxes = [row.box_xyxy for row in annotations if not row.ignore]
+    return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
 
 
 def _sensor(

@@ -1,0 +1,58 @@
+"""`skyproof reference`: the detectors that come with it, copied to where a run wants them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyproof.cli.console import say
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
+from skyproof.errors import ConfigurationError
+
+__all__ = ["Reference"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Copies the detectors that come with skyproof into a folder, ready to be attacked.
+
+    They learnt from procedural ground and vehicles alone. Each becomes a detector folder like any
+    other, with what the check found of it when it was made, which is shown.
+
+    Attributes:
+        out: folder in which every detector gets its own, by its name.
+        detectors: retinanet, faster_rcnn, or both; no other comes trained.
+        check: copy what the check found, too; --no-check leaves it out, so that `skyproof check`
+            can tell what it finds on your ground.
+    """
+
+    out: Path
+    detectors: tuple[str, ...] = REFERENCE_DETECTORS
+    check: bool = True
+
+    def run(self) -> None:
+        """Copies the detectors, and prints what was found of them and where they lie."""
+        from skyproof.cli.check_words import lines
+        from skyproof.detectors.reference_detectors import reference_detector, reference_folder
+        from skyproof.files import finished_folder, refuse_existing, write_bytes
+        from skyproof.gate.record import RECORD_FILE, read_record
+
+        names = tuple(dict.fromkeys(self.detectors))
+        if not names:
+            raise ConfigurationError(
+                f"--detectors expects {' or '.join(REFERENCE_DETECTORS)}, got none."
+            )
+        # What is damaged or in the way shows before anything is written.
+        found: list[list[str]] = []
+        for name in names:
+            card = reference_detector(name).card
+            found.append(lines(read_record(reference_folder(name)), card.doubts))
+            refuse_existing(self.out / name)
+        for name, told in zip(names, found, strict=True):
+            with finished_folder(self.out / name) as folder:
+                for file in reference_folder(name).iterdir():
+                    if self.check or file.name != RECORD_FILE:
+                        write_bytes(folder / file.name, file.read_bytes())
+            for line in told if self.check else ():
+                say(line)
+            say(f"Detector: {(self.out / name).resolve()}")

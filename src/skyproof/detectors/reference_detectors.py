@@ -1,0 +1,59 @@
+"""The detectors that come with skyproof, so that a first report needs no training.
+
+How they were made stands in `reference/README.md`, beside their folders. Imports no torch.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skyproof.errors import ConfigurationError, StoredFileError
+
+if TYPE_CHECKING:
+    from skyproof.detectors.detector import TrainableDetector
+    from skyproof.detectors.loaded import LoadedDetector
+
+__all__ = ["REFERENCE_DETECTORS", "REFERENCE_FOLDER", "reference_detector", "reference_folder"]
+
+REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
+"""YOLOv5 is trained on the user's machine, because its library's licence is another one."""
+
+REFERENCE_FOLDER = Path(__file__).with_name("reference")
+
+
+def reference_folder(name: str) -> Path:
+    """Returns the folder of a detector that came with skyproof: a detector folder like any other.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
+    if name not in REFERENCE_DETECTORS:
+        raise ConfigurationError(
+            f"{name[:100]!r} does not come trained, only {' and '.join(REFERENCE_DETECTORS)} do; "
+            "train it (skyproof demo --train, or skyproof train), or name one of these."
+        )
+    return REFERENCE_FOLDER / name
+
+
+def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
+    """Loads a detector that came with skyproof; in eval mode, on the CPU.
+
+    Args:
+        name: "retinanet" or "faster_rcnn", both slim, for sRGB images at 12.5 cm per pixel.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+        StoredFileError: its files are missing, damaged or of another version.
+    """
+    folder = reference_folder(name)
+    # Here, so that the command line can name the detectors without loading a network's library.
+    from skyproof.detectors.loaded import load_detector
+
+    try:
+        return load_detector(folder)
+    except StoredFileError as error:
+        wrong = str(error).partition(";")[0].rstrip(".")
+        raise StoredFileError(
+            f"A detector that came with skyproof cannot be used: {wrong}; install skyproof again."
+        ) from error

@@ -1,0 +1,177 @@
+"""Where vehicles may stand on imagery, by a simple rule, and which way they head there."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch.nn.functional as F
+from jaxtyping import Float, UInt8
+from numpy.typing import NDArray
+from scipy import ndimage
+from torch import Tensor
+
+from skyproof.scenes.directions import direction_values, with_room
+
+__all__ = ["drivable_directions"]
+
+_Grid = NDArray[np.floating[Any]]
+_Mask = NDArray[np.bool_]
+
+CELL_M = 0.375
+"""The rule looks at cells of about this size, so that it costs little and sees no noise."""
+LINES_M = 1.75
+"""Brighter marks narrower than half of this are paint on the ground, and belong to it."""
+ROUGHNESS = 0.03
+STEP_PER_CELL = 0.06
+"""What is plain: the largest dark deviation, in parts of the brightness, and the largest step."""
+LARGEST_SATURATION = 0.2
+LARGEST_GREENNESS = 0.03
+DARKEST, BRIGHTEST = 0.15, 0.85
+"""Asphalt and concrete, in sRGB from 0 to 1: grey, and neither shadow nor white roof."""
+CHROMA_NEAR = 0.03
+BRIGHTNESS_NEAR = 0.35
+"""What looks like the ground beside a labelled vehicle: shares of red, green and blue within the
+first, and brightness within this part of its own."""
+BESIDE_M = (0.4, 1.5)
+TOUCHING_M = 1.5
+DIRECTION_WITHIN_M = 3.0
+"""Standard deviation of the Gaussian within which edges say the direction."""
+
+
+def drivable_directions(
+    image: UInt8[Tensor, "3 H W"], gsd_m: float, vehicles: Float[Tensor, "n 4"] | None = None
+) -> UInt8[np.ndarray, "H W"]:
+    """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
+
+    Ground is drivable where it is plain (without dark texture or steps over some metres; painted
+    lines belong to it), wide enough for a vehicle (2.5 m, over 5.3 m), and
+
+    - without labels, grey: hardly saturated, not green, neither in shadow nor white;
+    - with labels, of a colour as beside one of the tile's vehicles, and connected with where one
+      stands or stood.
+
+    The heading is along the edges around: the direction of least change by the structure tensor of
+    the picture, within some 3 m.
+
+    Limits: without labels flat grey roofs and squares count as drivable, and tracks of soil do not;
+    with labels only ground on which somebody was counts. Crossings have one direction, and so has
+    each bay of a car park only where its lines outweigh the rows'. Nothing is known of lanes.
+
+    Args:
+        image: sRGB bytes.
+        gsd_m: metres per pixel.
+        vehicles: boxes of the vehicles that are labelled, pixel xyxy; None where nobody labelled
+            the tile.
+    """
+    cell_px = max(1, round(CELL_M / gsd_m))
+    cell_m = cell_px * gsd_m
+    result = np.zeros(tuple(image.shape[1:]), np.uint8)
+    if min(image.shape[1:]) < 3 * cell_px or (vehicles is not None and not len(vehicles)):
+        return result
+    cells = _cells(image, cell_px)
+    grey = _mean(cells)
+    colour = ndimage.uniform_filter(cells, (3, 3, 0))
+    plain = _plain(grey, cell_m)
+    if vehicles is None:
+        free = _tidied(plain & _grey(colour))
+    else:
+        boxes = vehicles.double().numpy() / cell_px
+        free = _tidied(plain & _like_beside(colour, plain, boxes, cell_m))
+        free = _touching(free, boxes, cell_m)
+    directions = np.where(free, direction_values(_heading_rad(grey, cell_m)), 0).astype(np.uint8)
+    directions = with_room(directions, free, cell_m)
+    fine = np.repeat(np.repeat(directions, cell_px, 0), cell_px, 1)
+    result[: fine.shape[0], : fine.shape[1]] = fine
+    return result
+
+
+def _cells(image: UInt8[Tensor, "3 H W"], cell_px: int) -> _Grid:
+    """Averages the picture over whole cells, `[rows, columns, 3]` in 0 to 1."""
+    averaged = F.avg_pool2d(image.float(), cell_px) / 255
+    return averaged.permute(1, 2, 0).double().contiguous().numpy()
+
+
+def _plain(grey: _Grid, cell_m: float) -> _Mask:
+    """Tells ground without dark texture and without steps; lines brighter than it count as it."""
+    # Medians along rows and then along columns cost a fifth of one over squares.
+    width = max(3, round(LINES_M / cell_m))
+    without_lines = ndimage.median_filter(ndimage.median_filter(grey, (1, width)), (width, 1))
+    dark = ndimage.uniform_filter(np.maximum(without_lines - grey, 0), max(3, round(1.25 / cell_m)))
+    step = ndimage.gaussian_gradient_magnitude(without_lines, 0.25 / cell_m)
+    paint = ndimage.uniform_filter((grey > without_lines + 0.25).astype(np.float32), 3)
+    plain: _Mask = (dark < ROUGHNESS * without_lines) & (step < STEP_PER_CELL) & (paint < 0.7)
+    return plain
+
+
+def _mean(colour: _Grid) -> _Grid:
+    # Over the last axis, of length three, NumPy's own mean is slow.
+    return (colour[..., 0] + colour[..., 1] + colour[..., 2]) / 3
+
+
+def _grey(colour: _Grid) -> _Mask:
+    brightness = _mean(colour)
+    red, green, blue = (colour[..., channel] for channel in range(3))
+    highest = np.maximum(np.maximum(red, green), blue)
+    lowest = np.minimum(np.minimum(red, green), blue)
+    grey: _Mask = (highest - lowest < LARGEST_SATURATION * highest) & (
+        green - (red + blue) / 2 < LARGEST_GREENNESS
+    )
+    return grey & (brightness > DARKEST) & (brightness < BRIGHTEST)
+
+
+def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
+    """Tells what looks like the plain ground beside at least one vehicle."""
+    brightness = np.maximum(_mean(colour), 1e-3)
+    chroma = colour / (3 * brightness[..., None])
+    like = np.zeros_like(plain)
+    inside = _around(plain.shape, boxes, BESIDE_M[0] / cell_m)
+    for box in boxes:
+        beside = _around(plain.shape, box[None], BESIDE_M[1] / cell_m) & ~inside & plain
+        if not beside.any():
+            continue
+        near = np.all(np.abs(chroma - np.median(chroma[beside], 0)) < CHROMA_NEAR, axis=2)
+        own = float(np.median(brightness[beside]))
+        like |= near & (np.abs(brightness - own) < BRIGHTNESS_NEAR * own)
+    return like
+
+
+def _touching(free: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
+    """Keeps the connected areas that reach to a vehicle."""
+    areas, _ = ndimage.label(free)
+    touched = np.unique(areas[_around(free.shape, boxes, TOUCHING_M / cell_m)])
+    return np.isin(areas, touched[touched > 0])
+
+
+def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:
+    """Masks boxes grown by a margin, all in cells."""
+    mask = np.zeros(size, dtype=bool)
+    for left, top, right, bottom in boxes:
+        rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
+        columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
+        mask[rows, columns] = True
+    return mask
+
+
+def _tidied(free: _Mask) -> _Mask:
+    """Takes away specks and fills pinholes."""
+    opened = ndimage.binary_opening(free)
+    closed: _Mask = ndimage.binary_closing(opened) | opened
+    return closed
+
+
+def _heading_rad(grey: _Grid, cell_m: float) -> _Grid:
+    """Gives the direction of least change around each cell, from x (right) towards up."""
+    right = ndimage.gaussian_filter(grey, 1, order=(0, 1))
+    down = ndimage.gaussian_filter(grey, 1, order=(1, 0))
+    # Weak edges count in proportion to their strength, strong ones hardly more than one another:
+    # a tree's rim would drown the kerb otherwise.
+    strength = np.hypot(right, down)
+    weight = 1 / ((strength + 1e-6) * (1 + 50 * strength))
+    reach = DIRECTION_WITHIN_M / cell_m
+    difference = ndimage.gaussian_filter((right * right - down * down) * weight, reach, truncate=3)
+    product = ndimage.gaussian_filter(2 * right * down * weight, reach, truncate=3)
+    across_rad = 0.5 * np.arctan2(product, difference)
+    # Rows run down; what is along is at right angles to what is across.
+    return -(across_rad + math.pi / 2)

@@ -1,0 +1,81 @@
+"""Maps of drivable ground: where a vehicle's middle may be on a tile, and which way it heads.
+
+A map has the size of its tile. A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1
+degrees from the tile's x axis (right) towards up, modulo 180: nose and tail are not told apart.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from skyproof.files import write_beside
+
+__all__ = ["direction_values", "save_directions", "with_room"]
+
+_Grid = NDArray[np.floating[Any]]
+
+HALF_WIDTH_M = 1.25
+"""Radius of the room about a vehicle's middle, and about two points of its long axis"""
+REACH_M = 1.4
+"""so far from there: together they hold a car of 4.5 m x 1.7 m with corners."""
+
+
+def direction_values(heading_rad: _Grid) -> UInt8[np.ndarray, ...]:
+    """Gives the map's values for headings."""
+    degrees = np.round(np.degrees(np.mod(heading_rad, math.pi))).astype(np.int64) % 180
+    return (degrees + 1).astype(np.uint8)
+
+
+def with_room(
+    directions: UInt8[np.ndarray, "H W"], free: Bool[np.ndarray, "H W"], pixel_m: float
+) -> UInt8[np.ndarray, "H W"]:
+    """Keeps the places at which a vehicle has room: three discs in a row along its heading.
+
+    A car of 4.5 m x 1.7 m fits, and the row is 5.3 m x 2.5 m.
+
+    Args:
+        directions: a map.
+        free: where nothing stands in the way. Beyond the map nothing is free.
+        pixel_m: metres per pixel of both.
+    """
+    rows, columns = np.nonzero(directions)
+    distance_m = pixel_m * ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
+    heading_rad = np.radians(directions[rows, columns].astype(np.float64) - 1)
+    kept = np.ones(len(rows), dtype=bool)
+    height, width = directions.shape
+    for reach_m in (-REACH_M, 0.0, REACH_M):
+        row = np.round(rows - reach_m / pixel_m * np.sin(heading_rad)).astype(int)
+        column = np.round(columns + reach_m / pixel_m * np.cos(heading_rad)).astype(int)
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        room_m = distance_m[row.clip(0, height - 1), column.clip(0, width - 1)]
+        kept &= inside & (room_m >= HALF_WIDTH_M)
+    result = np.zeros_like(directions)
+    result[rows[kept], columns[kept]] = directions[rows[kept], columns[kept]]
+    return result
+
+
+def save_directions(folder: Path, tile_id: str, directions: UInt8[np.ndarray, "H W"]) -> str | None:
+    """Writes a tile's map, whole or not at all.
+
+    Args:
+        folder: the background set's.
+        tile_id: the tile's.
+        directions: the map.
+
+    Returns:
+        Its file inside the folder; None, and nothing is written, where no vehicle may stand.
+    """
+    if not directions.any():
+        return None
+    file = f"drivable/{tile_id}.png"
+    with write_beside(Path(folder) / file) as temporary:
+        Image.fromarray(directions).save(temporary, format="PNG")
+    return file

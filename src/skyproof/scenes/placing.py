@@ -1,0 +1,235 @@
+"""Vehicles placed as in the photograph: where some were removed, or on drivable ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from skyproof.errors import ConfigurationError
+from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
+from skyproof.scenes.scene import BackgroundWindow, Placement
+from skyproof.scenes.settings import SceneSettings
+
+__all__ = ["Place", "drivable_places", "place_vehicles", "removed_places"]
+
+SHIFT_M = 0.3
+TURN_RAD = math.radians(3)
+"""Standard deviations of a vehicle's place and heading about those that it is given."""
+NEAR_LENGTH_SHARE = 1 / 3
+"""Of the fleet, nearest in length to a removed vehicle: one of these takes its place."""
+
+_TILES_TRIED = 60
+_WINDOWS_TRIED = 20
+_VEHICLES_TRIED = 5
+_POINTS = 1024
+_POINTS_USED = 64
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a vehicle may stand in a scene.
+
+    Attributes:
+        x_m: metres east of the image's middle.
+        y_m: the same northwards.
+        heading_rad: from x towards y; the vehicle may as well head the other way. None where any
+            heading will do.
+        length_m: of the vehicle that stood there; None where not known.
+    """
+
+    x_m: float
+    y_m: float
+    heading_rad: float | None
+    length_m: float | None = None
+
+
+def place_vehicles(
+    settings: SceneSettings,
+    backgrounds: BackgroundSet,
+    split: str,
+    vehicle_sizes_m: Sizes,
+    half_m: float,
+    *,
+    generator: torch.Generator,
+) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
+    """Draws a window and vehicles at places that its ground has for them; none overlap.
+
+    The tile is uniform among those with places, the window uniform on it, among those that have
+    room for the fewest vehicles (one at least, unless no vehicle was drawn). Where a window has
+    more places than vehicles, a random subset is taken; where it has fewer, there are fewer
+    vehicles.
+
+    Args:
+        settings: `places` says which places; all else as of `sample_scenes`.
+        backgrounds: the ground.
+        split: which of it.
+        vehicle_sizes_m: per vehicle id its length, width and height.
+        half_m: how far from the middle vehicles' centres may lie on both axes.
+        generator: all draws are taken from it.
+
+    Raises:
+        ConfigurationError: no tile has places, or no window with room for the fewest vehicles was
+            found.
+        StoredFileError: a map of drivable ground is missing or damaged.
+    """
+    span = settings.vehicles_maximum - settings.vehicles_minimum + 1
+    number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
+    if number == 0:
+        return backgrounds.sample_window(split, settings.size_px, generator=generator), ()
+    tiles = _tiles_with_places(settings, backgrounds, split)
+    for _ in range(_TILES_TRIED):
+        tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
+        for _ in range(_WINDOWS_TRIED):
+            window = backgrounds.sample_window_on(tile, settings.size_px, generator=generator)
+            if settings.places == "removed":
+                places = removed_places(tile, window, backgrounds.gsd_m)
+            else:
+                places = drivable_places(backgrounds, window, half_m, generator=generator)
+            places = [p for p in places if max(abs(p.x_m), abs(p.y_m)) <= half_m]
+            placements = _fill(
+                places, number, settings, vehicle_sizes_m, half_m, generator=generator
+            )
+            if len(placements) >= max(settings.vehicles_minimum, 1):
+                return window, placements
+    raise ConfigurationError(
+        f"No window of {settings.size_px} px on the {split} tiles of {backgrounds.folder} has "
+        f"{settings.places} places for {max(settings.vehicles_minimum, 1)} vehicles; give fewer "
+        "vehicles, a larger image, or --settings.places uniform."
+    )
+
+
+def _tiles_with_places(
+    settings: SceneSettings, backgrounds: BackgroundSet, split: str
+) -> list[BackgroundTile]:
+    tiles = backgrounds.window_tiles(split, settings.size_px)
+    if settings.places == "removed":
+        tiles = [tile for tile in tiles if tile.removed]
+        what, remedy = "removed vehicles", "clear imagery with skyproof clear"
+    else:
+        tiles = [tile for tile in tiles if tile.drivable is not None]
+        what, remedy = "drivable ground", "draw or cut the ground again with skyproof ground"
+    if not tiles:
+        raise ConfigurationError(
+            f"{backgrounds.folder} knows no {what} on its {split} tiles; {remedy}, or give "
+            "--settings.places uniform."
+        )
+    return tiles
+
+
+def removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
+    """Gives where vehicles stood on a tile, in the axes of a window; they may lie outside it."""
+    cosine = math.cos(window.rotation_rad)
+    sine = math.sin(window.rotation_rad)
+    places = []
+    for vehicle in tile.removed:
+        across = vehicle.x_px - window.centre_x_px
+        down = vehicle.y_px - window.centre_y_px
+        # The window's x axis is the tile's turned to the left, so what is on it turns right.
+        places.append(
+            Place(
+                (cosine * across - sine * down) * gsd_m,
+                -(sine * across + cosine * down) * gsd_m,
+                None if vehicle.heading_rad is None else vehicle.heading_rad - window.rotation_rad,
+                vehicle.length_m,
+            )
+        )
+    return places
+
+
+def drivable_places(
+    backgrounds: BackgroundSet,
+    window: BackgroundWindow,
+    half_m: float,
+    *,
+    generator: torch.Generator,
+) -> list[Place]:
+    """Draws points of a window and gives those on drivable ground, with its direction there.
+
+    Args:
+        backgrounds: the set with the window's tile.
+        window: the scene's ground.
+        half_m: how far from the window's middle they may lie on both axes.
+        generator: 1,024 points are drawn from it, and the first 64 that hit are given.
+
+    Raises:
+        StoredFileError: the map is missing or damaged.
+    """
+    directions = backgrounds.directions(window.tile)
+    points = torch.rand(_POINTS, 2, dtype=torch.float64, generator=generator)
+    if directions is None:
+        return []
+    x_m, y_m = ((2 * points - 1) * half_m).unbind(1)
+    cosine = math.cos(window.rotation_rad)
+    sine = math.sin(window.rotation_rad)
+    across = x_m / backgrounds.gsd_m
+    up = y_m / backgrounds.gsd_m
+    # As `BackgroundSet.window` turns its pixels, with rows that run down.
+    column = window.centre_x_px + cosine * across - sine * up
+    row = window.centre_y_px - sine * across - cosine * up
+    values = directions[
+        row.floor().long().clamp(0, directions.shape[0] - 1),
+        column.floor().long().clamp(0, directions.shape[1] - 1),
+    ]
+    hits = values.nonzero().flatten()[:_POINTS_USED].tolist()
+    return [
+        Place(
+            float(x_m[hit]),
+            float(y_m[hit]),
+            math.radians(int(values[hit]) - 1) - window.rotation_rad,
+        )
+        for hit in hits
+    ]
+
+
+def _fill(
+    places: Sequence[Place],
+    number: int,
+    settings: SceneSettings,
+    vehicle_sizes_m: Sizes,
+    half_m: float,
+    *,
+    generator: torch.Generator,
+) -> tuple[Placement, ...]:
+    """Puts at most so many vehicles on places, taken in random order."""
+    order = torch.randperm(len(places), generator=generator).tolist()
+    placements: list[Placement] = []
+    taken: list[tuple[float, float, float, float, float]] = []
+    for index in order:
+        if len(placements) == number:
+            break
+        for placement in _draws(places[index], vehicle_sizes_m, generator=generator):
+            rectangle = footprint(placement, vehicle_sizes_m, settings.gap_m)
+            inside = max(abs(placement.x_m), abs(placement.y_m)) <= half_m
+            if inside and not any(rectangles_overlap(rectangle, other) for other in taken):
+                placements.append(placement)
+                taken.append(rectangle)
+                break
+    return tuple(placements)
+
+
+def _draws(
+    place: Place, vehicle_sizes_m: Sizes, *, generator: torch.Generator
+) -> Iterator[Placement]:
+    """Draws vehicles for a place, each a little off it and one way or the other."""
+    names = sorted(vehicle_sizes_m)
+    length_m = place.length_m
+    if length_m is not None:
+        names.sort(key=lambda name: abs(vehicle_sizes_m[name][0] - length_m))
+        names = names[: math.ceil(len(names) * NEAR_LENGTH_SHARE)]
+    for _ in range(_VEHICLES_TRIED):
+        name = names[int(torch.randint(len(names), (1,), generator=generator))]
+        side, any_way = torch.rand(2, dtype=torch.float64, generator=generator).tolist()
+        east, north, turn = torch.randn(3, dtype=torch.float64, generator=generator).tolist()
+        heading_rad = 2 * math.pi * any_way
+        if place.heading_rad is not None:
+            heading_rad = place.heading_rad + TURN_RAD * turn + (math.pi if side < 0.5 else 0.0)
+        yield Placement(
+            name,
+            place.x_m + SHIFT_M * east,
+            place.y_m + SHIFT_M * north,
+            heading_rad % (2 * math.pi),
+        )

@@ -1,0 +1,183 @@
+"""Turns a finished run of the preset `reference` into the detectors that come with skyproof.
+
+    skyproof reproduce --preset reference --out runs/reference --cores 2
+    python tools/ship_reference.py runs/reference
+
+Weights are halved. What is told of the detectors is measured on the halved ones: the threshold and
+the scores of validation on the run's validation images, the check on the run's own scenes.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from skyproof.cli.check import Check
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.card import DetectorCard, write_card
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.matching import MatchTable, match_images
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
+from skyproof.detectors.training import validate
+from skyproof.detectors.weights import plain_state, weights_digest
+from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError
+from skyproof.gate.record import read_record
+from skyproof.gate.verdict import findings, verdict
+from skyproof.layout import Layout
+from skyproof.plans.preset import Preset
+from skyproof.plans.reproduction import reproduction_plan
+from skyproof.results.stored import read_environment
+from skyproof.storage import write_tensors
+from skyproof.words import detector_name, percent
+
+PRESET = "reference"
+LARGEST_BYTES = 5_000_000
+
+README = """\
+# The reference detectors
+
+Slim versions of RetinaNet and Faster R-CNN that come with skyproof, so that a first report needs no
+training. Each is a detector folder like any other: `detector.json`, `weights.safetensors` and
+`check.json`, what `skyproof check` found of it.
+
+**What they are for:** a first report, tests, examples, and to compare a detector of your own with.
+**What they are not for:** finding vehicles for a purpose of yours. They learnt from procedural
+ground and procedural vehicles alone, at 12.5 cm per pixel, and saw no photograph; what they score
+on your imagery `skyproof check` tells.
+
+## How they were made
+
+```
+skyproof reproduce --preset reference --out runs/reference --cores 2
+python tools/ship_reference.py runs/reference
+```
+
+in a checkout. No data and no weights of others went in.
+
+- Seed {seed}; all settings: [reference.json](../../plans/reference.json).
+- Versions: {versions}.
+- Processor: {cpu}. Another one, or another version, ends in somewhat other weights.
+- Weights are stored in half precision and computed with in single precision. Threshold, validation
+  and check are those of the halved weights.
+
+| detector | AP in validation | threshold | check | halving moves a vehicle's score by at most | vehicles that it wins or loses |
+| -- | -- | -- | -- | -- | -- |
+{rows}
+
+AP is that of centres within 1 m on rendered images. YOLOv5 is not among them: its library is under
+the AGPL-3.0, so it is trained on your machine (`skyproof demo --train`).
+
+## Licence
+
+Apache-2.0, as skyproof itself.
+"""  # noqa: E501
+
+
+@dataclass(frozen=True)
+class ShipReference:
+    """Writes the folders of the detectors and the page beside them, in place of those before.
+
+    Attributes:
+        run_folder: a finished run of the preset `reference`.
+        out: folder that comes with the package.
+        device: auto, cpu or cuda.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    out: Path = REFERENCE_FOLDER
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Halves, measures, and says what became of it."""
+        layout = Layout(self.run_folder)
+        config = read_document(layout.config, dict[str, Any], "give a finished run")
+        if config.get("preset") != PRESET:
+            raise ConfigurationError(
+                f"{self.run_folder} is no run of the preset {PRESET}; the detectors that are "
+                "shipped are made by it alone."
+            )
+        plan = reproduction_plan(Preset.parse(config), self.run_folder, device=self.device)
+        (check,) = (step.command for step in plan.steps if isinstance(step.command, Check))
+        self.out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as scratch:
+            made = [Path(scratch) / name for name in REFERENCE_DETECTORS]
+            changes = [_halve(layout, folder) for folder in made]
+            replace(check, detectors=tuple(made)).run()
+            rows = [_row(folder, change) for folder, change in zip(made, changes, strict=True)]
+            for folder in made:
+                shutil.rmtree(self.out / folder.name, ignore_errors=True)
+                shutil.move(folder, self.out)
+        machine = read_environment(layout.environment)
+        packages = ("skyproof", "python", "torch", "torchvision")
+        versions = ", ".join(f"{name} {machine[name]}" for name in packages if machine.get(name))
+        page = README.format(
+            seed=config["seed"],
+            versions=versions or "not noted",
+            cpu=machine.get("cpu", "not noted"),
+            rows="\n".join(rows),
+        )
+        (self.out / "README.md").write_text(page, encoding="utf-8")
+        print(page.partition("## How they were made")[2])
+
+
+def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
+    """Writes a detector's folder with halved weights, but for its check.
+
+    Returns:
+        By how much halving moves the score of any vehicle of the test images at most; how many
+        vehicles it wins or loses at the threshold; and how many vehicles there are.
+    """
+    trained = load_detector(layout.detector(folder.name))
+    before = _matched(trained.detector, layout)
+    halves = {
+        name: tensor.half() if tensor.is_floating_point() else tensor
+        for name, tensor in plain_state(trained.detector).items()
+    }
+    weights = folder / "weights.safetensors"
+    write_tensors(weights, halves)
+    if weights.stat().st_size > LARGEST_BYTES:
+        raise ConfigurationError(
+            f"{folder.name} has {weights.stat().st_size:,} bytes in half precision, more than the "
+            f"{LARGEST_BYTES:,} that a package may carry; train a smaller one."
+        )
+    detector = trained.detector
+    detector.load_state_dict(halves)
+    scores = validate(detector, Dataset.open(layout.dataset("validation")))
+    card = replace(trained.card, threshold=scores.pop("threshold"), validation=scores)
+    write_card(folder / "detector.json", card, weights_digest(detector))
+    after = _matched(detector, layout)
+    moved = float(np.abs(after.score_of_vehicle - before.score_of_vehicle).max())
+    changed = before.found_at(trained.threshold) != after.found_at(card.threshold)
+    return moved, int(changed.sum()), before.vehicles
+
+
+def _matched(detector: Any, layout: Layout) -> MatchTable:
+    test = Dataset.open(layout.dataset("test"))
+    return match_images(detect_all(detector, test), test, criterion="centre_1m")
+
+
+def _row(folder: Path, change: tuple[float, int, int]) -> str:
+    """What the page says of a detector; opening it shows that its files belong together."""
+    card: DetectorCard = load_detector(folder).card
+    moved, changed, vehicles = change
+    cells = [
+        detector_name(card.name),
+        percent(card.validation["ap_centre_1m"], 1),
+        f"{card.threshold:.3f}",
+        verdict(findings(read_record(folder))),
+        f"{moved:.4f}",
+        f"{changed} of {vehicles}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    tyro.cli(ShipReference).run()
