@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -10,20 +11,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from realism_crops import Crop
-from realism_folds import Fold
+from realism_folds import Fold, spots
 from torch import Tensor, nn
 from torch.nn import functional
 
 from skyproof.randomness import generator_of
 
 View = Literal["whole", "vehicle", "ground"]
-"""What a network sees of a window: all, the vehicle in its box alone, or all but that box."""
+"""What a network sees of a window: all, the vehicle alone, or all but the vehicle."""
 
 _BATCH = 64
 _CHANNELS = (12, 24, 32, 64, 112)
-# Boxes are grown at random by this much on every side, so that how tightly a box was drawn by hand
-# does not tell real from rendered.
-_MARGINS_M = (0.2, 0.8)
+# A disc, because a box would tell the heading and how tightly somebody drew it. It holds a car of
+# 4.8 m with the ground at its sides; where its middle lies is drawn at random, too.
+_VEHICLE_M = 2.4
+_SLACK_M = 0.25
 _ERASED_M = 1.5
 
 
@@ -59,22 +61,25 @@ class Windows:
 
     def __init__(self, crops: Sequence[Crop], room_px: int, gsd_m: float) -> None:
         self.pixels = torch.stack([crop.pixels for crop in crops])
-        self.boxes = torch.tensor([crop.box for crop in crops])
+        self.spot_of = spots(crops)
         self.room_px = room_px
         self.gsd_m = gsd_m
+        boxes = torch.tensor([crop.box for crop in crops])
+        # From the window's middle.
+        self.middles = (boxes[:, :2] + boxes[:, 2:]) / 2 - self.pixels.shape[2] / 2
 
     def draw(
         self, indices: Tensor, view: View, *, learning: bool, generator: torch.Generator
     ) -> Tensor:
-        """Returns windows with all that is not to tell anything drawn at random.
+        """Returns windows with all drawn at random that is not to tell anything.
 
-        Shift (a window is symmetric, so that is no quarter turn's business), quarter turn and
-        mirror, how much of the box's surroundings is shown; and when learning, brightness and a
-        grey patch as well.
+        That is heading, mirror and shift; so real windows are resampled as rendered ones are. When
+        learning, brightness varies and a patch is hidden as well.
 
         Args:
             indices: `[n]` which.
-            view: what is shown of them; all else becomes grey.
+            view: what is shown of them; all else becomes grey, and so does what is farther from the
+                middle than half a window, which turns would show at some angles only.
             learning: whether to vary more.
             generator: of the draws.
 
@@ -82,47 +87,54 @@ class Windows:
             `[n, 3, s, s]` values around 0, which is grey.
         """
         count = len(indices)
-        images = self.pixels[indices].float() / 127.5 - 1
-        if view != "whole":
-            low, high = (margin / self.gsd_m for margin in _MARGINS_M)
-            margins = low + (high - low) * torch.rand(count, 4, generator=generator)
-            sign = torch.tensor([-1.0, -1.0, 1.0, 1.0])
-            inside = _inside(self.boxes[indices] + sign * margins, images.shape[2])
-            images = images * (inside if view == "vehicle" else ~inside)
-        size = images.shape[2] - 2 * self.room_px
-        shift = torch.randint(2 * self.room_px + 1, (count, 2), generator=generator).tolist()
-        turn = torch.randint(8, (count,), generator=generator).tolist()
-        images = torch.stack(
-            [
-                _turned(image[:, y : y + size, x : x + size], turned)
-                for image, (x, y), turned in zip(images, shift, turn, strict=True)
-            ]
+        whole = self.pixels.shape[2]
+        size = whole - 2 * self.room_px
+        angle = 2 * math.pi * torch.rand(count, generator=generator)
+        mirror = 2.0 * torch.randint(2, (count,), generator=generator) - 1
+        shift = self.room_px * (2 * torch.rand(count, 2, generator=generator) - 1)
+        turn = torch.stack([angle.cos() * mirror, angle.sin(), -angle.sin() * mirror, angle.cos()])
+        # Per pixel of the result, in pixels: the place in it and in the window, from the middle.
+        steps = torch.arange(size) + 0.5 - size / 2
+        place = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1)
+        there = place @ turn.T.view(count, 1, 2, 2).mT + shift[:, None, None]
+        grid = there * (2 / whole)
+        images = functional.grid_sample(
+            self.pixels[indices].float() / 127.5 - 1, grid, mode="bicubic", align_corners=False
         )
         if learning:
-            shown = images != 0
             gain = 0.85 + 0.3 * torch.rand(count, 1, 1, 1, generator=generator)
             lift = 0.15 * torch.rand(count, 1, 1, 1, generator=generator) - 0.075
-            # What is hidden stays grey.
-            images = torch.where(shown, images * gain + lift, images)
+            images = images * gain + lift
+        shown = (place.square().sum(-1) <= (size / 2) ** 2).expand(count, size, size)
+        if view != "whole":
+            slack = 2 * torch.rand(count, 2, generator=generator) - 1
+            middle = self.middles[indices] + slack * (_SLACK_M / self.gsd_m)
+            away = (there - middle[:, None, None]).square().sum(-1)
+            vehicle = away <= (_VEHICLE_M / self.gsd_m) ** 2
+            shown = shown & (vehicle if view == "vehicle" else ~vehicle)
+        if learning:
             side = round(_ERASED_M / self.gsd_m)
-            corner = torch.randint(size - side + 1, (count, 2), generator=generator).float()
-            patch = _inside(torch.cat([corner, corner + side], 1), size)
-            erased = torch.rand(count, 1, 1, 1, generator=generator) < 0.5
-            images = images.masked_fill(patch & erased, 0.0)
+            corner = torch.randint(size - side + 1, (count, 2), generator=generator)
+            patch = _squares(corner, side, size)
+            erased = torch.rand(count, 1, 1, generator=generator) < 0.5
+            shown = shown & ~(patch & erased)
+        images = images * shown[:, None]
         return images.contiguous(memory_format=torch.channels_last)
 
     def middle(self, indices: Tensor) -> Tensor:
-        """Returns windows as they are, not shifted: `[n, 3, s, s]` values around 0."""
+        """Returns windows as they are, neither turned nor shifted: `[n, 3, s, s]` around 0."""
         room = self.room_px
         images = self.pixels[indices].float() / 127.5 - 1
         inner = images[:, :, room : images.shape[2] - room, room : images.shape[3] - room]
-        return inner.contiguous(memory_format=torch.channels_last)
+        size = inner.shape[2]
+        steps = torch.arange(size) + 0.5 - size / 2
+        disc = steps[:, None].square() + steps.square() <= (size / 2) ** 2
+        return (inner * disc).contiguous(memory_format=torch.channels_last)
 
 
 def learn(
     windows: Windows,
     rendered: NDArray[np.bool_],
-    spot_of: NDArray[np.int64],
     fold: Fold,
     view: View,
     *,
@@ -131,11 +143,11 @@ def learn(
 ) -> Network:
     """Trains a network on a fold's windows, as many rendered as real ones in every batch.
 
+    Every spot is drawn as often, however many windows show it.
+
     Args:
         windows: all of them.
         rendered: `[N]` what is to be told.
-        spot_of: `[N]` each window's spot; every spot is drawn as often, however many windows show
-            it.
         fold: which may be learnt from.
         view: what is shown of each.
         steps: of the optimiser.
@@ -151,7 +163,8 @@ def learn(
     pools = []
     for wanted in (False, True):
         pool = np.flatnonzero(fold.train & (rendered == wanted))
-        often = 1 / np.bincount(spot_of[pool])[spot_of[pool]]
+        spot_of = windows.spot_of[pool]
+        often = 1 / np.bincount(spot_of)[spot_of]
         pools.append((torch.from_numpy(pool), torch.from_numpy(often)))
     target = torch.cat([torch.zeros(_BATCH // 2), torch.ones(_BATCH // 2)])
     network.train()
@@ -208,16 +221,8 @@ def occlusion(
     return falls
 
 
-def _inside(boxes: Tensor, size: int) -> Tensor:
-    """Returns `[n, 1, size, size]` which pixels have their centre in each box."""
-    steps = torch.arange(size) + 0.5
-    left, top, right, bottom = boxes[:, :, None].unbind(1)
-    columns = (steps >= left) & (steps < right)
-    rows = (steps >= top) & (steps < bottom)
-    return (rows[:, :, None] & columns[:, None, :])[:, None]
-
-
-def _turned(image: Tensor, turn: int) -> Tensor:
-    """Turns by quarters, and mirrors where `turn` is 4 or more."""
-    image = image.flip(2) if turn >= 4 else image
-    return image.rot90(turn % 4, (1, 2))
+def _squares(corners: Tensor, side: int, size: int) -> Tensor:
+    """Returns `[n, size, size]` which pixels lie in squares with these top-left corners."""
+    steps = torch.arange(size)
+    along = (steps >= corners[:, :, None]) & (steps < corners[:, :, None] + side)
+    return along[:, 1, :, None] & along[:, 0, None, :]

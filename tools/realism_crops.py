@@ -27,8 +27,8 @@ from skyproof.scenes.scene import BackgroundWindow
 
 Item = TypeVar("Item")
 
-CROP_M = 6.0
-"""Side of the window that a classifier sees: a car, its shadow and some ground."""
+CROP_M = 7.0
+"""How much a classifier sees across: a car, its shadow and some ground."""
 
 ROOM_M = 0.5
 """How far windows are shifted at random, on both axes: more than boxes drawn by hand are off."""
@@ -208,8 +208,8 @@ def _empty_ground(
         Windows of the photograph and of the rendered image, of the same places.
     """
     side, room = side_px(gsd_m)
-    # Whichever way the window is turned, what is farther from its middle is outside.
-    reach_px = math.hypot(side + 2 * room, side + 2 * room) / 2 + _SHADOW_M / gsd_m
+    # Of a window only a disc is shown, shifted by the room.
+    reach_px = side / 2 + room * math.sqrt(2) + _SHADOW_M / gsd_m
     size = shown.pixels.shape[1]
     middles = generator.uniform(0, size, (60, 2))
     free = middles[_distances(shown, middles, truth) > reach_px]

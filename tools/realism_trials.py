@@ -109,7 +109,6 @@ def tell(trial: Trial, effort: Effort) -> Told:
         ConfigurationError: a fold has too few windows.
     """
     windows = Windows(trial.crops, side_px(effort.gsd_m)[1], effort.gsd_m)
-    spot_of = spots(trial.crops)
     scores = np.full((len(effort.seeds), len(trial.crops)), np.nan)
     fold_of = np.full(len(trial.crops), -1)
     networks = []
@@ -126,13 +125,7 @@ def tell(trial: Trial, effort: Effort) -> Told:
         fold_of[tested] = number
         for repeat, seed in enumerate(effort.seeds):
             network = learn(
-                windows,
-                trial.positive,
-                spot_of,
-                fold,
-                trial.view,
-                steps=effort.steps,
-                seed=seed,
+                windows, trial.positive, fold, trial.view, steps=effort.steps, seed=seed
             )
             scores[repeat, tested] = judge(network, windows, tested, trial.view, seed=seed)
             if repeat == 0:

@@ -153,6 +153,32 @@ def test_pairs_are_of_one_spot_where_there_is_one():
     assert matched == 1
 
 
+def test_views_show_the_vehicle_or_all_else_however_a_window_is_turned():
+    # A red vehicle, a pixel off the middle on both axes, on black ground.
+    pixels = torch.zeros(3, WHOLE, WHOLE, dtype=torch.uint8)
+    middle = WHOLE // 2
+    pixels[0, middle - 3 : middle + 5, middle - 8 : middle + 10] = 255
+    box = (middle - 8.0, middle - 3.0, middle + 10.0, middle + 5.0)
+    windows = Windows([replace(crop(0, 0, pixels=pixels), box=box)], ROOM, GSD_M)
+    indices = torch.zeros(50, dtype=torch.long)
+    seen = {}
+    for view in ("whole", "vehicle", "ground"):
+        draws = torch.Generator().manual_seed(0)
+        seen[view] = windows.draw(indices, view, learning=False, generator=draws)
+        assert seen[view].shape == (50, 3, SIDE, SIDE)
+    red = {view: ((1 + images[:, 0]) / 2 * (images[:, 0] != 0)).sum((1, 2))
+           for view, images in seen.items()}  # fmt: skip
+    assert red["whole"] == pytest.approx(18 * 8, rel=0.05)
+    assert red["vehicle"] == pytest.approx(18 * 8, rel=0.08)
+    hidden = (seen["ground"] == 0).all(1)
+    # The vehicle's corners reach a little out of its disc.
+    assert float(((seen["ground"][:, 0] > 0) & ~hidden).sum((1, 2)).max()) <= 8
+    # Beside the disc of the vehicle there is some ground, and it is as dark as it is.
+    assert float((~hidden).sum((1, 2)).min()) > 250
+    # No two windows are turned and shifted alike.
+    assert len({round(float(value), 3) for value in (seen["whole"] ** 2).sum((1, 2, 3))}) > 40
+
+
 def drawn(count, *, planted, seed):
     """Noisy ground with a vehicle in its middle; a planted one has a dark edge of one pixel."""
     draws = np.random.default_rng(seed)
@@ -345,7 +371,7 @@ def test_windows_are_cut_alike_and_ground_without_vehicles_is_the_same(world):
         value = 20 if one.rendered else 230
         assert (one.pixels[:, top:bottom, left:right] == value).all()
         assert one.ground == "Town"
-        assert 6 <= one.position_m[0] <= 26
+        assert 5.99 <= one.position_m[0] <= 26.01
     # Real and rendered vehicles stand in the same rows of the tile.
     rows = [np.unique([round((one.position_m[1] - 6) / 8.75) for one in kind]) for kind in kinds]
     assert rows[0].tolist() == rows[1].tolist()
