@@ -134,7 +134,8 @@ def test_every_name_can_be_made_and_has_its_control(preset):
         assert not name.random
         assert (name.order == "seq") == (job.texture is not None)
         assert name.control in pooled
-    assert settings.repeats >= 3
+    # One attack of each is enough to say what a detector is like, and too little for a table.
+    assert settings.repeats >= (1 if preset == "reference" else 3)
     assert settings.draws >= 3
 
 
