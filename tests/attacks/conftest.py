@@ -1,13 +1,13 @@
-"""The trained detectors, made once for every test that attacks them."""
+"""The detectors under attack, loaded once for every test that attacks them."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.attacks.trained import Trained, make_trained
+from tests.attacks.attacked import Attacked, make_attacked
 
 
 @pytest.fixture(scope="session")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> Attacked:
     """RetinaNet and Faster R-CNN; one file asks for them, and a file's tests share a process."""
-    return make_trained(tmp_path_factory.mktemp("trained"))
+    return make_attacked(tmp_path_factory.mktemp("attacked"))

@@ -120,6 +120,7 @@ GROUND = [
     Kind("index, adjusted", "backgrounds/index.json", adjust, copied="backgrounds"),
     Kind("index, rendered", "backgrounds/index.json", render),
     Kind("index, cleared", "tiled/index.json", clear, slow=True),
+    Kind("index with places", "cleared/index.json", adjust, copied="cleared"),
     Kind("places of tiles", "tiled/index.geojson", drop, copied="tiled"),
     Kind("record of clearing", "cleared/clearing.json", drop, copied="cleared"),
     Kind("annotations, cleared", "tiled/test/annotations.json", clear, slow=True),

@@ -15,6 +15,7 @@ import tyro
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
+from skyproof.cli.scenes import Scenes
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.layout import Layout
 from skyproof.main import load_command
@@ -23,6 +24,7 @@ from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
 from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan
 from skyproof.plans.snakemake import SNAKEFILE, shell_line, step_words
+from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Fraction
 
 TINY_FILE = Path(__file__).with_name("tiny.json")
@@ -125,7 +127,8 @@ def test_every_name_can_be_made_and_has_its_control(preset):
     full = Jobs(settings)
     attacks = {CamouflageName.parse(name): job for name, job in full.attacks.items()}
     textures = {name.pooled for name in attacks if name.kind == "texture" and not name.variant}
-    assert len(textures) == 12
+    # All of the paper's, but of detectors that are to be shipped only what is told of them.
+    assert len(textures) == len(set(settings.textures)) == (2 if preset == "reference" else 12)
     controls = {CamouflageName.parse(name) for name in full.controls}
     assert all(name.random for name in controls)
     pooled = {name.pooled for name in controls}
@@ -133,7 +136,8 @@ def test_every_name_can_be_made_and_has_its_control(preset):
         assert not name.random
         assert (name.order == "seq") == (job.texture is not None)
         assert name.control in pooled
-    assert settings.repeats >= 3
+    # One attack of each is enough to say what a detector is like, and too little for a table.
+    assert settings.repeats >= (1 if preset == "reference" else 3)
     assert settings.draws >= 3
 
 
@@ -144,6 +148,30 @@ def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
     assert ground.blur_sigma_px == blur_sigma_px
     with pytest.raises(ConfigurationError, match="paper"):
         Preset.parse({**TINY, "blur_sigma_px": "sharp"})
+
+
+def test_a_preset_says_where_vehicles_stand():
+    world = {**TINY["world"], "training_places": "removed", "test_places": "drivable"}
+    plan = reproduction_plan(Preset.parse({**TINY, "world": world}), Path())
+    drawn = {
+        step.command.split: step.command.settings
+        for step in plan.steps
+        if isinstance(step.command, Scenes)
+    }
+    assert {split: settings.places for split, settings in drawn.items()} == {
+        "train": "removed",
+        "validation": "drivable",
+        "test": "drivable",
+    }
+    # Rows of parked vehicles are for uniform places, which are the default.
+    assert drawn["train"].parked_share == 0
+    assert WorldSizes().scenes("train").parked_share == 0.5
+    learnt = [step.command for step in plan.steps if step.kind == "attack"]
+    assert {command.places for command in learnt} == {"drivable"}
+    for split in ("train", "validation", "attack", "test"):
+        assert WorldSizes().scenes(split).places == "uniform"
+    with pytest.raises(ConfigurationError, match="roofs"):
+        Preset.parse({**TINY, "world": {**world, "test_places": "roofs"}})
 
 
 PLANS = {

@@ -125,15 +125,19 @@ def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _M
     """Tells what looks like the plain ground beside at least one vehicle."""
     brightness = np.maximum(_mean(colour), 1e-3)
     chroma = colour / (3 * brightness[..., None])
-    like = np.zeros_like(plain)
-    inside = _around(plain.shape, boxes, BESIDE_M[0] / cell_m)
+    free = plain & ~_around(plain.shape, boxes, BESIDE_M[0] / cell_m)
+    seen = []
     for box in boxes:
-        beside = _around(plain.shape, box[None], BESIDE_M[1] / cell_m) & ~inside & plain
-        if not beside.any():
-            continue
-        near = np.all(np.abs(chroma - np.median(chroma[beside], 0)) < CHROMA_NEAR, axis=2)
-        own = float(np.median(brightness[beside]))
-        like |= near & (np.abs(brightness - own) < BRIGHTNESS_NEAR * own)
+        near = _grown(box, BESIDE_M[1] / cell_m)
+        if free[near].any():
+            own_chroma = np.median(chroma[near][free[near]], 0)
+            own_brightness = np.median(brightness[near][free[near]])
+            seen.append([*np.round(own_chroma, 2), round(float(own_brightness), 2)])
+    like = np.zeros_like(plain)
+    # Many vehicles stand on ground of few colours.
+    for red, green, blue, own in np.unique(np.array(seen).reshape(-1, 4), axis=0):
+        alike = np.all(np.abs(chroma - np.array([red, green, blue])) < CHROMA_NEAR, axis=2)
+        like |= alike & (np.abs(brightness - own) < BRIGHTNESS_NEAR * own)
     return like
 
 
@@ -147,11 +151,17 @@ def _touching(free: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
 def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:
     """Masks boxes grown by a margin, all in cells."""
     mask = np.zeros(size, dtype=bool)
-    for left, top, right, bottom in boxes:
-        rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
-        columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
-        mask[rows, columns] = True
+    for box in boxes:
+        mask[_grown(box, margin)] = True
     return mask
+
+
+def _grown(box: _Grid, margin: float) -> tuple[slice, slice]:
+    """Gives the rows and columns of a box grown by a margin."""
+    left, top, right, bottom = box.tolist()
+    rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
+    columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
+    return rows, columns
 
 
 def _tidied(free: _Mask) -> _Mask:

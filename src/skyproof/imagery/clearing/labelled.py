@@ -111,10 +111,8 @@ def removed_vehicles(
     """
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
     for left, top, right, bottom in detected.tolist():
-        box = (left, top, right, bottom)
-        whole = min(left, top) > 0 and right < image.shape[2] and bottom < image.shape[1]
         middle = ((left + right) / 2, (top + bottom) / 2)
-        places.append(_pictured_vehicle(image, middle, box if whole else None, gsd_m))
+        places.append(_pictured_vehicle(image, middle, (left, top, right, bottom), gsd_m))
     return tuple(
         place
         for place in places
@@ -136,15 +134,18 @@ def _labelled_vehicle(image: UInt8[Tensor, "3 H W"], row: _Row, gsd_m: float) ->
             heading_rad = math.atan2(rear[1] - front[1], front[0] - rear[0]) % math.pi
             stance = (heading_rad, length_m, width_m)
             return _removed(_between(front, rear), "label", stance)
-    whole = row.visible_fraction is None or row.visible_fraction >= WHOLE
-    box = (left, top, left + width, top + height)
-    return _pictured_vehicle(image, middle, box if whole and width and height else None, gsd_m)
+    whole = width and height and (row.visible_fraction is None or row.visible_fraction >= WHOLE)
+    box = (left, top, left + width, top + height) if whole else None
+    return _pictured_vehicle(image, middle, box, gsd_m)
 
 
 def _pictured_vehicle(
     image: UInt8[Tensor, "3 H W"], middle: Point, box: Box | None, gsd_m: float
 ) -> RemovedVehicle:
-    stance = None if box is None else estimate_stance(image, box, gsd_m)
+    stance = None
+    # What touches the border may go on beyond it.
+    if box is not None and min(box[:2]) > 0 and box[2] < image.shape[2] and box[3] < image.shape[1]:
+        stance = estimate_stance(image, box, gsd_m)
     return _removed(middle, None if stance is None else "picture", stance)
 
 

@@ -35,6 +35,7 @@ from skyproof.imagery.tiles.sources import Source
 __all__ = ["PlacedLabels"]
 
 BIN_M = 64.0
+FARTHEST_PX = 1e6
 EVERYTHING, BORDER = "image without labels", "border of an image"
 
 
@@ -292,7 +293,9 @@ class PlacedLabels:
                     / max(_area(label, self._settings, cell), 1e-9)
                 )
             centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2) if ignore else (x, y)
-            corners = corners_lengthwise(label) if item.oriented and not ignore else None
+            corners = None
+            if item.oriented and not ignore and _near(label.corners):
+                corners = corners_lengthwise(label)
             annotations.append(
                 Annotation(
                     (box[0], box[1], box[2], box[3]),
@@ -315,6 +318,11 @@ class PlacedLabels:
         return not (
             border <= x <= source.width_px - border and border <= y <= source.height_px - border
         )
+
+
+def _near(corners: Iterable[Point]) -> bool:
+    """Tells corners of a vehicle from numbers that nothing could be drawn with."""
+    return all(abs(value) <= FARTHEST_PX for corner in corners for value in corner)
 
 
 def _bins(low_m: float, high_m: float) -> range:
