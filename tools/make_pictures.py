@@ -33,6 +33,7 @@ from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.results.results import Results
+from skyproof.scenes.light import Light
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
@@ -61,6 +62,10 @@ class PlainGround:
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         """The same grey everywhere."""
         return torch.full((3, size_px, size_px), 0.46)
+
+    def light_of(self, window: BackgroundWindow) -> Light:
+        """A clear day."""
+        return Light()
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         """The usual one everywhere."""

@@ -45,6 +45,7 @@ from skyproof.render.settings import RenderSettings
 from skyproof.results.clean import CleanSet, check_clean
 from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX
 from skyproof.scenes.settings import SceneSettings
@@ -74,7 +75,7 @@ class Trial:
             before.
         match_colours: the rendered images' mean and spread per channel become those of the tuning
             frames.
-        blur_sigma_px, noise, sky_share, shadow_light: of the renderer.
+        blur_sigma_px, noise, light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
         wrapped: real meshes are in the fleet, too: RUN/fleets/train-mixed, by `skyproof vehicles`.
@@ -86,8 +87,7 @@ class Trial:
     match_colours: bool = False
     blur_sigma_px: float = 0.7
     noise: float = 0.006
-    sky_share: float = 0.25
-    shadow_light: tuple[float, float, float] = RenderSettings.shadow_light
+    light: Light = Light()  # noqa: RUF009 (frozen)
     parked_share: float = 0.5
     vehicles_maximum: int = 7
     tilt_maximum_deg: float = 20.0
@@ -111,7 +111,7 @@ TRIALS: dict[str, Trial] = {
     "blur 0.4": Trial(blur_sigma_px=0.4),
     "mixed weather": Trial(conditions=MIXED_CONDITIONS),
     "second seed": Trial(seed=1),
-    "soft shadows": Trial(sky_share=0.5, shadow_light=(0.4, 0.42, 0.47)),
+    "soft shadows": Trial(light=Light(sky=(0.4, 0.42, 0.47))),
     "cleared ground": Trial(ground=("cleared",)),
     "both grounds": Trial(ground=("procedural", "cleared")),
     "blur 1.4": Trial(blur_sigma_px=1.4),
@@ -317,8 +317,7 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
             RenderSettings(
                 blur_sigma_px=trial.blur_sigma_px,
                 noise=trial.noise,
-                sky_share=trial.sky_share,
-                shadow_light=trial.shadow_light,
+                light=trial.light,
             ),
         )
         for start in range(0, len(scenes), 8):

@@ -9,7 +9,7 @@ from PIL import Image
 from skyproof.cli.frames import read_frames
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.scenes.backgrounds import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
 
 CLASSES = ["car"]
 

@@ -11,7 +11,7 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureInMemory, Window
 from skyproof.errors import StoredFileError
-from skyproof.scenes.backgrounds import BackgroundTile, write_index
+from skyproof.scenes.background_index import BackgroundTile, write_index
 
 
 def _image(seed, height=20, width=30):

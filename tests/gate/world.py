@@ -9,7 +9,8 @@ from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.settings import SceneSettings

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from skyproof.ground.built_up import draw_car_park
-from skyproof.ground.canvas import Canvas, GroundSensor
+from skyproof.ground.canvas import Canvas
 from skyproof.ground.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_ground_and_sun
+from skyproof.ground.photograph import GroundSensor, photograph
 
 
 def _flat_canvas(azimuth_rad):
@@ -25,7 +26,7 @@ def test_every_kind_draws(kind):
     assert np.isfinite(canvas.reflectance).all()
     assert np.isfinite(canvas.height).all()
     assert canvas.reflectance.max(2).min() > 0, "some ground was left undrawn"
-    image = canvas.photograph(GroundSensor.draw(canvas.rng))
+    image = photograph(canvas, GroundSensor.draw(canvas.rng)).image
     assert image.shape == (3, 128, 128)
     assert image.std() > 4
     assert np.abs(np.diff(image.astype(float), axis=2)).mean() > 0.5
@@ -78,7 +79,7 @@ def test_kinds_and_suns_vary():
     ]
     assert {ground.kind for ground in grounds} == set(GROUND_KINDS)
     assert sum(KIND_SHARES.values()) == pytest.approx(1)
-    assert len({round(ground.sun_azimuth_rad, 3) for ground in grounds}) == 80
+    assert len({round(ground.light.sun.azimuth_rad, 3) for ground in grounds}) == 80
 
 
 def test_vehicles_may_stand_along_a_patch_where_it_lies():

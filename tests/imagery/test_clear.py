@@ -18,7 +18,8 @@ from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, drop_tiles
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 from skyproof.imagery.settings import ClearSettings
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, write_index
+from skyproof.scenes.background_index import BackgroundTile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 
 SIZE_PX = 120

@@ -13,6 +13,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     vehicle_mask,
 )
 from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -113,6 +114,9 @@ class Plain:
 
     def window(self, window, size_px):
         return torch.full((3, size_px, size_px), 0.5)
+
+    def light_of(self, window):
+        return Light()
 
     def sensor_of(self, window):
         return Sensor()

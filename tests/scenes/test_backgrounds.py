@@ -9,7 +9,8 @@ import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.procedural import write_procedural_backgrounds
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import save_directions
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow
@@ -250,7 +251,10 @@ def test_same_seed_same_bytes_whatever_the_counts(tmp_path):
         tmp_path / "b" / name
     ).read_bytes()
     assert len(first.tiles("train")) == 2
-    assert first.tiles("test")[0].sun_elevation_rad > 0
+    light = first.tiles("test")[0].light
+    assert light is not None
+    assert light.sun is not None
+    assert light.sun.elevation_rad > 0
     assert torch.equal(before, torch.random.get_rng_state())
 
 

@@ -10,7 +10,8 @@ import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.scenes import placing
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile
+from skyproof.scenes.background_index import BackgroundTile, save_tile
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import direction_values, save_directions
 from skyproof.scenes.footprints import footprint, rectangles_overlap
 from skyproof.scenes.places import RemovedVehicle

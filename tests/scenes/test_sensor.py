@@ -14,13 +14,8 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.canvas import GroundSensor
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.sharpness import measure_sensor
-from skyproof.scenes.backgrounds import (
-    BackgroundSet,
-    BackgroundTile,
-    change_sensors,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.background_index import BackgroundTile, change_sensors, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

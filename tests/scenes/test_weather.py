@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import read_scenes, write_scenes
 from skyproof.scenes.settings import SceneSettings

@@ -78,7 +78,8 @@ class Adjust:
 
     def _set_sensor(self) -> None:
         from skyproof.imagery.sharpness import measure_sensor
-        from skyproof.scenes.backgrounds import BackgroundSet, change_sensors
+        from skyproof.scenes.background_index import change_sensors
+        from skyproof.scenes.backgrounds import BackgroundSet
 
         backgrounds = BackgroundSet.open(self.folder)
         given = self._given()

@@ -23,6 +23,7 @@ from skyproof.detectors.build import build_detector
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles, render_dataset
 from skyproof.render.renderer import TorchRenderer
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
@@ -181,6 +182,10 @@ class _Grey:
 
     def window(self, window: object, size_px: int) -> torch.Tensor:
         return torch.full((3, size_px, size_px), 0.4)
+
+    def light_of(self, window: object) -> Light:
+        """A clear day."""
+        return Light()
 
     def sensor_of(self, window: object) -> Sensor:
         return Sensor()

@@ -67,7 +67,7 @@ class Ground:
 
     def run(self) -> None:
         """Writes the tiles and says how many."""
-        from skyproof.scenes.backgrounds import change_sensors
+        from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:

@@ -12,8 +12,9 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from skyproof.ground.built_up import draw_car_park, draw_crossroads, draw_street, draw_yard
-from skyproof.ground.canvas import Canvas, GroundSensor
+from skyproof.ground.canvas import Canvas
 from skyproof.ground.open_country import draw_fields, draw_park, draw_village
+from skyproof.ground.photograph import GroundSensor, photograph
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 
@@ -30,6 +31,7 @@ class Ground:
         light: the light it lies in, and how the picture shows it.
         sensor: the blur and noise it was photographed with.
         directions: `[H, W]` map of drivable ground, as `skyproof.scenes.directions` says.
+        shade: `[H, W]` map of the shadows in it, as `skyproof.scenes.shade` says.
     """
 
     image: UInt8[Tensor, "3 H W"]
@@ -37,6 +39,7 @@ class Ground:
     light: Light
     sensor: Sensor
     directions: UInt8[np.ndarray, "H W"]
+    shade: UInt8[np.ndarray, "H W"]
 
 
 def draw_ground(
@@ -65,9 +68,10 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     canvas = Canvas(size_px, gsd_m, rng, axes_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
     camera = GroundSensor.draw(rng)
-    picture, light = canvas.photograph(camera)
+    picture = photograph(canvas, camera)
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
-    return Ground(torch.from_numpy(picture), kind, light, sensor, canvas.drivable())
+    image = torch.from_numpy(picture.image)
+    return Ground(image, kind, picture.light, sensor, canvas.drivable(), picture.shade)
 
 
 GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {

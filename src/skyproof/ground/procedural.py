@@ -10,8 +10,10 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import save_directions
+from skyproof.scenes.shade import save_shade
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["write_procedural_backgrounds"]
@@ -67,6 +69,7 @@ def write_procedural_backgrounds(
                 sensor=ground.sensor,
                 light=ground.light,
                 drivable=save_directions(folder, tile_id, ground.directions),
+                shade=save_shade(folder, tile_id, ground.shade),
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)

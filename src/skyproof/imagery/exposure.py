@@ -63,7 +63,7 @@ def measure_exposure(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Light:
             "Measuring the light of imagery expects ground with something bright and something "
             f"dark on it but found {len(pixels)} pixels of nearly one colour; give more imagery."
         )
-    light = _linear(pixels)
+    light = _linear(np.asarray(pixels, np.uint8))
     luminance = light.mean(1)
     # White, by what is brightest and by what is usual.
     brightest, median = np.quantile(luminance, (BRIGHT_SHARE, 0.5))

@@ -2,120 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Annotated, Literal
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, UInt8
-from msgspec import Meta
-from PIL import Image
 from torch import Tensor
 
-from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import inside, write_beside, write_json
 from skyproof.pictures import read_pixels
-from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name
+from skyproof.scenes.background_index import REMEDY, BackgroundTile, read_index
 from skyproof.scenes.light import Light
-from skyproof.scenes.places import DIRECTIONS, RemovedVehicle
+from skyproof.scenes.places import DIRECTIONS
 from skyproof.scenes.scene import BackgroundWindow
-from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
-from skyproof.scenes.splits import Split
+from skyproof.scenes.sensor import Sensor
 
-__all__ = [
-    "BackgroundSet",
-    "BackgroundTile",
-    "change_sensors",
-    "save_tile",
-    "write_index",
-]
+__all__ = ["BackgroundSet", "on_tile"]
 
-
-FORMAT_VERSION: Literal[1] = 1
 CACHE_BYTES = 256 * 2**20
-
-_INDEX = "index.json"
-_REMEDY = "copy the whole folder again, or cut the backgrounds again"
-_Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
-
-
-@dataclass(frozen=True)
-class BackgroundTile:
-    """One tile of a background set.
-
-    Attributes:
-        id: unique in the set; the cluster of the bootstrap.
-        file: path inside the folder.
-        split: what it is for.
-        width_px, height_px: its size.
-        source: the image it was cut from, or "procedural".
-        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's
-            resolution.
-        kind: of a procedural tile, what it shows.
-        licence: as the source states it, or None.
-        sensor: what took this tile, where that is not the set's.
-        light: how this tile shows light, where that is not the set's.
-        removed: the vehicles that stood on it before it was cleared.
-        drivable: path inside the folder of the map that says where vehicles may stand
-            (`skyproof.scenes.directions`); None where none may, or nobody looked.
-    """
-
-    id: Name
-    file: FileReference
-    split: Split
-    width_px: ImageSide
-    height_px: ImageSide
-    source: str
-    offset_px: tuple[_Offset, _Offset] = (0, 0)
-    kind: str | None = None
-    licence: str | None = None
-    sensor: Sensor | None = None
-    light: Light | None = None
-    removed: tuple[RemovedVehicle, ...] = ()
-    drivable: FileReference | None = None
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Its picture, and its map of drivable ground where it has one."""
-        return (self.file,) if self.drivable is None else (self.file, self.drivable)
-
-
-@dataclass(frozen=True)
-class _Index:
-    """The content of `index.json`.
-
-    Sets of before there was a choice of sensor name none: vehicles had the paper's blur on them.
-    """
-
-    format_version: Literal[1]
-    gsd_m: GroundResolution
-    tiles: Annotated[tuple[BackgroundTile, ...], Meta(min_length=1)]
-    sensor: Sensor = Sensor(PAPER_BLUR_SIGMA_PX)  # noqa: RUF009 (frozen)
-    light: Light = Light()  # noqa: RUF009 (frozen)
-
-    def __post_init__(self) -> None:
-        ids: set[str] = set()
-        files: set[str] = set()
-        for tile in self.tiles:
-            if tile.id in ids or files & {*tile.files} or tile.file == tile.drivable:
-                raise StoredFileError(f"two tiles are called {tile.id}, or are {tile.file}")
-            if not all(file.endswith(".png") for file in tile.files):
-                raise StoredFileError(f"the tile {tile.id} is no .png file")
-            for place in tile.removed:
-                if not (0 <= place.x_px <= tile.width_px and 0 <= place.y_px <= tile.height_px):
-                    raise StoredFileError(
-                        f"a vehicle was removed at ({place.x_px:g}, {place.y_px:g}) px, outside "
-                        f"the tile {tile.id} of {tile.width_px} x {tile.height_px} px"
-                    )
-            ids.add(tile.id)
-            files.update(tile.files)
 
 
 class BackgroundSet:
@@ -155,11 +63,7 @@ class BackgroundSet:
                 an id or a file, or a tile lies outside the folder.
         """
         folder = Path(folder)
-        path = folder / _INDEX
-        index: _Index = read_document(path, _Index, _REMEDY)
-        for tile in index.tiles:
-            for file in tile.files:
-                inside(folder, file, path)
+        index = read_index(folder)
         return cls(folder, index.gsd_m, index.tiles, index.sensor, index.light)
 
     def tiles(self, split: str) -> list[BackgroundTile]:
@@ -217,13 +121,26 @@ class BackgroundSet:
         file = tile.drivable
         if file is None:
             return None
-        directions = self._kept(file, lambda: self._decode(tile, file)[0].clone())
+        directions = self._map(tile, file)
         if int(directions.max()) > DIRECTIONS:
             raise StoredFileError(
                 f"{self.folder / file} holds values above {DIRECTIONS}, so it is no map of "
-                f"drivable ground; {_REMEDY}."
+                f"drivable ground; {REMEDY}."
             )
         return directions
+
+    def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
+        """A tile's map of shadows, as `skyproof.scenes.shade` says; None without one.
+
+        Raises:
+            StoredFileError: the map's file is missing or damaged.
+        """
+        tile = self.tile(tile_id)
+        file = tile.shade
+        return None if file is None else self._map(tile, file)
+
+    def _map(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "H W"]:
+        return self._kept(file, lambda: self._decode(tile, file)[0].clone())
 
     def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
         """Gives what a file holds, decoded once and kept while memory allows."""
@@ -241,7 +158,7 @@ class BackgroundSet:
         return pixels
 
     def _decode(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "3 H W"]:
-        array = read_pixels(self.folder / file, _REMEDY, size_px=(tile.width_px, tile.height_px))
+        array = read_pixels(self.folder / file, REMEDY, size_px=(tile.width_px, tile.height_px))
         return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
@@ -369,46 +286,19 @@ class BackgroundSet:
         )
 
 
+def on_tile(
+    window: BackgroundWindow, east_px: Float[Tensor, "*S"], north_px: Float[Tensor, "*S"]
+) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
+    """Returns column and row on the tile of points of a scene, in pixels from its middle.
+
+    It is how `BackgroundSet.window` turns its pixels.
+    """
+    cosine = math.cos(window.rotation_rad)
+    sine = math.sin(window.rotation_rad)
+    column = window.centre_x_px + cosine * east_px - sine * north_px
+    row = window.centre_y_px - sine * east_px - cosine * north_px
+    return column, row
+
+
 def _has_room_to_turn(tile: BackgroundTile, size_px: int) -> bool:
     return min(tile.width_px, tile.height_px) >= math.ceil(size_px * math.sqrt(2))
-
-
-def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
-    """Writes a tile's picture whole or not at all."""
-    with write_beside(Path(folder) / tile.file) as temporary:
-        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
-            temporary, compress_level=3
-        )
-
-
-def write_index(
-    folder: Path,
-    gsd_m: float,
-    tiles: Sequence[BackgroundTile],
-    sensor: Sensor | None = None,
-    light: Light | None = None,
-) -> None:
-    """Writes the index, last of all: a folder without one is not a background set."""
-    index = {
-        "format_version": FORMAT_VERSION,
-        "gsd_m": gsd_m,
-        "sensor": dataclasses.asdict(sensor or Sensor()),
-        "light": dataclasses.asdict(light or Light()),
-        "tiles": [dataclasses.asdict(tile) for tile in tiles],
-    }
-    write_json(Path(folder) / _INDEX, index)
-
-
-def change_sensors(folder: Path, change: Callable[[Sensor], Sensor]) -> None:
-    """Changes a set's sensor, and those that tiles have of their own; all else in its index stays.
-
-    Args:
-        folder: background set.
-        change: gives for a sensor the one to put in its place.
-    """
-    index: _Index = read_document(Path(folder) / _INDEX, _Index, _REMEDY)
-    tiles = [
-        tile if tile.sensor is None else dataclasses.replace(tile, sensor=change(tile.sensor))
-        for tile in index.tiles
-    ]
-    write_index(folder, index.gsd_m, tiles, change(index.sensor), index.light)

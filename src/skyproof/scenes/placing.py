@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 
 from skyproof.errors import ConfigurationError
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet, on_tile
 from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
@@ -163,13 +164,7 @@ def drivable_places(
     if directions is None:
         return []
     x_m, y_m = ((2 * points - 1) * half_m).unbind(1)
-    cosine = math.cos(window.rotation_rad)
-    sine = math.sin(window.rotation_rad)
-    across = x_m / backgrounds.gsd_m
-    up = y_m / backgrounds.gsd_m
-    # As `BackgroundSet.window` turns its pixels, with rows that run down.
-    column = window.centre_x_px + cosine * across - sine * up
-    row = window.centre_y_px - sine * across - cosine * up
+    column, row = on_tile(window, x_m / backgrounds.gsd_m, y_m / backgrounds.gsd_m)
     values = directions[
         row.floor().long().clamp(0, directions.shape[0] - 1),
         column.floor().long().clamp(0, directions.shape[1] - 1),

@@ -14,6 +14,7 @@ from skyproof.scenes.light import SunEstimate
 from skyproof.scenes.placing import place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.shade import shaded
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
 __all__ = ["sample_scenes"]
@@ -112,6 +113,8 @@ def _sample_scene(
         # A low sun is drawn from the photograph's side, with longer shadows than are in it.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
+    if settings.sun == "photograph":
+        placements = shaded(placements, backgrounds, window, vehicle_sizes_m)
     return Scene(
         id=name,
         background=window,

@@ -35,8 +35,9 @@ class SceneSettings:
         vehicles_maximum: the most vehicles in an image, every number between equally likely; 1 in
             an attack.
         tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
-        sun: "photograph" for that of the ground, where it is known, else as the next two say;
-            "uniform" for a uniform azimuth and elevation everywhere, as in the paper.
+        sun: "photograph" for that of the ground, where it is known, else as the next two say, and
+            for its shadows, where they are known: a vehicle in one is in shadow; "uniform" for a
+            uniform azimuth and elevation and sunlit vehicles everywhere, as in the paper.
         sun_elevation_minimum_rad: the lowest sun; the sun's azimuth is uniform.
         sun_elevation_maximum_rad: the highest sun, every elevation between equally likely.
         gap_m: the least free room between two vehicles.

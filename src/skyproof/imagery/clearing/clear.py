@@ -39,9 +39,11 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import save_directions
 from skyproof.scenes.places import RemovedVehicle
+from skyproof.scenes.shade import save_shade
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
@@ -166,7 +168,7 @@ def clear_backgrounds(
             )
             rows.append(row)
             if row.left_out is None:
-                kept.append(_with_places(out, tile, found[tile.id], backgrounds.gsd_m))
+                kept.append(_with_places(out, tile, found[tile.id], backgrounds))
             if sheet_row is not None:
                 sheet.add(sheet_row)
             if progress is not None:
@@ -242,14 +244,19 @@ def _find(
     return found
 
 
-def _with_places(out: Path, tile: BackgroundTile, found: _Found, gsd_m: float) -> BackgroundTile:
+def _with_places(
+    out: Path, tile: BackgroundTile, found: _Found, backgrounds: BackgroundSet
+) -> BackgroundTile:
     """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
+    gsd_m = backgrounds.gsd_m
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
     directions = drivable_directions(cleared, gsd_m, found.sure)
+    shade = backgrounds.shade(tile.id)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),
         drivable=save_directions(out, tile.id, directions),
+        shade=None if shade is None else save_shade(out, tile.id, shade.numpy()),
     )
 
 

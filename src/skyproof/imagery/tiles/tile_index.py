@@ -18,7 +18,8 @@ from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of
 from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import Coordinate, FileReference, Name
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import Split
 
 __all__ = ["GROUND_INDEX", "cells_like", "copy_ground_index", "read_places", "write_ground_index"]

@@ -33,7 +33,8 @@ from skyproof.imagery.tiles.sources import (
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
-from skyproof.scenes.backgrounds import BackgroundSet, BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import save_directions
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split

@@ -1,0 +1,165 @@
+"""The procedural ground lit by sun and sky, and photographed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from skyproof.ground.canvas import Canvas
+from skyproof.scenes.light import Light, SunEstimate
+
+__all__ = ["GroundSensor", "Photograph", "photograph"]
+
+Array = NDArray[np.floating[Any]]
+
+_SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)
+_SHOULDER = 0.6
+
+
+@dataclass(frozen=True)
+class GroundSensor:
+    """How the lit ground becomes a picture.
+
+    It is drawn anew for every tile, so that a detector cannot lean on one look.
+    """
+
+    exposure: float
+    haze: float
+    tint: tuple[float, float, float]
+    saturation: float
+    blur_px: float
+    noise: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> GroundSensor:
+        tint = rng.normal(1.0, 0.025, 3)
+        return cls(
+            exposure=float(rng.uniform(0.9, 1.8)),
+            haze=float(rng.uniform(0.0, 0.035)),
+            tint=(float(tint[0]), float(tint[1]), float(tint[2])),
+            saturation=float(rng.uniform(0.7, 1.1)),
+            blur_px=float(rng.uniform(0.5, 0.85)),
+            noise=float(rng.uniform(0.004, 0.012)),
+        )
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A picture of the canvas.
+
+    Attributes:
+        image: `[3, size, size]` sRGB bytes.
+        light: the light that it shows.
+        shade: map of the shadows in it, as `skyproof.scenes.shade` says.
+    """
+
+    image: NDArray[np.uint8]
+    light: Light
+    shade: NDArray[np.uint8]
+
+
+def photograph(canvas: Canvas, sensor: GroundSensor) -> Photograph:
+    """Lights the canvas and takes its picture.
+
+    It also says which light that is, so that vehicles can be put into it.
+    """
+    rng = canvas.rng
+    overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
+    sun = np.float32(1.15 * (1 - overcast))
+    sky_strength = 0.22 + 0.75 * overcast
+    sky = (
+        np.asarray([0.88, 1.0, 1.22], np.float32) * sky_strength
+        if overcast < 0.2
+        else np.float32(sky_strength)
+    )
+    around = ndimage.uniform_filter(canvas.height, max(3, round(3.0 / canvas.gsd_m)))
+    openness = 1 - 0.45 * np.clip((around - canvas.height) / 3.0, 0, 1)
+    sunlight, lit = _sunlight(canvas)
+    light = sun * sunlight[..., None] * _SUN_COLOUR + sky * openness[..., None]
+    cut = slice(canvas.margin_px, canvas.margin_px + canvas.size_px)
+    # Blur and saturation come before the cut and the tone curve: optics act on light, and
+    # there is no border to pad.
+    picture = np.clip(canvas.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
+    for channel in range(3):
+        ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
+    picture = picture[cut, cut]
+    grey = picture.mean(2, keepdims=True)
+    picture = (grey + sensor.saturation * (picture - grey)) * np.asarray(
+        sensor.tint, np.float32
+    ) + sensor.haze
+    # A soft shoulder instead of hard clipping, as camera tone curves have.
+    picture = np.clip(picture, 0, None)
+    bent = _SHOULDER + (1 - _SHOULDER) * np.tanh((picture - _SHOULDER) / (1 - _SHOULDER))
+    picture = np.where(picture < _SHOULDER, picture, bent)
+    encoded = picture ** np.float32(1 / 2.2)
+    encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
+    image = np.ascontiguousarray(
+        (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1)
+    )
+    level = sun * math.sin(canvas.sun_elevation_rad) * _SUN_COLOUR
+    shade = np.round((1 - lit[cut, cut]) * 255).astype(np.uint8)
+    return Photograph(image, _light(canvas, level, np.broadcast_to(sky, 3), sensor), shade)
+
+
+def _sunlight(canvas: Canvas) -> tuple[Array, Array]:
+    """Returns the part of the direct sun that each pixel gets, and the part that shadows leave."""
+    # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
+    tangent = math.tan(canvas.sun_elevation_rad)
+    step_x = math.cos(canvas.sun_azimuth_rad)
+    step_y = -math.sin(canvas.sun_azimuth_rad)
+    height, n = canvas.height, canvas.pixels
+    horizon = np.full_like(height, -1e3)
+    distance_px = 1.0
+    furthest_px = min(float(height.max()) / tangent / canvas.gsd_m + 1, n - 1)
+    while distance_px <= furthest_px:
+        dx = round(distance_px * step_x)
+        dy = round(distance_px * step_y)
+        here = (slice(max(0, -dy), n - max(0, dy)), slice(max(0, -dx), n - max(0, dx)))
+        there = (slice(max(0, dy), n - max(0, -dy)), slice(max(0, dx), n - max(0, -dx)))
+        drop = np.float32(distance_px * canvas.gsd_m * tangent)
+        np.maximum(horizon[here], height[there] - drop, out=horizon[here])
+        distance_px += 1.0 if distance_px < 40 else 2.0
+    lit = np.clip(1.0 - (horizon - height) / 0.25, 0, 1)
+    lit = ndimage.gaussian_filter(lit.astype(np.float32), 0.7)
+
+    # Slopes: what faces the sun is brighter.
+    gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), canvas.gsd_m)
+    # A wall is no slope: beyond 60 degrees the roof above and the ground below are level.
+    level = np.hypot(gradient_x, gradient_y) > 1.8
+    gradient_x[level], gradient_y[level] = 0, 0
+    towards_sun = gradient_x * step_x + gradient_y * step_y
+    cosine = (
+        math.sin(canvas.sun_elevation_rad) - math.cos(canvas.sun_elevation_rad) * towards_sun
+    ) / np.sqrt(1 + gradient_x**2 + gradient_y**2)
+    return (lit * np.clip(cosine, 0, None)).astype(np.float32), lit
+
+
+def _light(canvas: Canvas, sun: Array, sky: Array, sensor: GroundSensor) -> Light:
+    """Returns the light as vehicles need it.
+
+    Args:
+        canvas: knows where the sun is.
+        sun: what the direct sun sends to level ground, red, green, blue.
+        sky: what the open sky sends there.
+        sensor: which shows them.
+    """
+    shown = (sun + sky) * sensor.exposure * np.asarray(sensor.tint)
+    return Light(
+        white=_rounded(shown + sensor.haze),
+        black=(round(sensor.haze, 4),) * 3,
+        shoulder=_SHOULDER,
+        sky=_rounded(sky / (sun + sky)),
+        sun=SunEstimate(
+            round(canvas.sun_azimuth_rad, 4), round(canvas.sun_elevation_rad, 4), known_from="drawn"
+        ),
+    )
+
+
+def _rounded(values: Array) -> tuple[float, float, float]:
+    red, green, blue = (round(float(value), 4) for value in values)
+    return red, green, blue

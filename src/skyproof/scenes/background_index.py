@@ -1,0 +1,171 @@
+"""The index of a background set: what each tile is, and what took the photographs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from jaxtyping import UInt8
+from msgspec import Meta
+from PIL import Image
+from torch import Tensor
+
+from skyproof.documents import read_document
+from skyproof.errors import StoredFileError
+from skyproof.files import inside, write_beside, write_json
+from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name
+from skyproof.scenes.light import Light
+from skyproof.scenes.places import RemovedVehicle
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
+from skyproof.scenes.splits import Split
+
+__all__ = [
+    "REMEDY",
+    "BackgroundIndex",
+    "BackgroundTile",
+    "change_sensors",
+    "read_index",
+    "save_tile",
+    "write_index",
+]
+
+FORMAT_VERSION: Literal[1] = 1
+
+_INDEX = "index.json"
+REMEDY = "copy the whole folder again, or cut the backgrounds again"
+_Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
+
+
+@dataclass(frozen=True)
+class BackgroundTile:
+    """One tile of a background set.
+
+    Attributes:
+        id: unique in the set; the cluster of the bootstrap.
+        file: path inside the folder.
+        split: what it is for.
+        width_px, height_px: its size.
+        source: the image it was cut from, or "procedural".
+        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's
+            resolution.
+        kind: of a procedural tile, what it shows.
+        licence: as the source states it, or None.
+        sensor: what took this tile, where that is not the set's.
+        light: how this tile shows light, where that is not the set's.
+        removed: the vehicles that stood on it before it was cleared.
+        drivable: path inside the folder of the map that says where vehicles may stand
+            (`skyproof.scenes.directions`); None where none may, or nobody looked.
+        shade: path inside the folder of the map of its shadows (`skyproof.scenes.shade`); None
+            where there are none, or nobody looked.
+    """
+
+    id: Name
+    file: FileReference
+    split: Split
+    width_px: ImageSide
+    height_px: ImageSide
+    source: str
+    offset_px: tuple[_Offset, _Offset] = (0, 0)
+    kind: str | None = None
+    licence: str | None = None
+    sensor: Sensor | None = None
+    light: Light | None = None
+    removed: tuple[RemovedVehicle, ...] = ()
+    drivable: FileReference | None = None
+    shade: FileReference | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Its picture, and its maps of drivable ground and of shadows where it has them."""
+        maps = [file for file in (self.drivable, self.shade) if file is not None]
+        return (self.file, *maps)
+
+
+@dataclass(frozen=True)
+class BackgroundIndex:
+    """The content of `index.json`.
+
+    Sets of before there was a choice of sensor name none: vehicles had the paper's blur on them.
+    """
+
+    format_version: Literal[1]
+    gsd_m: GroundResolution
+    tiles: Annotated[tuple[BackgroundTile, ...], Meta(min_length=1)]
+    sensor: Sensor = Sensor(PAPER_BLUR_SIGMA_PX)  # noqa: RUF009 (frozen)
+    light: Light = Light()  # noqa: RUF009 (frozen)
+
+    def __post_init__(self) -> None:
+        ids: set[str] = set()
+        files: set[str] = set()
+        for tile in self.tiles:
+            if tile.id in ids or files & {*tile.files} or len({*tile.files}) < len(tile.files):
+                raise StoredFileError(f"two tiles are called {tile.id}, or are {tile.file}")
+            if not all(file.endswith(".png") for file in tile.files):
+                raise StoredFileError(f"the tile {tile.id} is no .png file")
+            for place in tile.removed:
+                if not (0 <= place.x_px <= tile.width_px and 0 <= place.y_px <= tile.height_px):
+                    raise StoredFileError(
+                        f"a vehicle was removed at ({place.x_px:g}, {place.y_px:g}) px, outside "
+                        f"the tile {tile.id} of {tile.width_px} x {tile.height_px} px"
+                    )
+            ids.add(tile.id)
+            files.update(tile.files)
+
+
+def read_index(folder: Path) -> BackgroundIndex:
+    """Reads the index of a background set.
+
+    Raises:
+        StoredFileError: it is missing, damaged or of another version, two tiles share an id or a
+            file, or a tile lies outside the folder.
+    """
+    path = folder / _INDEX
+    index: BackgroundIndex = read_document(path, BackgroundIndex, REMEDY)
+    for tile in index.tiles:
+        for file in tile.files:
+            inside(folder, file, path)
+    return index
+
+
+def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
+    """Writes a tile's picture whole or not at all."""
+    with write_beside(Path(folder) / tile.file) as temporary:
+        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
+            temporary, compress_level=3
+        )
+
+
+def write_index(
+    folder: Path,
+    gsd_m: float,
+    tiles: Sequence[BackgroundTile],
+    sensor: Sensor | None = None,
+    light: Light | None = None,
+) -> None:
+    """Writes the index, last of all: a folder without one is not a background set."""
+    index = {
+        "format_version": FORMAT_VERSION,
+        "gsd_m": gsd_m,
+        "sensor": dataclasses.asdict(sensor or Sensor()),
+        "light": dataclasses.asdict(light or Light()),
+        "tiles": [dataclasses.asdict(tile) for tile in tiles],
+    }
+    write_json(Path(folder) / _INDEX, index)
+
+
+def change_sensors(folder: Path, change: Callable[[Sensor], Sensor]) -> None:
+    """Changes a set's sensor, and those that tiles have of their own; all else in its index stays.
+
+    Args:
+        folder: background set.
+        change: gives for a sensor the one to put in its place.
+    """
+    index = read_index(Path(folder))
+    tiles = [
+        tile if tile.sensor is None else dataclasses.replace(tile, sensor=change(tile.sensor))
+        for tile in index.tiles
+    ]
+    write_index(folder, index.gsd_m, tiles, change(index.sensor), index.light)
