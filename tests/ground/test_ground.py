@@ -9,7 +9,7 @@ import torch
 from skyproof.ground.built_up import draw_car_park
 from skyproof.ground.canvas import Canvas
 from skyproof.ground.ground import GROUND_KINDS, KIND_SHARES, draw_ground, draw_ground_and_sun
-from skyproof.ground.photograph import GroundSensor, photograph
+from skyproof.ground.photograph import GroundSensor, photograph, sunlight
 
 
 def _flat_canvas(azimuth_rad):
@@ -48,7 +48,7 @@ def test_shadow_falls_away_from_the_sun(azimuth_deg, shadow):
     # from the sun.
     canvas = _flat_canvas(math.radians(azimuth_deg))
     canvas.raise_to(canvas.rectangle((0.0, 0.0), (0.8, 0.8)), 3.0)
-    light = canvas._sunlight()
+    light, _ = sunlight(canvas)
     middle = canvas.pixels // 2
     for distance, dark in ((16, True), (32, False), (-16, False)):
         value = light[middle + shadow[0] * distance, middle + shadow[1] * distance]
@@ -60,7 +60,8 @@ def test_slope_towards_the_sun_is_brighter():
     canvas = _flat_canvas(0.0)
     roof = canvas.rectangle((0.0, 0.0), (10.0, 8.0), math.pi / 2)
     canvas.raise_to(roof, 4 - 0.5 * np.abs(roof.v))
-    light, middle = canvas._sunlight(), canvas.pixels // 2
+    middle = canvas.pixels // 2
+    light, _ = sunlight(canvas)
     assert light[middle, middle + 15] > 1.5 * light[middle, middle - 15]
 
 

@@ -201,7 +201,8 @@ def test_clouds_take_the_shadow_away_and_leave_the_darkness_beside_the_vehicle(o
     assert 0.7 * open_sky < west < open_sky
     assert east == pytest.approx(1.0, abs=0.03 + 0.2 * overcast)
     close = float(light[48 + 6])
-    assert close == pytest.approx(1.0, abs=0.01) if not overcast else close < east - 0.05
+    # A slim post hides little of the sky, and of a clear one the bright side gives it back.
+    assert abs(close - east) < 0.01 if not overcast else east - close > 0.015 * overcast
 
 
 def test_without_sun_only_the_sky_lights_a_vehicle():

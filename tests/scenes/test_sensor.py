@@ -11,7 +11,7 @@ from skyproof.attacks.world import AttackWorld
 from skyproof.cli.renderers import open_renderer
 from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.ground.canvas import GroundSensor
+from skyproof.ground.photograph import GroundSensor
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.scenes.background_index import BackgroundTile, change_sensors, save_tile, write_index

@@ -13,7 +13,7 @@ from scipy import ndimage
 from skyproof.ground.canvas import Canvas
 from skyproof.scenes.light import Light, SunEstimate
 
-__all__ = ["GroundSensor", "Photograph", "photograph"]
+__all__ = ["GroundSensor", "Photograph", "photograph", "sunlight"]
 
 Array = NDArray[np.floating[Any]]
 
@@ -79,8 +79,8 @@ def photograph(canvas: Canvas, sensor: GroundSensor) -> Photograph:
     )
     around = ndimage.uniform_filter(canvas.height, max(3, round(3.0 / canvas.gsd_m)))
     openness = 1 - 0.45 * np.clip((around - canvas.height) / 3.0, 0, 1)
-    sunlight, lit = _sunlight(canvas)
-    light = sun * sunlight[..., None] * _SUN_COLOUR + sky * openness[..., None]
+    direct, lit = sunlight(canvas)
+    light = sun * direct[..., None] * _SUN_COLOUR + sky * openness[..., None]
     cut = slice(canvas.margin_px, canvas.margin_px + canvas.size_px)
     # Blur and saturation come before the cut and the tone curve: optics act on light, and
     # there is no border to pad.
@@ -106,7 +106,7 @@ def photograph(canvas: Canvas, sensor: GroundSensor) -> Photograph:
     return Photograph(image, _light(canvas, level, np.broadcast_to(sky, 3), sensor), shade)
 
 
-def _sunlight(canvas: Canvas) -> tuple[Array, Array]:
+def sunlight(canvas: Canvas) -> tuple[Array, Array]:
     """Returns the part of the direct sun that each pixel gets, and the part that shadows leave."""
     # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
     tangent = math.tan(canvas.sun_elevation_rad)
