@@ -5,12 +5,16 @@ import math
 import pytest
 import torch
 
-from skyproof.cycles.composite import composite_crops
+from skyproof.cycles import composite
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.lighting import scene_lights
+from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
+from tests.render.bodies import scene
 
 SHARP = Sensor(blur_sigma_px=0.0, noise=0.0)
 SIZE = 40
+CLEAR_DAY = Light()
 
 
 def plain(light=0.5):
@@ -21,6 +25,15 @@ def layers(width, height, colour=(0.0, 0.0, 0.0), alpha=0.0, ratio=(1.0, 1.0, 1.
     """Colour times coverage, coverage, ratio; the same everywhere."""
     values = torch.tensor([*(alpha * each for each in colour), alpha, *ratio])
     return values[:, None, None].expand(7, height, width).clone()
+
+
+def shown_by(own):
+    """How one photograph shows light."""
+    return scene_lights([own], [scene((0.0, 0.0, 0.0))], torch.zeros(1))
+
+
+def composite_crops(photograph, crops, seed, margin_px, sensor, own=CLEAR_DAY):
+    return composite.composite_crops(photograph, crops, seed, margin_px, sensor, shown_by(own))
 
 
 def light(image):
@@ -153,3 +166,17 @@ def test_noise_lies_on_vehicles_alone_and_is_the_seeds():
     assert float(difference[:, 5:35, 5:20].std()) == pytest.approx(0.02, rel=0.1)
     assert not difference[:, :, 20:].any()
     assert not torch.equal(first, other)
+
+
+def test_a_body_is_shown_between_the_photographs_black_and_white():
+    hazy = Light(white=(0.9, 0.7, 0.5), black=(0.1, 0.1, 0.2))
+    crop = layers(20, 20, (0.5, 0.5, 0.5), alpha=1.0)
+    image = light(composite_crops(plain(0.3), [((5, 5, 20, 20), crop)], 0, 1, SHARP, hazy))
+    assert image[:, 15, 15].tolist() == pytest.approx([0.5, 0.4, 0.35], abs=1e-5)
+
+
+def test_shaded_ground_sinks_to_the_photographs_black_and_not_below():
+    hazy = Light(black=(0.1, 0.1, 0.1))
+    crop = layers(20, 20, ratio=(0.0, 0.5, 1.0))
+    image = light(composite_crops(plain(0.3), [((5, 5, 20, 20), crop)], 0, 1, SHARP, hazy))
+    assert image[:, 15, 15].tolist() == pytest.approx([0.1, 0.2, 0.3], abs=1e-5)

@@ -7,7 +7,9 @@ import pytest
 import torch
 
 from skyproof.cycles.sky import daylight
+from skyproof.render.lighting import sky_light
 from skyproof.render.materials import CAMOUFLAGE, material_labels, material_table
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Sun
 from skyproof.vehicles.vehicle import Overlay, Part
 from tests.render.bodies import vehicles
@@ -35,7 +37,7 @@ def look(sky, elevation, azimuth):
 @pytest.mark.parametrize("elevation_deg", [10, 35, 80])
 def test_sun_and_sky_add_up_to_pi_on_level_ground(elevation_deg, overcast):
     sun = Sun(math.radians(130), math.radians(elevation_deg))
-    light = daylight(sun, 0.25, overcast)
+    light = daylight(sun, *sky_light(Light(), overcast))
     elevation, azimuth, solid_angle = directions()
     received = np.maximum(np.sin(elevation), 0) * solid_angle
     sky = (look(light.sky, elevation, azimuth) * received[..., None]).sum((0, 1))
@@ -48,7 +50,7 @@ def test_sun_and_sky_add_up_to_pi_on_level_ground(elevation_deg, overcast):
 
 @pytest.mark.parametrize("overcast", [0.0, 1.0])
 def test_nothing_shines_below_the_horizon(overcast):
-    sky = daylight(Sun(0.3, 0.7), 0.25, overcast).sky
+    sky = daylight(Sun(0.3, 0.7), *sky_light(Light(), overcast)).sky
     elevation, azimuth, _ = directions()
     seen = look(sky, elevation, azimuth)
     assert not seen[elevation < 0].any()
@@ -57,7 +59,7 @@ def test_nothing_shines_below_the_horizon(overcast):
 
 @pytest.mark.parametrize("azimuth_deg", [0, 77, 180, 290])
 def test_a_clear_sky_is_brightest_near_the_sun_and_bluer_than_sunlight(azimuth_deg):
-    light = daylight(Sun(math.radians(azimuth_deg), math.radians(40)), 0.25, 0.0)
+    light = daylight(Sun(math.radians(azimuth_deg), math.radians(40)), *sky_light(Light(), 0.0))
     elevation, azimuth, _ = directions()
     brightness = look(light.sky, elevation, azimuth).sum(-1)
     # The map's cells are 5.6 degrees wide; nearer to the horizon the sky itself is brighter.
@@ -70,7 +72,7 @@ def test_a_clear_sky_is_brightest_near_the_sun_and_bluer_than_sunlight(azimuth_d
 
 
 def test_an_overcast_sky_hides_the_sun_and_is_grey_and_brightest_overhead():
-    light = daylight(Sun(1.0, 0.5), 0.25, 1.0)
+    light = daylight(Sun(1.0, 0.5), *sky_light(Light(), 1.0))
     assert light.sun_irradiance == (0.0, 0.0, 0.0)
     np.testing.assert_allclose(light.sky[..., 0], light.sky[..., 2], rtol=1e-6)
     # CIE 15469, type 1: (1 + 4 exp(-0.7 / cos Z)) is about 3 times as bright overhead as at the
