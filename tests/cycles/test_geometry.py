@@ -12,6 +12,7 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.geometry.projection import project
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.layers import draw_bodies, draw_shadows, windows_around
+from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import place
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.light import Light
@@ -107,15 +108,15 @@ def shadow_masks(scenes, vehicles, placed, crops, *, turned_deg=0.0, raised_deg=
 @pytest.fixture(scope="module")
 def silhouettes(drawn):
     """Per scene the body's pixels in Cycles and in the other renderer."""
-    _, vehicles, placed, crops, results = drawn
+    scenes, vehicles, placed, crops, results = drawn
+    light = lighting(placed, scene_lights([Light()] * SCENES, scenes, placed.vertices))
     window = windows_around(placed.screen)
     _, layers = draw_bodies(
         window,
         placed.screen,
         placed.depth,
         placed.vertices,
-        placed.viewer,
-        placed.sun,
+        light,
         vehicles,
         SETTINGS,
     )
