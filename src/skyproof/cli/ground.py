@@ -58,7 +58,14 @@ class Ground:
     labels: LabelSettings = field(default_factory=LabelSettings)
 
     def __post_init__(self) -> None:
-        about_imagery = (self.labels.path, self.tiling.like, self.source.gsd_m, self.source.crs)
+        said = self.source
+        about_imagery = (
+            self.labels.path,
+            self.tiling.like,
+            said.gsd_m,
+            said.crs,
+            said.taken,
+        )
         if not self.sources and any(value is not None for value in about_imagery):
             raise ConfigurationError(
                 "--labels.path, --tiling.like and --source.* speak of imagery, but no image was "

@@ -6,6 +6,7 @@ Imports no torch, so that the command line answers at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -55,14 +56,23 @@ class SourceSettings:
         crs: reference system, such as EPSG:2193, of images that have a world file but name no
             system.
         licence: licence of images that state none (TIFFTAG_COPYRIGHT).
+        taken: when the images were taken, with its time zone, such as 2024-06-20T13:00:00+02:00:
+            vehicles then stand in the sun of that moment. Images of several flights are cut one
+            by one.
     """
 
     gsd_m: GroundResolution | None = None
     crs: str | None = None
     licence: str | None = None
+    taken: datetime | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        if self.taken is not None and self.taken.tzinfo is None:
+            raise ConfigurationError(
+                f"--source.taken expects a time with its zone, got {self.taken.isoformat()}; add "
+                "the zone, such as +02:00 or Z."
+            )
         if self.crs is not None:
             # Loaded only where a system is named: it takes a second.
             from rasterio.crs import CRS

@@ -25,6 +25,7 @@ from skyproof.imagery.clearing.labelled import (
     removed_vehicles,
 )
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
+from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_finder import (
     VehicleFinder,
     check_resolution,
@@ -109,7 +110,7 @@ def clear_backgrounds(
     """Writes a tiled folder of the same tiles without their vehicles.
 
     Where and how these stood is kept with every tile, and where vehicles may stand is looked at
-    anew.
+    anew. Their shadows tell the sun and the sky of each source, which are kept, too.
 
     Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
     `checker` still finds something are repaired, and left out if that does not help. A contact
@@ -152,6 +153,12 @@ def clear_backgrounds(
         if progress is not None:
             progress("find", done, len(tiles))
     shadows = _shadows(tiles, found)
+    lights = measured_lights(
+        backgrounds,
+        tiles,
+        {tile.id: found[tile.id].boxes for tile in tiles},
+        {tile.id: found[tile.id].profiles for tile in tiles},
+    )
     # Each tile is filled, checked and written.
     rows, kept = [], []
     with ContactSheet(out / "sheets") as sheet:
@@ -160,7 +167,7 @@ def clear_backgrounds(
                 backgrounds,
                 tile,
                 found[tile.id],
-                shadows[_light(tile)],
+                shadows[picture_of(tile)],
                 inpainting,
                 settings,
                 checker,
@@ -168,7 +175,8 @@ def clear_backgrounds(
             )
             rows.append(row)
             if row.left_out is None:
-                kept.append(_with_places(out, tile, found[tile.id], backgrounds))
+                lit = replace(tile, light=lights[tile.id])
+                kept.append(_with_places(out, lit, found[tile.id], backgrounds))
             if sheet_row is not None:
                 sheet.add(sheet_row)
             if progress is not None:
@@ -260,21 +268,16 @@ def _with_places(
     )
 
 
-def _light(tile: BackgroundTile) -> str:
-    """Names what tiles under the same sun share: their source image, or their id where drawn."""
-    return tile.source if tile.light is None else tile.id
-
-
 def _shadows(
     tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]
 ) -> dict[str, Shadow | None]:
     profiles: dict[str, list[Tensor]] = defaultdict(list)
     for tile in tiles:
         profile = found[tile.id].profiles
-        profiles[_light(tile)] += [profile] if len(profile) else []
+        profiles[picture_of(tile)] += [profile] if len(profile) else []
     return {
         light: estimate_shadow(profiles_of_light)
-        for light, profiles_of_light in ((_light(t), profiles[_light(t)]) for t in tiles)
+        for light, profiles_of_light in ((picture_of(t), profiles[picture_of(t)]) for t in tiles)
     }
 
 

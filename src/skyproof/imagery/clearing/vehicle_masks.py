@@ -12,7 +12,16 @@ from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["Shadow", "darkness_profiles", "estimate_shadow", "vehicle_mask"]
+__all__ = [
+    "Shadow",
+    "arrival",
+    "darkness_profiles",
+    "estimate_shadow",
+    "median_of",
+    "shadow_side",
+    "vehicle_mask",
+    "window_around",
+]
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -72,9 +81,9 @@ def vehicle_mask(
     length_px = shadow.length_m / gsd_m if shadow is not None else 0.0
     for left, top, right, bottom in boxes.tolist():
         grown = (left - margin_px, top - margin_px, right + margin_px, bottom + margin_px)
-        rows, columns = _around(grown, length_px + 1, size_px)
+        rows, columns = window_around(grown, length_px + 1, size_px)
         if rows.stop > rows.start and columns.stop > columns.start:
-            mask[rows, columns] |= _arrival(grown, direction, rows, columns) <= length_px
+            mask[rows, columns] |= arrival(grown, direction, rows, columns) <= length_px
     return torch.from_numpy(mask)
 
 
@@ -94,16 +103,16 @@ def darkness_profiles(
     layers = round(LONGEST_SHADOW_M / LAYER_M)
     profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
     for profile, box in zip(profiles, boxes.tolist(), strict=True):
-        rows, columns = _around(box, LONGEST_SHADOW_M / gsd_m, grey.shape)
+        rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape)
         free, values = ~taken[rows, columns], grey[rows, columns]
-        near = _around(box, 4 / gsd_m, grey.shape)
+        near = window_around(box, 4 / gsd_m, grey.shape)
         around = grey[near][~taken[near]]
         if around.size < 50:
             continue
         ground = max(float(np.median(around)), 1.0)
         darkness = np.clip(1 - values / ground, -0.5, 1)
         for number in range(DIRECTIONS):
-            arrival_m = _arrival(box, _unit(number), rows, columns) * gsd_m
+            arrival_m = arrival(box, _unit(number), rows, columns) * gsd_m
             counted = free & (arrival_m > 0) & (arrival_m < LONGEST_SHADOW_M)
             layer = (arrival_m[counted] / LAYER_M).astype(int)
             number_in = np.bincount(layer, minlength=layers)
@@ -134,17 +143,13 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
         return None
     stacked = np.stack(measured[:SAMPLE_LIMIT])
     near_layers = round(NEAR_M / LAYER_M)
-    near = (
-        _median(stacked[:, :, :near_layers].reshape(len(stacked), -1))
-        .reshape(DIRECTIONS, -1)
-        .mean(1)
-    )
-    units = np.array([_unit(number) for number in range(DIRECTIONS)])
-    x, y = (near[:, None] * units).sum(0)
+    near, (x, y) = shadow_side(stacked)
     length = math.hypot(x, y)
     best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
     contrast = float(near[best] - near[(best + DIRECTIONS // 2) % DIRECTIONS])
-    profile = _median(stacked[:, best]) - _median(stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS])
+    profile = median_of(stacked[:, best]) - median_of(
+        stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS]
+    )
     peak = int(profile[:near_layers].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
     # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along
@@ -160,7 +165,21 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     )
 
 
-def _median(values: Array) -> Array:
+def shadow_side(stacked: Array) -> tuple[Array, tuple[float, float]]:
+    """Returns the darkness near the boxes by direction, and the way (x right, y down) of its sum.
+
+    Args:
+        stacked: `[n, directions, layers]` as `darkness_profiles` gives them.
+    """
+    near_layers = round(NEAR_M / LAYER_M)
+    near = median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
+    near = near.reshape(DIRECTIONS, -1).mean(1)
+    units = np.array([_unit(number) for number in range(DIRECTIONS)])
+    x, y = (near[:, None] * units).sum(0)
+    return near, (float(x), float(y))
+
+
+def median_of(values: Array) -> Array:
     """Takes the median over the first axis, without nan; 0 where there is nothing else."""
     masked = np.ma.masked_invalid(values)
     return np.ma.median(masked, axis=0).filled(0.0)
@@ -171,7 +190,7 @@ def _unit(number: int) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def _around(
+def window_around(
     box: Box | list[float], margin_px: float, size_px: tuple[int, ...]
 ) -> tuple[slice, slice]:
     left, top, right, bottom = box
@@ -187,7 +206,7 @@ def _around(
     )
 
 
-def _arrival(
+def arrival(
     box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice
 ) -> Array:
     """Says per pixel centre how far the box must move in the direction until it covers it.

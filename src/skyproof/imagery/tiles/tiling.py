@@ -22,6 +22,7 @@ from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
+from skyproof.imagery.tiles.lights import lit_tiles
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
     Source,
@@ -91,7 +92,8 @@ def tile_imagery(
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`measure_sensor`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
+    (`measure_sensor`), and the exposure of each source, so that they are as bright
+    (`measure_exposure`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
     on. Tiles without any vehicle stay.
@@ -167,6 +169,8 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
+    of_tile = {cell.id: cell for cell, _ in kept}
+    tiles = lit_tiles(folder, tiles, of_tile, settings.gsd_m, source_settings.taken, notes)
     # What was done, and the index last.
     record = TilingRecord(
         settings=_plain(
@@ -175,6 +179,7 @@ def tile_imagery(
                 "source_gsd_m": source_settings.gsd_m,
                 "crs": source_settings.crs,
                 "licence": source_settings.licence,
+                "taken": source_settings.taken,
             }
         ),
         sources=[_describe(source) for source in sources],
@@ -186,7 +191,7 @@ def tile_imagery(
         else [],
         notes=notes,
     )
-    write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
+    write_ground_index(folder, tiles, of_tile)
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record

@@ -1,0 +1,114 @@
+"""The light of tiles: exposure as measured, and the sun of a date and time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from astral import Observer
+from astral.sun import azimuth, elevation
+from rasterio.crs import CRS
+
+from skyproof.errors import ImageryError
+from skyproof.imagery.exposure import measure_exposure
+from skyproof.imagery.tiles.georeference import to_reference_system
+from skyproof.imagery.tiles.grid import Cell
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light, SunEstimate
+
+__all__ = ["lit_tiles", "sun_over"]
+
+_TILES_MEASURED = 16
+_DEGREES = CRS.from_epsg(4326)
+_NORTH_M = 100.0
+# A sun that is lower lights no photograph that one would count vehicles in.
+_LOWEST_DEG = 5.0
+
+
+def lit_tiles(
+    folder: Path,
+    tiles: Sequence[BackgroundTile],
+    cells: Mapping[str, Cell],
+    gsd_m: float,
+    taken: datetime | None,
+    notes: list[str],
+) -> list[BackgroundTile]:
+    """Measures how each source shows light, on up to 16 of its tiles, and gives it to its tiles.
+
+    Args:
+        folder: of the background set, with the tiles' pictures.
+        tiles: cut from sources.
+        cells: of the tiles, by id.
+        gsd_m: metres per pixel of the tiles.
+        taken: when the sources were photographed, with its time zone; the sun of then is kept.
+        notes: sources that show too little to be measured are named here.
+
+    Raises:
+        ImageryError: the sun was down then, or sources have no georeference and `taken` is given.
+    """
+    backgrounds = BackgroundSet(folder, gsd_m, tiles)
+    of_source: dict[str, list[BackgroundTile]] = {}
+    for tile in tiles:
+        of_source.setdefault(tile.source, []).append(tile)
+    lights: dict[str, Light] = {}
+    for source, own in of_source.items():
+        some = own[:: max(1, len(own) // _TILES_MEASURED)]
+        try:
+            lights[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
+        except ImageryError:
+            lights[source] = Light()
+            notes.append(
+                f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
+                "clear day, well exposed"
+            )
+    lit = []
+    for tile in tiles:
+        light = lights[tile.source]
+        if taken is not None:
+            light = replace(light, sun=sun_over(cells[tile.id], taken))
+        lit.append(replace(tile, light=light))
+    return lit
+
+
+def sun_over(cell: Cell, taken: datetime) -> SunEstimate:
+    """Computes where the sun stood over a cell, in its axes; refraction is left out.
+
+    Grid north is told from true north.
+
+    Args:
+        cell: georeferenced.
+        taken: with its time zone.
+
+    Raises:
+        ImageryError: the cell has no georeference, or the sun was lower than 5 degrees.
+    """
+    left, bottom, right, top = cell.extent
+    middle = ((left + right) / 2, (bottom + top) / 2)
+    above = (middle[0], middle[1] + _NORTH_M)
+    if cell.crs is None:
+        raise ImageryError(
+            "--source.taken expects georeferenced images, because the sun of a date and time "
+            "depends on the place, but some have no georeference; leave it out, and let "
+            "`skyproof clear` measure the sun from the vehicles' shadows."
+        )
+    (longitude, latitude), (east, north) = to_reference_system(cell.crs, _DEGREES, [middle, above])
+    # True north lies so far clockwise of the cell's y axis.
+    grid_rad = math.atan2((east - longitude) * math.cos(math.radians(latitude)), north - latitude)
+    place = Observer(latitude, longitude)
+    height_deg = elevation(place, taken, with_refraction=False)
+    if height_deg < _LOWEST_DEG:
+        raise ImageryError(
+            f"--source.taken expects a time of day, but at {taken.isoformat()} the sun stood at "
+            f"{height_deg:.0f} degrees over {latitude:.2f} N, {longitude:.2f} E; check the time "
+            "zone."
+        )
+    from_grid_north_rad = math.radians(azimuth(place, taken)) - grid_rad
+    return SunEstimate(
+        azimuth_rad=round((math.pi / 2 - from_grid_north_rad) % (2 * math.pi), 4),
+        elevation_rad=round(math.radians(height_deg), 4),
+        known_from=f"date and time, {taken.isoformat()}",
+    )
