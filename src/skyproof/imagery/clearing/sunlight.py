@@ -50,6 +50,10 @@ _FROM_M = 0.12
 # up to this share of their length, because boxes with sides along the picture's hold a part of it.
 _TO_SHARE = 0.25
 _FEWEST_PIXELS = 6
+# The darkest quarter of these pixels lies in the shadow whatever the vehicle's heading; there the
+# vehicle also hides a third of the sky, in both renderers.
+_CORE = 0.25
+_SKY_LEFT = 0.68
 _HIGHEST_FOR_SKY_RAD = math.radians(50)
 
 
@@ -148,8 +152,8 @@ def shadow_light(
 ) -> Float[Tensor, "m 3"]:
     """Measures how much light is left in the shadows of vehicles, red, green and blue.
 
-    It compares the ground in the part of each shadow that lies next to the vehicle with the ground
-    as far away on the other side, both less the photograph's black.
+    It compares the darkest quarter of the ground in the part of each shadow that lies next to the
+    vehicle with the ground as far away on the other side, both less the photograph's black.
 
     Args:
         image: sRGB bytes.
@@ -175,19 +179,20 @@ def shadow_light(
         rows, columns = window_around(box, to_m / gsd_m, taken.shape)
         free = ~taken[rows, columns]
         sides = []
-        for direction in (way, across):
+        for direction, quantile in ((way, _CORE), (across, 0.5)):
             distance_m = arrival(box, direction, rows, columns) * gsd_m
             chosen = free & (distance_m > _FROM_M) & (distance_m < to_m)
             if chosen.sum() < _FEWEST_PIXELS:
                 break
-            sides.append(np.median(values[:, rows, columns][:, chosen], axis=1))
+            sides.append(np.quantile(values[:, rows, columns][:, chosen], quantile, axis=1))
         if len(sides) == 2:
             ratios.append(sides[0] / np.maximum(sides[1], 1e-4))
     return torch.tensor(np.array(ratios).reshape(-1, 3), dtype=torch.float32)
 
 
 def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
-    """Returns the light with the sky's part that shadows show: the median vehicle's.
+    """Returns the light with the sky's part that shadows show: the median vehicle's, and what the
+    vehicle itself hides of the sky added.
 
     It stays as it is with fewer than 3 vehicles, and under a sun above 50 degrees, where hardly any
     shadow lies beyond a vehicle's box.
@@ -201,7 +206,7 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     rows = torch.cat([torch.zeros(0, 3), *ratios])
     if len(rows) < FEWEST_VEHICLES:
         return light
-    red, green, blue = rows.median(0).values.clamp(0.05, 1.0).tolist()
+    red, green, blue = (rows.median(0).values / _SKY_LEFT).clamp(0.05, 1.0).tolist()
     return replace(light, sky=(round(red, 4), round(green, 4), round(blue, 4)))
 
 

@@ -1,0 +1,76 @@
+"""The light of tiles that are cut from imagery: exposure of each source, sun of a date and time."""
+
+import math
+from datetime import UTC, datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+import torch
+from rasterio.crs import CRS
+from rasterio.transform import Affine
+
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.ground.ground import draw_ground
+from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.grid import Cell
+from skyproof.imagery.tiles.lights import sun_over
+from tests.imagery.made import all_tiles, tile, write_image
+
+# The middle of a UTM zone, so that grid north is true north; and far from it.
+MIDDLE, EDGE = (500_000.0, 5_330_000.0), (760_000.0, 5_330_000.0)
+
+
+def cell(place, crs=32632):
+    return Cell("a", CRS.from_epsg(crs), *place, size_px=64, gsd_m=0.125, sources=(0,))
+
+
+def compass_deg(sun):
+    """Clockwise from the cell's upper side."""
+    return (90 - math.degrees(sun.azimuth_rad)) % 360
+
+
+def test_the_sun_of_a_date_and_time_is_the_almanacs():
+    # At 48.12 N, 9 E the sun crosses the meridian at 11:25:46 UTC on 2024-06-20 (equation of time
+    # -1 min 46 s), 90 - 48.12 + 23.44 degrees high.
+    noon = datetime(2024, 6, 20, 11, 25, 46, tzinfo=UTC)
+    sun = sun_over(cell(MIDDLE), noon)
+    assert math.degrees(sun.elevation_rad) == pytest.approx(65.32, abs=0.1)
+    assert compass_deg(sun) == pytest.approx(180, abs=0.7)
+    # In the morning it stands in the east; the zone of the clock makes no difference.
+    morning = noon - timedelta(hours=4)
+    assert 80 < compass_deg(sun_over(cell(MIDDLE), morning)) < 120
+    summer_time = morning.astimezone(timezone(timedelta(hours=2)))
+    again = sun_over(cell(MIDDLE), summer_time)
+    assert again.azimuth_rad == sun_over(cell(MIDDLE), morning).azimuth_rad
+
+
+def test_grid_north_is_told_from_true_north():
+    # 3.49 degrees east of the zone's middle at 48.06 N, the grid is turned by 3.49 sin(48.06).
+    sun = sun_over(cell(EDGE), datetime(2024, 6, 20, 11, 11, 48, tzinfo=UTC))
+    longitude_from_middle_deg = 3.49
+    turned = longitude_from_middle_deg * math.sin(math.radians(48.06))
+    assert compass_deg(sun) == pytest.approx(180 - turned, abs=1.0)
+
+
+def test_night_and_places_unknown_are_refused():
+    with pytest.raises(ImageryError, match="the sun stood at"):
+        sun_over(cell(MIDDLE), datetime(2024, 6, 20, 23, 0, tzinfo=UTC))
+    nowhere = Cell("a", None, 0.0, 0.0, size_px=64, gsd_m=0.125, sources=(0,))
+    with pytest.raises(ImageryError, match="expects georeferenced images"):
+        sun_over(nowhere, datetime(2024, 6, 20, 11, 0, tzinfo=UTC))
+    with pytest.raises(ConfigurationError, match="expects a time with its zone"):
+        SourceSettings(taken=datetime(2024, 6, 20, 11, 0))
+
+
+def test_each_source_keeps_its_exposure(tmp_path):
+    """One picture at half the other's exposure: its white is half as bright."""
+
+    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).numpy()
+    linear = (drawn / 255.0) ** 2.2
+    for number, exposure in enumerate((1.0, 0.5)):
+        shown = ((exposure * linear) ** (1 / 2.2) * 255).astype(np.uint8)
+        corner = Affine(0.125, 0, 500_000 + 100 * number, 0, -0.125, 5_330_000)
+        write_image(tmp_path / f"{number}.tif", shown, crs="EPSG:32632", transform=corner)
+    backgrounds, _ = tile([tmp_path / "0.tif", tmp_path / "1.tif"], tmp_path / "set")
+    whites = {one.source: one.light.white[1] for one in all_tiles(backgrounds)}
+    assert whites["1.tif"] / whites["0.tif"] == pytest.approx(0.5, abs=0.08)

@@ -1,0 +1,142 @@
+"""Sun and sky measured from the shadows of rendered vehicles, where both are known."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.imagery.clearing.sunlight import (
+    estimate_sun,
+    measured_lights,
+    shadow_light,
+    with_sky,
+)
+from skyproof.imagery.clearing.vehicle_masks import darkness_profiles
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light, SunEstimate
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.scene import Sun
+from skyproof.scenes.settings import SceneSettings
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+
+SCENES, SIDE_PX = 8, 224
+SKY = (0.2, 0.25, 0.35)
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ground")
+    return write_procedural_backgrounds(folder, {"test": 8}, 240, seed=3)
+
+
+def photographs(ground, azimuth_deg, elevation_deg, light):
+    """Pictures of parked vehicles under one sun: images and boxes."""
+    fleet = sample_fleet(FleetSettings(24), generator=torch.Generator().manual_seed(1))
+    settings = SceneSettings(
+        size_px=SIDE_PX, vehicles_minimum=3, vehicles_maximum=5, tilt_maximum_rad=0.0
+    )
+    generator = torch.Generator().manual_seed(5)
+    scenes = sample_scenes(settings, ground, "test", fleet.sizes_m, SCENES, generator=generator)
+    sun = Sun(math.radians(azimuth_deg), math.radians(elevation_deg))
+    scenes = [dataclasses.replace(each, sun=sun) for each in scenes]
+    scenes = [
+        dataclasses.replace(
+            each,
+            placements=tuple(dataclasses.replace(one, shade=0.0) for one in each.placements),
+        )
+        for each in scenes
+    ]
+    with torch.no_grad():
+        frames = TorchRenderer(ground, RenderSettings(light=light))(
+            scenes, placed_vehicles(fleet, scenes)
+        )
+    images = (frames.image * 255).round().byte()
+    boxes = [frames.boxes[frames.scene_index == index] for index in range(SCENES)]
+    return images, boxes
+
+
+def profiles(images, boxes, gsd_m):
+    return [
+        darkness_profiles(image, own, gsd_m=gsd_m) for image, own in zip(images, boxes, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(40, 20), (200, 32), (310, 44)])
+def test_sun_and_sky_are_those_of_the_pictures(ground, azimuth_deg, elevation_deg):
+    light = Light(sky=SKY)
+    images, boxes = photographs(ground, azimuth_deg, elevation_deg, light)
+    sun = estimate_sun(profiles(images, boxes, ground.gsd_m))
+    assert sun is not None
+    # The drawn ground holds shadows under another sun, which pull a little.
+    turn = (math.degrees(sun.azimuth_rad) - azimuth_deg + 180) % 360 - 180
+    assert abs(turn) < 20
+    assert 0 < math.degrees(sun.azimuth_sd_rad) < 20
+    assert math.degrees(sun.elevation_rad) == pytest.approx(elevation_deg, abs=10)
+    ratios = [
+        shadow_light(image, own, sun, light, gsd_m=ground.gsd_m)
+        for image, own in zip(images, boxes, strict=True)
+    ]
+    measured = with_sky(dataclasses.replace(Light(), sun=sun), ratios)
+    assert measured.sky == pytest.approx(SKY, abs=0.06)
+    # Bluer than the sun.
+    assert measured.sky[2] > measured.sky[0]
+
+
+def test_pictures_without_shadows_tell_no_sun(ground):
+    images, boxes = photographs(ground, 40, 30, Light(sky=(1.0, 1.0, 1.0)))
+    none_cast = [torch.full_like(image, 120) for image in images]
+    assert estimate_sun(profiles(none_cast, boxes, ground.gsd_m)) is None
+    assert estimate_sun([]) is None
+    two = [profiles(images, boxes, ground.gsd_m)[0][:2]]
+    assert estimate_sun(two) is None
+
+
+def test_under_a_high_sun_the_sky_stays_the_usual_one():
+    high = Light(sun=SunEstimate(0.0, math.radians(60)))
+    low = Light(sun=SunEstimate(0.0, math.radians(40)))
+    ratios = [torch.full((5, 3), 0.6 * 0.68)]
+    assert with_sky(high, ratios) == high
+    assert with_sky(low, ratios).sky == pytest.approx((0.6, 0.6, 0.6), abs=0.01)
+    assert with_sky(low, [torch.full((2, 3), 0.6)]) == low
+
+
+def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):
+    known = SunEstimate(1.0, 0.5, known_from="date and time")
+    suns = {"west.tif": 30, "east.tif": 250, "dated.tif": 30}
+    tiles, boxes_of, profiles_of = [], {}, {}
+    for source, azimuth_deg in suns.items():
+        images, boxes = photographs(ground, azimuth_deg, 25, Light())
+        for number, (image, own) in enumerate(zip(images, boxes, strict=True)):
+            light = Light(white=(0.8, 0.8, 0.8), sun=known if source == "dated.tif" else None)
+            tile = BackgroundTile(
+                id=f"{source}-{number}",
+                file=f"{source}-{number}.png",
+                split="train",
+                width_px=SIDE_PX,
+                height_px=SIDE_PX,
+                source=source,
+                light=light,
+            )
+            save_tile(tmp_path, tile, image)
+            tiles.append(tile)
+            boxes_of[tile.id] = own
+            profiles_of[tile.id] = darkness_profiles(image, own, gsd_m=0.125)
+    write_index(tmp_path, 0.125, tiles)
+    lights = measured_lights(BackgroundSet.open(tmp_path), tiles, boxes_of, profiles_of)
+    for source, azimuth_deg in suns.items():
+        light = lights[f"{source}-0"]
+        assert all(lights[tile.id] == light for tile in tiles if tile.source == source)
+        # The exposure that was measured before stays.
+        assert light.white == (0.8, 0.8, 0.8)
+        if source == "dated.tif":
+            assert light.sun == known
+        else:
+            turn = (math.degrees(light.sun.azimuth_rad) - azimuth_deg + 180) % 360 - 180
+            assert abs(turn) < 20
+            assert "shadows of" in light.sun.known_from
