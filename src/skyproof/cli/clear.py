@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -104,6 +105,14 @@ class Clear:
             f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
             f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
         )
+        if record["suns"]:
+            elevations_deg = [math.degrees(sun["elevation_rad"]) for sun in record["suns"].values()]
+            say(
+                f"Sun known over {len(elevations_deg)} sources, {min(elevations_deg):.0f} to "
+                f"{max(elevations_deg):.0f} degrees high: vehicles will stand in it."
+            )
+        else:
+            say("Where the sun stood is not known: too few vehicles with clear shadows.")
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
         sheet = (self.out / "sheets" / "index.html").resolve()

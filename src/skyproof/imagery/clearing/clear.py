@@ -153,12 +153,7 @@ def clear_backgrounds(
         if progress is not None:
             progress("find", done, len(tiles))
     shadows = _shadows(tiles, found)
-    lights = measured_lights(
-        backgrounds,
-        tiles,
-        {tile.id: found[tile.id].boxes for tile in tiles},
-        {tile.id: found[tile.id].profiles for tile in tiles},
-    )
+    lights = measured_lights(backgrounds, tiles, {name: own.removed for name, own in found.items()})
     # Each tile is filled, checked and written.
     rows, kept = [], []
     with ContactSheet(out / "sheets") as sheet:
@@ -182,6 +177,11 @@ def clear_backgrounds(
             if progress is not None:
                 progress("clear", done, len(tiles))
     record = _record(rows, shadows, inpainting, settings, finder, checker, labels is not None)
+    record["suns"] = {
+        picture_of(tile): asdict(light.sun)
+        for tile in tiles
+        if tile.kind is None and (light := lights[tile.id]) is not None and light.sun is not None
+    }
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(

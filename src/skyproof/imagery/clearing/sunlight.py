@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     NEAR_M,
     SAMPLE_LIMIT,
     arrival,
+    darkness_profiles,
     median_of,
     shadow_side,
     window_around,
@@ -29,32 +30,72 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate
+from skyproof.scenes.places import RemovedVehicle
 
-__all__ = ["estimate_sun", "measured_lights", "picture_of", "shadow_light", "with_sky"]
+__all__ = [
+    "Footprints",
+    "estimate_sun",
+    "measured_lights",
+    "picture_of",
+    "shadow_light",
+    "with_sky",
+]
 
 Array = NDArray[np.float64]
 
 HEIGHT_M = 1.5
 """Of the usual vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
 END_SHARE = 0.35
-# A shadow's length from where its darkness ends beside boxes that hold a part of it: fitted on
-# rendered scenes with the sun at 15 to 65 degrees, within 4 degrees (standard deviation).
-_STRETCH, _HIDDEN_M = 1.26, 0.56
-_ELEVATION_SD_RAD = math.radians(4)
+# A shadow's length from where its darkness ends: fitted on rendered scenes with the sun at 15 to 70
+# degrees, within 2.2 degrees (standard deviation), a little more where headings are estimated.
+_STRETCH, _HIDDEN_M = 1.36, 0.12
+_ELEVATION_SD_RAD = math.radians(3)
 _RESAMPLES = 60
 _LARGEST_SD_RAD = math.radians(30)
 _LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
 
+# Around a vehicle's own outline even the shadow of a high sun is wider than half of this.
+_NEAR_M = 0.5
 # Shadows are read from here on outwards, so that no part of the vehicle is in them,
 _FROM_M = 0.12
-# up to this share of their length, because boxes with sides along the picture's hold a part of it.
+# up to this share of their length, so that no soft edge is.
 _TO_SHARE = 0.25
 _FEWEST_PIXELS = 6
-# The darkest quarter of these pixels lies in the shadow whatever the vehicle's heading; there the
-# vehicle also hides a third of the sky, in both renderers.
-_CORE = 0.25
+# So close, the vehicle also hides a third of the sky, in both renderers.
 _SKY_LEFT = 0.68
-_HIGHEST_FOR_SKY_RAD = math.radians(50)
+_HIGHEST_FOR_SKY_RAD = math.radians(60)
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """The ground that vehicles cover.
+
+    Attributes:
+        boxes: as they would be with a heading of 0, pixel xyxy.
+        headings_rad: by which each is turned about its middle, from x (right) towards up.
+    """
+
+    boxes: Float[Tensor, "n 4"]
+    headings_rad: tuple[float, ...]
+
+    @classmethod
+    def of(cls, vehicles: Sequence[RemovedVehicle], gsd_m: float) -> Footprints:
+        """Takes the vehicles whose heading and sides are known."""
+        boxes, headings_rad = [], []
+        for one in vehicles:
+            if one.heading_rad is None or one.length_m is None or one.width_m is None:
+                continue
+            along_px, across_px = one.length_m / gsd_m / 2, one.width_m / gsd_m / 2
+            boxes.append(
+                (
+                    one.x_px - along_px,
+                    one.y_px - across_px,
+                    one.x_px + along_px,
+                    one.y_px + across_px,
+                )
+            )
+            headings_rad.append(one.heading_rad)
+        return cls(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), tuple(headings_rad))
 
 
 def picture_of(tile: BackgroundTile) -> str:
@@ -65,18 +106,16 @@ def picture_of(tile: BackgroundTile) -> str:
 def measured_lights(
     backgrounds: BackgroundSet,
     tiles: Sequence[BackgroundTile],
-    boxes: Mapping[str, Float[Tensor, "_ 4"]],
-    profiles: Mapping[str, Float[Tensor, "_ directions layers"]],
+    vehicles: Mapping[str, Sequence[RemovedVehicle]],
 ) -> dict[str, Light | None]:
     """Adds to each tile's light the sun and the sky that the shadows of its vehicles show.
 
     What is known stays: the light of drawn ground, and a sun of a date and time.
 
     Args:
-        backgrounds: the set with the tiles.
+        backgrounds: the set with the tiles, vehicles still on them.
         tiles: those whose light is wanted.
-        boxes: of vehicles, pixel xyxy, by tile.
-        profiles: of `darkness_profiles`, by tile.
+        vehicles: that stand on them, by tile; those without heading or sides are not used.
 
     Returns:
         The light of each tile, by its id; None for that of the set.
@@ -86,23 +125,32 @@ def measured_lights(
     for tile in tiles:
         if tile.kind is None:
             of_picture[picture_of(tile)].append(tile)
+    gsd_m = backgrounds.gsd_m
     for own in of_picture.values():
         known = own[0].light or backgrounds.light
-        shown = [tile for tile in own if len(boxes[tile.id])]
-        sun = known.sun or estimate_sun([profiles[tile.id] for tile in shown])
+        shown = [
+            (tile.id, footprints)
+            for tile in own
+            if len((footprints := Footprints.of(vehicles[tile.id], gsd_m)).headings_rad)
+        ]
+        sun = known.sun or estimate_sun(
+            darkness_profiles(
+                backgrounds.pixels(name), footprints.boxes, footprints.headings_rad, gsd_m=gsd_m
+            )
+            for name, footprints in shown
+        )
         if sun is None:
             continue
-        gsd_m = backgrounds.gsd_m
         ratios = (
-            shadow_light(backgrounds.pixels(tile.id), boxes[tile.id], sun, known, gsd_m=gsd_m)
-            for tile in shown
+            shadow_light(backgrounds.pixels(name), footprints, sun, known, gsd_m=gsd_m)
+            for name, footprints in shown
         )
         light = with_sky(replace(known, sun=sun), ratios)
         lights.update({tile.id: light for tile in own})
     return lights
 
 
-def estimate_sun(profiles: Sequence[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
+def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
     """Estimates where the sun stood from how dark the ground beside vehicles is.
 
     The azimuth is opposite to the shadows' side, its standard deviation that of vehicles drawn
@@ -110,7 +158,7 @@ def estimate_sun(profiles: Sequence[Float[Tensor, "_ directions layers"]]) -> Su
     that of the side across, falls to 35 % of its largest value. It uses no date, place or north.
 
     Args:
-        profiles: per tile what `darkness_profiles` gives.
+        profiles: per tile what `darkness_profiles` gives of boxes with their headings.
 
     Returns:
         None with fewer than 3 vehicles, without clear shadows, or where their side is not clear
@@ -144,7 +192,7 @@ def estimate_sun(profiles: Sequence[Float[Tensor, "_ directions layers"]]) -> Su
 
 def shadow_light(
     image: UInt8[Tensor, "3 H W"],
-    boxes: Float[Tensor, "n 4"],
+    vehicles: Footprints,
     sun: SunEstimate,
     light: Light,
     *,
@@ -152,12 +200,12 @@ def shadow_light(
 ) -> Float[Tensor, "m 3"]:
     """Measures how much light is left in the shadows of vehicles, red, green and blue.
 
-    It compares the darkest quarter of the ground in the part of each shadow that lies next to the
-    vehicle with the ground as far away on the other side, both less the photograph's black.
+    It compares the ground in the part of each shadow that lies next to the vehicle with the ground
+    as far away on the other side, both less the photograph's black.
 
     Args:
         image: sRGB bytes.
-        boxes: of vehicles, pixel xyxy.
+        vehicles: where they stand.
         sun: of the photograph.
         light: whose black is subtracted.
         gsd_m: metres per pixel.
@@ -168,23 +216,25 @@ def shadow_light(
     linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
     values = linear.clamp(min=0.0).numpy()
     taken = np.zeros(values.shape[1:], dtype=bool)
-    for left, top, right, bottom in boxes.tolist():
-        taken[max(0, int(top)) : math.ceil(bottom), max(0, int(left)) : math.ceil(right)] = True
+    standing = list(zip(vehicles.boxes.tolist(), vehicles.headings_rad, strict=True))
+    for box, turn_rad in standing:
+        rows, columns = window_around(box, 0.0, taken.shape, turn_rad)
+        taken[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
     # Rows run down, so the shadow's way is (-cos, sin) there.
     way = (-math.cos(sun.azimuth_rad), math.sin(sun.azimuth_rad))
     across = (-way[0], -way[1])
     to_m = max(_TO_SHARE * HEIGHT_M / math.tan(sun.elevation_rad), 2 * _FROM_M)
     ratios = []
-    for box in boxes.tolist():
-        rows, columns = window_around(box, to_m / gsd_m, taken.shape)
+    for box, turn_rad in standing:
+        rows, columns = window_around(box, to_m / gsd_m, taken.shape, turn_rad)
         free = ~taken[rows, columns]
         sides = []
-        for direction, quantile in ((way, _CORE), (across, 0.5)):
-            distance_m = arrival(box, direction, rows, columns) * gsd_m
+        for direction in (way, across):
+            distance_m = arrival(box, direction, rows, columns, turn_rad) * gsd_m
             chosen = free & (distance_m > _FROM_M) & (distance_m < to_m)
             if chosen.sum() < _FEWEST_PIXELS:
                 break
-            sides.append(np.quantile(values[:, rows, columns][:, chosen], quantile, axis=1))
+            sides.append(np.median(values[:, rows, columns][:, chosen], axis=1))
         if len(sides) == 2:
             ratios.append(sides[0] / np.maximum(sides[1], 1e-4))
     return torch.tensor(np.array(ratios).reshape(-1, 3), dtype=torch.float32)
@@ -194,8 +244,8 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     """Returns the light with the sky's part that shadows show: the median vehicle's, and what the
     vehicle itself hides of the sky added.
 
-    It stays as it is with fewer than 3 vehicles, and under a sun above 50 degrees, where hardly any
-    shadow lies beyond a vehicle's box.
+    It stays as it is with fewer than 3 vehicles, and under a sun above 60 degrees, where hardly any
+    shadow lies beside a vehicle.
 
     Args:
         light: of the photograph, with its sun.
@@ -210,7 +260,7 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     return replace(light, sky=(round(red, 4), round(green, 4), round(blue, 4)))
 
 
-def _stacked(profiles: Sequence[Float[Tensor, "_ directions layers"]]) -> Array:
+def _stacked(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
     measured = [
         darkness
         for tensor in profiles
@@ -222,7 +272,7 @@ def _stacked(profiles: Sequence[Float[Tensor, "_ directions layers"]]) -> Array:
 
 def _side(stacked: Array) -> tuple[float, Array, float]:
     """Returns the sun's azimuth, the darkness by layer on the shadow's side, and the contrast."""
-    near, (x, y) = shadow_side(stacked)
+    near, (x, y) = shadow_side(stacked, _NEAR_M)
     best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
     opposite = (best + DIRECTIONS // 2) % DIRECTIONS
     profile = median_of(stacked[:, best]) - median_of(stacked[:, opposite])

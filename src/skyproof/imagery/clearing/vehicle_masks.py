@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,9 +88,16 @@ def vehicle_mask(
 
 
 def darkness_profiles(
-    image: UInt8[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, gsd_m: float
+    image: UInt8[Tensor, "3 H W"],
+    boxes: Float[Tensor, "n 4"],
+    headings_rad: Sequence[float] | None = None,
+    *,
+    gsd_m: float,
 ) -> Float[Tensor, "n directions layers"]:
     """Measures how dark the ground beside each box is, by direction and by layer outwards.
+
+    Where headings are given, each box is turned about its middle by its own, from x (right) towards
+    up.
 
     A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness
     of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other
@@ -98,21 +105,23 @@ def darkness_profiles(
     """
     grey = image.double().mean(0).numpy()
     taken = np.zeros(grey.shape, dtype=bool)
-    for left, top, right, bottom in boxes.tolist():
-        taken[max(0, int(top)) : math.ceil(bottom), max(0, int(left)) : math.ceil(right)] = True
+    turns = [0.0] * len(boxes) if headings_rad is None else list(headings_rad)
+    for box, turn_rad in zip(boxes.tolist(), turns, strict=True):
+        rows, columns = window_around(box, 0.0, grey.shape, turn_rad)
+        taken[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
     layers = round(LONGEST_SHADOW_M / LAYER_M)
     profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
-    for profile, box in zip(profiles, boxes.tolist(), strict=True):
-        rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape)
+    for profile, box, turn_rad in zip(profiles, boxes.tolist(), turns, strict=True):
+        rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape, turn_rad)
         free, values = ~taken[rows, columns], grey[rows, columns]
-        near = window_around(box, 4 / gsd_m, grey.shape)
+        near = window_around(box, 4 / gsd_m, grey.shape, turn_rad)
         around = grey[near][~taken[near]]
         if around.size < 50:
             continue
         ground = max(float(np.median(around)), 1.0)
         darkness = np.clip(1 - values / ground, -0.5, 1)
         for number in range(DIRECTIONS):
-            arrival_m = arrival(box, _unit(number), rows, columns) * gsd_m
+            arrival_m = arrival(box, _unit(number), rows, columns, turn_rad) * gsd_m
             counted = free & (arrival_m > 0) & (arrival_m < LONGEST_SHADOW_M)
             layer = (arrival_m[counted] / LAYER_M).astype(int)
             number_in = np.bincount(layer, minlength=layers)
@@ -165,13 +174,14 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     )
 
 
-def shadow_side(stacked: Array) -> tuple[Array, tuple[float, float]]:
+def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[Array, tuple[float, float]]:
     """Returns the darkness near the boxes by direction, and the way (x right, y down) of its sum.
 
     Args:
         stacked: `[n, directions, layers]` as `darkness_profiles` gives them.
+        near_m: how far from the boxes ground is near.
     """
-    near_layers = round(NEAR_M / LAYER_M)
+    near_layers = round(near_m / LAYER_M)
     near = median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
     near = near.reshape(DIRECTIONS, -1).mean(1)
     units = np.array([_unit(number) for number in range(DIRECTIONS)])
@@ -191,43 +201,51 @@ def _unit(number: int) -> tuple[float, float]:
 
 
 def window_around(
-    box: Box | list[float], margin_px: float, size_px: tuple[int, ...]
+    box: Box | list[float], margin_px: float, size_px: tuple[int, ...], turn_rad: float = 0.0
 ) -> tuple[slice, slice]:
+    """Returns the rows and columns around a box that is turned about its middle."""
     left, top, right, bottom = box
+    cosine = abs(math.cos(turn_rad))
+    sine = abs(math.sin(turn_rad))
+    across = margin_px + ((right - left) * cosine + (bottom - top) * sine) / 2
+    down = margin_px + ((right - left) * sine + (bottom - top) * cosine) / 2
+    x, y = (left + right) / 2, (top + bottom) / 2
     return (
-        slice(
-            max(0, math.floor(top - margin_px)),
-            max(0, min(size_px[0], math.ceil(bottom + margin_px))),
-        ),
-        slice(
-            max(0, math.floor(left - margin_px)),
-            max(0, min(size_px[1], math.ceil(right + margin_px))),
-        ),
+        slice(max(0, math.floor(y - down)), max(0, min(size_px[0], math.ceil(y + down)))),
+        slice(max(0, math.floor(x - across)), max(0, min(size_px[1], math.ceil(x + across)))),
     )
 
 
 def arrival(
-    box: Box | list[float], direction: tuple[float, float], rows: slice, columns: slice
+    box: Box | list[float],
+    direction: tuple[float, float],
+    rows: slice,
+    columns: slice,
+    turn_rad: float = 0.0,
 ) -> Array:
     """Says per pixel centre how far the box must move in the direction until it covers it.
 
-    It is 0 inside, and infinite where the box never comes.
+    It is 0 inside, and infinite where the box never comes. The box is turned about its middle.
     """
     left, top, right, bottom = box
+    half = ((right - left) / 2, (bottom - top) / 2)
+    x = np.arange(columns.start, columns.stop)[None, :] + 0.5 - (left + right) / 2
+    y = np.arange(rows.start, rows.stop)[:, None] + 0.5 - (top + bottom) / 2
+    # Rows run down, so the box's own axes are (cos, -sin) and (sin, cos).
+    cosine = math.cos(turn_rad)
+    sine = math.sin(turn_rad)
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)
-    xs = np.arange(columns.start, columns.stop)[None, :] + 0.5
-    ys = np.arange(rows.start, rows.stop)[:, None] + 0.5
-    for places, low, high, speed in (
-        (xs, left, right, direction[0]),
-        (ys, top, bottom, direction[1]),
+    for places, reach, speed in (
+        (cosine * x - sine * y, half[0], cosine * direction[0] - sine * direction[1]),
+        (sine * x + cosine * y, half[1], sine * direction[0] + cosine * direction[1]),
     ):
         if abs(speed) < 1e-9:
-            outside = (places < low) | (places > high)
+            outside = abs(places) > reach
             first = np.where(outside, np.inf, first)
             last = np.where(outside, -np.inf, last)
             continue
-        first_edge, second_edge = (places - high) / speed, (places - low) / speed
+        first_edge, second_edge = (places - reach) / speed, (places + reach) / speed
         first = np.maximum(first, np.minimum(first_edge, second_edge))
         last = np.minimum(last, np.maximum(first_edge, second_edge))
     return np.where(first <= last, first, np.inf)

@@ -65,6 +65,11 @@ def lit_tiles(
                 f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
                 "clear day, well exposed"
             )
+    whites = [sum(light.white) / 3 for light in lights.values()]
+    notes.append(
+        f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
+        f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
+    )
     lit = []
     for tile in tiles:
         light = lights[tile.source]
