@@ -10,7 +10,7 @@ import numpy as np
 from skyproof.ground.buildings import add_building
 from skyproof.ground.canvas import Canvas, Colour, Patch, reflectance
 from skyproof.ground.clutter import add_clutter, add_lamp_post
-from skyproof.ground.plants import add_bush, add_hedge, add_tree
+from skyproof.ground.plants import add_bush, add_hedge, add_stand, add_tree
 from skyproof.ground.surfaces import (
     CONCRETE,
     PAVING,
@@ -74,6 +74,8 @@ def draw_street(canvas: Canvas) -> None:
                     (u_m + float(rng.uniform(0, plot)), back + float(rng.uniform(-3, 8))),
                     float(rng.uniform(1, 4)),
                 )
+            if rng.random() < 0.15:
+                add_stand(canvas, (u_m + plot / 2, back + side * 4), float(rng.uniform(3, 6)))
             if rng.random() < 0.6:
                 add_hedge(canvas, (u_m, house_v + side * 5), depth + 14, math.pi / 2)
             if rng.random() < 0.6:
@@ -113,12 +115,7 @@ def draw_crossroads(canvas: Canvas) -> None:
             if draw < 0.6:
                 add_building(canvas, place, size, 0.0, str(rng.choice(["flat", "tiled", "metal"])))
             elif draw < 0.9:
-                for _ in range(int(rng.integers(2, 8))):
-                    spot = (
-                        place[0] + float(rng.uniform(-7, 7)),
-                        place[1] + float(rng.uniform(-6, 6)),
-                    )
-                    add_tree(canvas, spot, float(rng.uniform(1.5, 4.5)))
+                add_stand(canvas, place, float(rng.uniform(3, 9)))
     add_pavement(canvas, across, 0.0, widths[1], pavement)
     add_pavement(canvas, ground, 0.0, widths[0], pavement)
     colour = pick_asphalt(canvas)
@@ -267,8 +264,8 @@ def draw_yard(canvas: Canvas) -> None:
         if canvas.base_height(place) < 0.5:
             add_clutter(canvas, place, float(rng.choice([0, math.pi / 2])), kinds)
     for _ in range(int(rng.integers(0, 4))):
-        add_tree(
-            canvas,
-            (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30))),
-            float(rng.uniform(1.5, 4)),
-        )
+        place = (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30)))
+        if rng.random() < 0.6:
+            add_tree(canvas, place, float(rng.uniform(1.5, 4)))
+        else:
+            add_stand(canvas, place, float(rng.uniform(3, 8)))

@@ -216,6 +216,11 @@ class Canvas:
             region = self.reflectance[patch.rows, patch.columns]
             region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
 
+    def mute(self, kept: float) -> None:
+        """Draws all reflectance towards grey, keeping a part of its chroma: dust, drought, soot."""
+        grey = self.reflectance.mean(2, keepdims=True)
+        self.reflectance = grey + np.float32(kept) * (self.reflectance - grey)
+
     def raise_to(self, patch: Patch, height_m: float | Array) -> None:
         """Raises the height to `height_m` above the ground, where what stands there is lower."""
         if not patch.empty:

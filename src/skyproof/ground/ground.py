@@ -67,6 +67,7 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     kind = str(rng.choice(list(GROUND_KINDS), p=[KIND_SHARES[name] for name in GROUND_KINDS]))
     canvas = Canvas(size_px, gsd_m, rng, axes_rad=float(rng.uniform(0, 2 * math.pi)))
     GROUND_KINDS[kind](canvas)
+    canvas.mute(float(rng.uniform(0.35, 1.0)))
     camera = GroundSensor.draw(rng)
     picture = photograph(canvas, camera)
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))

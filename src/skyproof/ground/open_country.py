@@ -9,7 +9,7 @@ import numpy as np
 from skyproof.ground.buildings import add_building
 from skyproof.ground.canvas import Array, Canvas, Patch, pick, reflectance
 from skyproof.ground.clutter import add_clutter
-from skyproof.ground.plants import add_bush, add_tree
+from skyproof.ground.plants import add_bush, add_stand, add_tree
 from skyproof.ground.surfaces import (
     SOIL,
     add_road,
@@ -139,6 +139,9 @@ def draw_park(canvas: Canvas) -> None:
         )
         if canvas.noise("patch").flat[0] < woods:
             add_tree(canvas, place, float(rng.uniform(1.2, 5)))
+    for _ in range(int(rng.integers(0, 3))):
+        place = (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30)))
+        add_stand(canvas, place, float(rng.uniform(4, 12)))
     for _ in range(int(rng.integers(2, 9))):
         place = (float(rng.uniform(-25, 25)), float(rng.uniform(-25, 25)))
         add_clutter(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from skyproof.ground.canvas import Canvas, Colour, Place, pick
+from skyproof.ground.canvas import Array, Canvas, Colour, Place, pick
 
-__all__ = ["add_bush", "add_hedge", "add_tree"]
+__all__ = ["add_bush", "add_hedge", "add_stand", "add_tree"]
 
 CROWN_COLOURS: tuple[Colour, ...] = (
     (70, 92, 48),
@@ -18,7 +20,23 @@ CROWN_COLOURS: tuple[Colour, ...] = (
 )
 
 
-def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
+def add_stand(canvas: Canvas, place: Place, reach_m: float) -> None:
+    """Plants trees so near to each other that their crowns close, most of them of one kind."""
+    rng = canvas.rng
+    kind = pick(canvas, CROWN_COLOURS, 0.1)
+    largest_m = float(rng.uniform(2.0, 4.5))
+    for _ in range(math.ceil(2.2 * (reach_m / largest_m) ** 2)):
+        distance_m = reach_m * math.sqrt(float(rng.uniform()))
+        angle_rad = float(rng.uniform(0, 2 * math.pi))
+        spot = (
+            place[0] + distance_m * math.cos(angle_rad),
+            place[1] + distance_m * math.sin(angle_rad),
+        )
+        own = kind * np.float32(np.exp(rng.normal(0, 0.12))) if rng.random() < 0.8 else None
+        add_tree(canvas, spot, largest_m * float(rng.uniform(0.6, 1.0)), own)
+
+
+def add_tree(canvas: Canvas, place: Place, radius_m: float, colour: Array | None = None) -> None:
     """Plants a crown of many leaf clumps, high in the middle and ragged at its edge."""
     rng = canvas.rng
     patch = canvas.disc(place, radius_m, raggedness=0.16, stretch=float(rng.uniform(1.0, 1.25)))
@@ -31,9 +49,9 @@ def add_tree(canvas: Canvas, place: Place, radius_m: float) -> None:
     canvas.raise_to(
         patch, np.clip(top_m * (0.35 + 0.65 * dome) + 0.4 * clumps + 0.12 * leaves, 0.3, None)
     )
-    colour = pick(canvas, CROWN_COLOURS, 0.16)
+    colour = pick(canvas, CROWN_COLOURS, 0.16) if colour is None else colour
     uneven = canvas.noise("mottle", patch)
-    factor = np.exp(0.22 * clumps + 0.22 * leaves + 0.18 * uneven - 0.2 * (1 - dome))
+    factor = np.exp(0.26 * clumps + 0.24 * leaves + 0.18 * uneven - 0.35 * (1 - dome) - 0.15)
     # Gaps between the clumps show the dark inside of the crown, and at a thin edge the ground.
     gaps = np.clip(1.0 - 0.9 * (clumps < -1.1), 0.25, 1)
     canvas.paint(patch, colour * (factor * gaps)[..., None].astype(np.float32))

@@ -30,8 +30,8 @@ ASPHALT: tuple[Colour, ...] = (
     (108, 108, 110),
     (92, 92, 95),
     (124, 122, 120),
-    (80, 81, 85),
-    (136, 132, 126),
+    (72, 73, 76),
+    (148, 145, 140),
 )
 PAVING: tuple[Colour, ...] = ((160, 156, 148), (148, 142, 136), (172, 164, 150), (134, 132, 132))
 GRASS: tuple[Colour, ...] = (
@@ -63,11 +63,12 @@ def lay_asphalt(canvas: Canvas, patch: Patch, colour: Array | None = None) -> No
     """Asphalt with wear, patches of other age, cracks and oil."""
     rng = canvas.rng
     colour = pick_asphalt(canvas) if colour is None else colour
+    uneven = float(rng.uniform(0.06, 0.16))
     wear = (
         1
         + 0.05 * canvas.noise("grain", patch)
         + 0.06 * canvas.noise("mottle", patch)
-        + 0.07 * canvas.noise("patch", patch)
+        + uneven * canvas.noise("patch", patch)
     )
     canvas.paint(patch, colour * np.clip(wear, 0.5, 1.6)[..., None])
     crack = (
