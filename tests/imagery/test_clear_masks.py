@@ -121,6 +121,9 @@ class Plain:
     def sensor_of(self, window):
         return Sensor()
 
+    def cover_of(self, window, size_px):
+        return None
+
 
 @pytest.mark.parametrize("azimuth", [0.7, 2.5, 5.0])
 def test_the_shadow_of_rendered_vehicles_falls_away_from_the_sun(azimuth):

@@ -130,9 +130,11 @@ class PlainGround:
         dtype: torch.dtype = torch.float32,
         sensors: Mapping[str, Sensor] | None = None,
         light: Light | None = None,
+        cover: torch.Tensor | None = None,
     ) -> None:
         self.value, self.dtype, self.sensors = value, dtype, sensors or {}
         self.light = light or Light()
+        self.cover = cover
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         """What took each tile; the paper's where nothing else is said."""
@@ -141,6 +143,10 @@ class PlainGround:
     def light_of(self, window: BackgroundWindow) -> Light:
         """How it shows light."""
         return self.light
+
+    def cover_of(self, window: BackgroundWindow, size_px: int) -> torch.Tensor | None:
+        """What covers the ground; nothing where none is given."""
+        return self.cover
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:

@@ -190,6 +190,9 @@ class _Grey:
     def sensor_of(self, window: object) -> Sensor:
         return Sensor()
 
+    def cover_of(self, window: object, size_px: int) -> None:
+        return None
+
 
 def _median(work: Callable[[], None], repeats: int, device: torch.device) -> float:
     work()

@@ -16,6 +16,7 @@ from skyproof.cycles.jobs import crop_jobs, crop_windows
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.render.cover import covers, hidden
 from skyproof.render.frames import Frames
 from skyproof.render.lighting import scene_lights
 from skyproof.render.placed import label, nothing_placed, place, visible_samples
@@ -120,7 +121,11 @@ class CyclesRenderer:
                     lights.of(index),
                 )
             )
-        finished = finish_images(torch.stack(images), scenes)
+        image = torch.stack(images)
+        cover = covers(self.backgrounds.cover_of, scenes, placed)
+        if cover is not None:
+            image = hidden(image, ground, cover)
+        finished = finish_images(image, scenes)
         factor = self.shared.supersampling
         visibility, window = visible_samples(placed, vehicles.template.faces, factor)
-        return label(finished, placed, visibility, window, factor, masks=masks)
+        return label(finished, placed, visibility, window, factor, cover=cover, masks=masks)

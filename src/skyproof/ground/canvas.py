@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from skyproof.scenes.directions import direction_values, with_room
 
@@ -21,6 +22,8 @@ MARGIN_M = 6.0
 """Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
 IN_THE_WAY_M = 0.3
 """What stands higher than this, no vehicle stands on."""
+HIDES_FROM_M = 2.0
+"""What reaches higher than this hides a vehicle that stands beneath it: crowns, roofs, sheds."""
 
 
 def reflectance(colour: Colour) -> Array:
@@ -256,6 +259,13 @@ class Canvas:
         shown[cut, cut] = self.directions[cut, cut]
         free = self.height < IN_THE_WAY_M
         return np.ascontiguousarray(with_room(shown, free, self.gsd_m)[cut, cut])
+
+    def cover(self, blur_px: float) -> NDArray[np.uint8]:
+        """Gives the picture's map of what hides the ground, `[size, size]`, as blurred as it is."""
+        cut = slice(self.margin_px, self.margin_px + self.size_px)
+        high = (self.height >= HIDES_FROM_M).astype(np.float32)
+        blurred = ndimage.gaussian_filter(high, blur_px)[cut, cut]
+        return np.ascontiguousarray(np.round(255 * blurred).astype(np.uint8))
 
     def base_height(self, place: tuple[float, float]) -> float:
         """Height of whatever stands at a place, for things put on roofs."""

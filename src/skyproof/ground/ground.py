@@ -31,7 +31,8 @@ class Ground:
         light: the light it lies in, and how the picture shows it.
         sensor: the blur and noise it was photographed with.
         directions: `[H, W]` map of drivable ground, as `skyproof.scenes.directions` says.
-        shade: `[H, W]` map of the shadows in it, as `skyproof.scenes.shade` says.
+        shade: `[H, W]` map of the shadows in it, as `BackgroundTile.shade` says.
+        cover: `[H, W]` map of what hides the ground, as `BackgroundTile.cover` says.
     """
 
     image: UInt8[Tensor, "3 H W"]
@@ -40,6 +41,7 @@ class Ground:
     sensor: Sensor
     directions: UInt8[np.ndarray, "H W"]
     shade: UInt8[np.ndarray, "H W"]
+    cover: UInt8[np.ndarray, "H W"]
 
 
 def draw_ground(
@@ -72,7 +74,15 @@ def draw_ground_and_sun(size_px: int, gsd_m: float, *, generator: torch.Generato
     picture = photograph(canvas, camera)
     sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
     image = torch.from_numpy(picture.image)
-    return Ground(image, kind, picture.light, sensor, canvas.drivable(), picture.shade)
+    return Ground(
+        image,
+        kind,
+        picture.light,
+        sensor,
+        canvas.drivable(),
+        picture.shade,
+        canvas.cover(camera.blur_px),
+    )
 
 
 GROUND_KINDS: dict[str, Callable[[Canvas], None]] = {

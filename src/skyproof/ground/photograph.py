@@ -59,7 +59,7 @@ class Photograph:
     Attributes:
         image: `[3, size, size]` sRGB bytes.
         light: the light that it shows.
-        shade: map of the shadows in it, as `skyproof.scenes.shade` says.
+        shade: map of the shadows in it, as `BackgroundTile.shade` says.
     """
 
     image: NDArray[np.uint8]

@@ -119,6 +119,7 @@ def label(
     window: Windows,
     supersampling: int,
     *,
+    cover: Float[Tensor, "B 1 H W"] | None = None,
     masks: bool,
 ) -> Frames:
     """Adds boxes, centres, visible parts and masks to images, the same way for every renderer.
@@ -129,9 +130,13 @@ def label(
         visibility: of the vehicles' samples.
         window: each vehicle's samples lie in it.
         supersampling: samples along a pixel's side.
+        cover: the part of each pixel in which the photograph hides the vehicles.
         masks: also give every vehicle's pixel mask.
     """
-    visible_px, fraction, drawn = _visible(visibility, window, supersampling, placed.size_px, masks)
+    seen = None if cover is None else cover[placed.scene, 0] < 0.5
+    visible_px, fraction, drawn = _visible(
+        visibility, window, supersampling, placed.size_px, seen, masks
+    )
     boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(
         0, placed.size_px
     )
@@ -152,17 +157,27 @@ def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
 
 
 def _visible(
-    visibility: Visibility, window: Windows, factor: int, size_px: int, masks: bool
+    visibility: Visibility,
+    window: Windows,
+    factor: int,
+    size_px: int,
+    seen: Bool[Tensor, "N H W"] | None,
+    masks: bool,
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
-    """Returns visible pixels, the share of them inside the image, and the masks."""
+    """Returns visible pixels, their share of all, and the masks.
+
+    Visible is what lies inside the image and, per vehicle, where it is `seen`.
+    """
     count = len(visibility.keys)
     vehicle = visibility.vehicle
     cell_x = visibility.x // factor
     cell_y = visibility.y // factor
-    # Samples inside the image, of all.
+    # Samples that are visible, of all.
     x = window.origin[:, 0].index_select(0, vehicle) + cell_x
     y = window.origin[:, 1].index_select(0, vehicle) + cell_y
     held = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
+    if seen is not None:
+        held &= seen[vehicle, y.clamp(0, size_px - 1), x.clamp(0, size_px - 1)]
     every = torch.bincount(vehicle, minlength=count).double()
     visible = torch.bincount(vehicle[held], minlength=count).double()
     drawn = None

@@ -34,6 +34,9 @@ class _Asphalt:
     def light_of(self, window: BackgroundWindow) -> Light:
         return Light()
 
+    def cover_of(self, window: BackgroundWindow, size_px: int) -> None:
+        return None
+
 
 @torch.no_grad()
 def close_up(

@@ -14,6 +14,7 @@ from torch import Tensor
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
 from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
+from skyproof.render.cover import covers, hidden
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
 from skyproof.render.lighting import lighting, scene_lights
@@ -51,6 +52,10 @@ class Backgrounds(Protocol):
 
     def light_of(self, window: BackgroundWindow) -> Light:
         """How it shows light."""
+        ...
+
+    def cover_of(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "H W"] | None:
+        """The part of each pixel of a window that crowns and roofs cover; None without any."""
         ...
 
 
@@ -183,6 +188,9 @@ class TorchRenderer:
             contact_shadows(cast, placed),
             light,
         )
+        cover = covers(self.backgrounds.cover_of, scenes, placed)
+        # The picture is drawn into the photographs where they lie.
+        before = None if cover is None else ground.clone()
         image = composite(
             ground,
             bodies=Layers(window, bodies),
@@ -193,5 +201,9 @@ class TorchRenderer:
             lights=lights,
             sensors=sensors(self.backgrounds, scenes, settings),
         )
+        if cover is not None and before is not None:
+            image = hidden(image, before, cover)
         image = finish_images(image, scenes)
-        return label(image, placed, visibility, window, settings.supersampling, masks=masks)
+        return label(
+            image, placed, visibility, window, settings.supersampling, cover=cover, masks=masks
+        )

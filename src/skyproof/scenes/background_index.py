@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from jaxtyping import UInt8
 from msgspec import Meta
 from PIL import Image
@@ -28,6 +29,7 @@ __all__ = [
     "BackgroundTile",
     "change_sensors",
     "read_index",
+    "save_map",
     "save_tile",
     "write_index",
 ]
@@ -58,8 +60,10 @@ class BackgroundTile:
         removed: the vehicles that stood on it before it was cleared.
         drivable: path inside the folder of the map that says where vehicles may stand
             (`skyproof.scenes.directions`); None where none may, or nobody looked.
-        shade: path inside the folder of the map of its shadows (`skyproof.scenes.shade`); None
-            where there are none, or nobody looked.
+        shade: path inside the folder of the map of its shadows: they take v / 255 of the direct sun
+            from the ground there. None where there are none, or nobody looked.
+        cover: path inside the folder of the map of what hides the ground, such as crowns and roofs:
+            v / 255 of each pixel. None where nothing does, or nobody looked.
     """
 
     id: Name
@@ -76,11 +80,12 @@ class BackgroundTile:
     removed: tuple[RemovedVehicle, ...] = ()
     drivable: FileReference | None = None
     shade: FileReference | None = None
+    cover: FileReference | None = None
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Its picture, and its maps of drivable ground and of shadows where it has them."""
-        maps = [file for file in (self.drivable, self.shade) if file is not None]
+        """Its picture, and its maps of drivable ground, shadows and cover where it has them."""
+        maps = [file for file in (self.drivable, self.shade, self.cover) if file is not None]
         return (self.file, *maps)
 
 
@@ -136,6 +141,31 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
         Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
             temporary, compress_level=3
         )
+
+
+def save_map(
+    folder: Path,
+    kind: Literal["drivable", "shade", "cover"],
+    tile_id: str,
+    values: UInt8[np.ndarray, "H W"],
+) -> str | None:
+    """Writes one of a tile's maps, whole or not at all.
+
+    Args:
+        folder: the background set's.
+        kind: which map.
+        tile_id: the tile's.
+        values: the map; what they mean says `BackgroundTile`.
+
+    Returns:
+        Its file inside the folder; None, and nothing is written, where it is 0 everywhere.
+    """
+    if not values.any():
+        return None
+    file = f"{kind}/{tile_id}.png"
+    with write_beside(Path(folder) / file) as temporary:
+        Image.fromarray(values).save(temporary, format="PNG")
+    return file
 
 
 def write_index(

@@ -130,13 +130,23 @@ class BackgroundSet:
         return directions
 
     def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of shadows, as `skyproof.scenes.shade` says; None without one.
+        """A tile's map of shadows, as `BackgroundTile.shade` says; None without one.
 
         Raises:
             StoredFileError: the map's file is missing or damaged.
         """
         tile = self.tile(tile_id)
         file = tile.shade
+        return None if file is None else self._map(tile, file)
+
+    def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
+        """A tile's map of what hides the ground, as `BackgroundTile.cover` says; None without one.
+
+        Raises:
+            StoredFileError: the map's file is missing or damaged.
+        """
+        tile = self.tile(tile_id)
+        file = tile.cover
         return None if file is None else self._map(tile, file)
 
     def _map(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "H W"]:
@@ -169,7 +179,24 @@ class BackgroundSet:
         Raises:
             StoredFileError: the window's tile is not in this set, or the window reaches out of it.
         """
-        pixels = self.pixels(window.tile)
+        return self._cut(self.pixels(window.tile), window, size_px)
+
+    def cover_of(
+        self, window: BackgroundWindow, size_px: int
+    ) -> Float[Tensor, "size_px size_px"] | None:
+        """Cuts what hides the ground as `window` cuts the photograph; None without a map.
+
+        It is the part of each pixel, in [0, 1].
+
+        Raises:
+            StoredFileError: as `window` and `cover` do.
+        """
+        cover = self.cover(window.tile)
+        return None if cover is None else self._cut(cover[None], window, size_px)[0]
+
+    def _cut(
+        self, pixels: UInt8[Tensor, "C H W"], window: BackgroundWindow, size_px: int
+    ) -> Float[Tensor, "C size_px size_px"]:
         half = size_px / 2
         cosine = math.cos(window.rotation_rad)
         sine = math.sin(window.rotation_rad)

@@ -14,7 +14,7 @@ from skyproof.scenes.light import SunEstimate
 from skyproof.scenes.placing import place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.shade import shaded
+from skyproof.scenes.standing import standing
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
 __all__ = ["sample_scenes"]
@@ -113,8 +113,13 @@ def _sample_scene(
         # A low sun is drawn from the photograph's side, with longer shadows than are in it.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
-    if settings.sun == "photograph":
-        placements = shaded(placements, backgrounds, window, vehicle_sizes_m)
+    placements = standing(
+        placements,
+        backgrounds,
+        window,
+        vehicle_sizes_m,
+        shadows=settings.sun == "photograph",
+    )
     return Scene(
         id=name,
         background=window,

@@ -117,6 +117,9 @@ class Placement:
         x_m: its place, metres east of the image's middle.
         y_m: the same northwards.
         heading_rad: which way it points, from x towards y.
+        shade: the part of the direct sun that the photograph's shadows take from it.
+        covered: the part of its footprint that the photograph's crowns and roofs hide; 0 also for a
+            vehicle that stands on top of them.
     """
 
     vehicle: Name
@@ -124,6 +127,7 @@ class Placement:
     y_m: _Place
     heading_rad: Radians
     shade: Fraction = 0.0
+    covered: Fraction = 0.0
 
 
 @dataclass(frozen=True)
@@ -186,8 +190,10 @@ def _row(scene: Scene) -> dict[str, Any]:
     if scene.weather == CLEAR:
         del row["weather"]
     for placement in row["placements"]:
-        if not placement["shade"]:
-            del placement["shade"]
+        # Nor is what the ground does not say.
+        for name in ("shade", "covered"):
+            if not placement[name]:
+                del placement[name]
     return row
 
 

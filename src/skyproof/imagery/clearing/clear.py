@@ -40,11 +40,14 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
-from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import (
+    BackgroundTile,
+    save_map,
+    save_tile,
+    write_index,
+)
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import save_directions
 from skyproof.scenes.places import RemovedVehicle
-from skyproof.scenes.shade import save_shade
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
@@ -260,11 +263,13 @@ def _with_places(
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
     directions = drivable_directions(cleared, gsd_m, found.sure)
     shade = backgrounds.shade(tile.id)
+    cover = backgrounds.cover(tile.id)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),
-        drivable=save_directions(out, tile.id, directions),
-        shade=None if shade is None else save_shade(out, tile.id, shade.numpy()),
+        drivable=save_map(out, "drivable", tile.id, directions),
+        shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
+        cover=None if cover is None else save_map(out, "cover", tile.id, cover.numpy()),
     )
 
 

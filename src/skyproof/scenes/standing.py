@@ -1,0 +1,86 @@
+"""How vehicles stand on a photograph: in its shadows, and beneath its crowns and roofs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skyproof.scenes.backgrounds import BackgroundSet, on_tile
+from skyproof.scenes.footprints import Sizes, footprint
+from skyproof.scenes.scene import BackgroundWindow, Placement
+
+__all__ = ["standing"]
+
+_ALONG, _ACROSS = 9, 5
+"""Points of a vehicle's footprint at which the maps are read."""
+
+_ON_TOP_FROM = 0.5
+
+
+def standing(
+    placements: Sequence[Placement],
+    backgrounds: BackgroundSet,
+    window: BackgroundWindow,
+    vehicle_sizes_m: Sizes,
+    *,
+    shadows: bool,
+) -> tuple[Placement, ...]:
+    """Returns vehicles with what the ground says of the places where they stand.
+
+    In shadow the whole vehicle gets the mean over its footprint, although its roof may reach out of
+    a shadow, and though a shadow's edge may cross it. Where crowns and roofs cover less than half
+    of the footprint the vehicle stands beneath them; where they cover more, it stands on top, as
+    uniform places put vehicles on anything.
+
+    Args:
+        placements: where they stand.
+        backgrounds: the ground under them.
+        window: of the ground, that the scene shows.
+        vehicle_sizes_m: per vehicle id its length, width and height.
+        shadows: also take the sun from those that stand in shadow.
+
+    Raises:
+        StoredFileError: a map of the tile is missing or damaged.
+    """
+    shade = backgrounds.shade(window.tile) if shadows else None
+    cover = backgrounds.cover(window.tile)
+    if not len(placements) or (shade is None and cover is None):
+        return tuple(placements)
+    along = (torch.arange(_ALONG, dtype=torch.float64) + 0.5) / _ALONG - 0.5
+    across = (torch.arange(_ACROSS, dtype=torch.float64) + 0.5) / _ACROSS - 0.5
+    along, across = (each.flatten() for each in torch.meshgrid(along, across, indexing="ij"))
+    found = []
+    for placement in placements:
+        x_m, y_m, heading_rad, length_m, width_m = footprint(placement, vehicle_sizes_m, 0.0)
+        cosine = math.cos(heading_rad)
+        sine = math.sin(heading_rad)
+        east_m = x_m + cosine * length_m * along - sine * width_m * across
+        north_m = y_m + sine * length_m * along + cosine * width_m * across
+        column, row = on_tile(window, east_m / backgrounds.gsd_m, north_m / backgrounds.gsd_m)
+        covered = _mean(cover, row, column)
+        found.append(
+            replace(
+                placement,
+                shade=_mean(shade, row, column),
+                covered=covered if covered < _ON_TOP_FROM else 0.0,
+            )
+        )
+    return tuple(found)
+
+
+def _mean(
+    values: UInt8[Tensor, "H W"] | None, row: Float[Tensor, " P"], column: Float[Tensor, " P"]
+) -> float:
+    """Returns the mean of a map at some points, as a share; 0 without a map."""
+    if values is None:
+        return 0.0
+    at = values[
+        row.floor().long().clamp(0, values.shape[0] - 1),
+        column.floor().long().clamp(0, values.shape[1] - 1),
+    ]
+    return round(float(at.double().mean()) / 255, 3)
