@@ -73,3 +73,13 @@ def test_where_no_vehicle_stands_beneath_anything_nothing_changes():
     assert torch.equal(
         drawn(place, vehicles(), half_covered()).image, drawn(place, vehicles(), None).image
     )
+
+
+def test_what_stands_beneath_stays_hidden_beside_a_vehicle_on_the_roof():
+    """Their shadows and blur apart, 4 m from each other."""
+    place = scene((-2.0, 0.0, 90.0), (2.0, 0.0, 90.0), tilt_deg=0.0, sun_elevation_deg=85.0)
+    frames = drawn(beneath(place, 0.0, 0.4), vehicles(2), torch.ones(SIDE_PX, SIDE_PX))
+    assert frames.visible_fraction.tolist() == [1.0, 0.0]
+    photograph = PlainGround(value=None).window(place.background, SIDE_PX)
+    beside = MIDDLE_PX + round(1.0 / 0.125)
+    assert torch.equal(frames.image[0, :, :, beside:], photograph[:, :, beside:])

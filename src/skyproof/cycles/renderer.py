@@ -122,7 +122,7 @@ class CyclesRenderer:
                 )
             )
         image = torch.stack(images)
-        cover = covers(self.backgrounds.cover_of, scenes, placed)
+        cover = covers(self.backgrounds.cover_of, scenes, placed, vehicles.template.faces)
         if cover is not None:
             image = hidden(image, ground, cover)
         finished = finish_images(image, scenes)

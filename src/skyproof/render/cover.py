@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import torch
-from jaxtyping import Float
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skyproof.geometry.rasterise import rasterise
+from skyproof.render.layers import windows_around
 from skyproof.render.placed import Placed
 from skyproof.scenes.scene import BackgroundWindow, Scene
 
@@ -16,45 +19,52 @@ __all__ = ["covers", "hidden"]
 Cut = Callable[[BackgroundWindow, int], Tensor | None]
 """Gives the part of each pixel of a window that crowns and roofs cover, `[H, W]`, or None."""
 
-# Around a vehicle that stands on a roof, in its own lengths, nothing is hidden: the cover is below
-# it.
-_FREE_LENGTHS = 1.0
+# Pixels around a vehicle and its shadow that the sensor's blur reaches.
+_BLUR_PX = 2
 
 
 @torch.no_grad()
-def covers(cut: Cut, scenes: Sequence[Scene], placed: Placed) -> Float[Tensor, "B 1 H W"] | None:
+def covers(
+    cut: Cut, scenes: Sequence[Scene], placed: Placed, faces: Int[Tensor, "F 3"]
+) -> Float[Tensor, "B 1 H W"] | None:
     """Returns the part of each pixel in which the photograph hides the vehicles.
 
-    It is 0 around vehicles that stand on top of what covers the ground, as uniform places have it
-    (`Placement.covered` is 0 there). Cover is taken to be flat: it does not lean with the camera.
+    It is 0 where a vehicle stands on top of what covers the ground, as uniform places have it
+    (`Placement.covered` is 0 there), and under its shadow. Cover is taken to be flat: it does not
+    lean with the camera.
 
     Args:
         cut: of the background set.
         scenes: as drawn.
         placed: their vehicles.
+        faces: of their template.
 
     Returns:
         None where no vehicle of these scenes stands beneath anything.
     """
-    like = placed.vertices
     size_px = placed.size_px
-    found = like.new_zeros(len(scenes), 1, size_px, size_px)
-    any_found = False
-    first = 0
+    found: Float[Tensor, "B 1 H W"] | None = None
     for index, scene in enumerate(scenes):
-        rows = range(first, first + len(scene.placements))
-        first = rows.stop
         if not any(placement.covered for placement in scene.placements):
             continue
         cover = cut(scene.background, size_px)
         if cover is None:
             continue
-        any_found = True
-        found[index, 0] = cover.to(like)
-        for row, placement in zip(rows, scene.placements, strict=True):
-            if not placement.covered:
-                found[index, 0] *= _outside(placed, row)
-    return found if any_found else None
+        if found is None:
+            found = placed.vertices.new_zeros(len(scenes), 1, size_px, size_px)
+        found[index, 0] = cover.to(found)
+    if found is None:
+        return None
+    # Vehicles on top, in the scenes in which others stand beneath.
+    covered = torch.tensor(
+        [placement.covered for scene in scenes for placement in scene.placements],
+        device=found.device,
+    )
+    some = found.flatten(1).any(1)
+    rows = torch.nonzero((covered == 0) & some[placed.scene])[:, 0]
+    if len(rows):
+        found = found.masked_fill(_drawn(placed, rows, faces, len(scenes)), 0.0)
+    return found
 
 
 def hidden(
@@ -66,12 +76,19 @@ def hidden(
     return torch.where(cover > 0, torch.lerp(image, photographs, cover), image)
 
 
-def _outside(placed: Placed, row: int) -> Float[Tensor, "H W"]:
-    """Returns 0 around a vehicle and 1 elsewhere."""
-    length_m = placed.extent[row, 1, 0] - placed.extent[row, 0, 0]
-    radius_px = _FREE_LENGTHS * length_m / placed.gsd_m
-    middle = placed.size_px / 2
-    steps = torch.arange(placed.size_px, device=placed.vertices.device) + 0.5 - middle
-    east = steps[None] - placed.ground[row, 0] / placed.gsd_m
-    south = steps[:, None] + placed.ground[row, 1] / placed.gsd_m
-    return (torch.hypot(east, south) > radius_px).to(placed.vertices)
+def _drawn(
+    placed: Placed, rows: Int[Tensor, " K"], faces: Int[Tensor, "F 3"], count: int
+) -> Bool[Tensor, "B 1 H W"]:
+    """Returns the pixels of some vehicles and their shadows, and what the blur makes of them."""
+    size_px = placed.size_px
+    drawn = torch.zeros(count, 1, size_px, size_px, device=rows.device)
+    for screen in (placed.screen[rows], placed.shadow_screen[rows]):
+        window = windows_around(screen)
+        samples = window.samples(screen, 1)
+        seen = rasterise(samples, samples.new_zeros(samples.shape[:2]), faces, window.size)
+        x = window.origin[seen.vehicle, 0] + seen.x
+        y = window.origin[seen.vehicle, 1] + seen.y
+        inside = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
+        scene = placed.scene[rows][seen.vehicle]
+        drawn[scene[inside], 0, y[inside], x[inside]] = 1.0
+    return F.max_pool2d(drawn, 2 * _BLUR_PX + 1, stride=1, padding=_BLUR_PX) > 0

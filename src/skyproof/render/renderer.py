@@ -188,7 +188,7 @@ class TorchRenderer:
             contact_shadows(cast, placed),
             light,
         )
-        cover = covers(self.backgrounds.cover_of, scenes, placed)
+        cover = covers(self.backgrounds.cover_of, scenes, placed, vehicles.template.faces)
         # The picture is drawn into the photographs where they lie.
         before = None if cover is None else ground.clone()
         image = composite(
