@@ -65,6 +65,7 @@ class Ground:
             said.gsd_m,
             said.crs,
             said.taken,
+            said.cover,
         )
         if not self.sources and any(value is not None for value in about_imagery):
             raise ConfigurationError(

@@ -59,12 +59,15 @@ class SourceSettings:
         taken: when the images were taken, with its time zone, such as 2024-06-20T13:00:00+02:00:
             vehicles then stand in the sun of that moment. Images of several flights are cut one
             by one.
+        cover: a mask, or a folder with a mask for each image, of its name and size: white where
+            tree crowns, roofs or bridges hide the ground, so that they hide vehicles there, too.
     """
 
     gsd_m: GroundResolution | None = None
     crs: str | None = None
     licence: str | None = None
     taken: datetime | None = None
+    cover: Path | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -21,6 +21,7 @@ from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.tiles.covers import cover_of, find_covers
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.lights import lit_tiles
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
@@ -86,8 +87,8 @@ def tile_imagery(
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
-    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png` and
-    `tiling.json`.
+    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png`, with masks
+    `cover/*.png`, and `tiling.json`.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
     (`lay_grids`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
@@ -127,6 +128,11 @@ def tile_imagery(
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
         cells = _cells(sources, settings, notes)
+        masks = (
+            None
+            if source_settings.cover is None
+            else find_covers(source_settings.cover, sources, reader)
+        )
         placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
         notes += placed.notes if placed is not None else []
         kept: list[tuple[Cell, BackgroundTile]] = []
@@ -145,6 +151,11 @@ def tile_imagery(
                 tile = dataclasses.replace(
                     tile, drivable=save_map(folder, "drivable", tile.id, directions)
                 )
+                if masks is not None:
+                    cover = cover_of(cell, image, masks, reader)
+                    tile = dataclasses.replace(
+                        tile, cover=save_map(folder, "cover", tile.id, cover)
+                    )
                 kept.append((cell, tile))
             if progress is not None:
                 progress(done, len(cells))
@@ -184,6 +195,7 @@ def tile_imagery(
                 "crs": source_settings.crs,
                 "licence": source_settings.licence,
                 "taken": source_settings.taken,
+                "cover": source_settings.cover,
             }
         ),
         sources=[_describe(source) for source in sources],

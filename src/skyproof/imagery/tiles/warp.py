@@ -20,7 +20,7 @@ from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
 from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
 
-__all__ = ["CellImage", "read_cell"]
+__all__ = ["CellImage", "read_cell", "read_source"]
 
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
@@ -60,7 +60,7 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     """
     parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
     for number in cell.sources:
-        pixels, valid = _read_from(sources[number], cell, reader)
+        pixels, valid = read_source(sources[number], cell, reader)
         if valid.mean() >= FULL_SHARE:
             return CellImage(_filled(pixels, valid), np.where(valid, number, -1).astype(np.int32))
         parts.append((number, pixels, valid))
@@ -80,10 +80,14 @@ def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.u
     return pixels[:, rows, columns]
 
 
-def _read_from(
+def read_source(
     source: Source, cell: Cell, reader: SourceReader
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Reads a cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data."""
+    """Reads a cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data.
+
+    Raises:
+        ImageryError: the source cannot be read.
+    """
     size = cell.size_px
     pixels = np.zeros((3, size, size), np.uint8)
     valid = np.zeros((size, size), np.bool_)
