@@ -57,6 +57,8 @@ def tile(
     source_gsd_m=None,
     crs=None,
     licence=None,
+    taken=None,
+    progress=None,
 ):
     """Cuts small tiles. Returns the set and the record."""
     record = tile_imagery(
@@ -64,8 +66,9 @@ def tile(
         folder,
         settings=TilingSettings(gsd_m, size_px, minimum_px, block_m, like),
         generator=torch.Generator().manual_seed(seed),
-        source_settings=SourceSettings(source_gsd_m, crs, licence),
+        source_settings=SourceSettings(source_gsd_m, crs, licence, taken),
         labels=labels,
+        progress=progress,
     )
     return BackgroundSet.open(folder), record
 

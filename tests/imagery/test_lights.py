@@ -14,7 +14,7 @@ from skyproof.ground.ground import draw_ground
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.lights import sun_over
-from tests.imagery.made import all_tiles, tile, write_image
+from tests.imagery.made import all_tiles, noise, tile, write_image
 
 # The middle of a UTM zone, so that grid north is true north; and far from it.
 MIDDLE, EDGE = (500_000.0, 5_330_000.0), (760_000.0, 5_330_000.0)
@@ -60,6 +60,34 @@ def test_night_and_places_unknown_are_refused():
         sun_over(nowhere, datetime(2024, 6, 20, 11, 0, tzinfo=UTC))
     with pytest.raises(ConfigurationError, match="expects a time with its zone"):
         SourceSettings(taken=datetime(2024, 6, 20, 11, 0))
+
+
+@pytest.mark.parametrize(("crs", "hour"), [("EPSG:32632", 23), (None, 11)])
+def test_a_time_that_cannot_be_is_refused_before_anything_is_cut(tmp_path, crs, hour):
+    """At night, and without a place; by day, over a place, the tiles know their sun."""
+    corner = Affine(0.125, 0, MIDDLE[0], 0, -0.125, MIDDLE[1])
+    where = {"crs": crs, "transform": corner} if crs else {}
+    image = write_image(tmp_path / "a.tif", noise(128, 128), **where)
+    taken = datetime(2024, 6, 20, hour, tzinfo=UTC)
+    cut = []
+
+    def cut_it(taken):
+        return tile(
+            [image],
+            tmp_path / "set",
+            source_gsd_m=None if crs else 0.125,
+            taken=taken,
+            progress=lambda done, _: cut.append(done),
+        )
+
+    with pytest.raises(ImageryError, match=r"--source\.taken expects"):
+        cut_it(taken)
+    assert cut == []
+    assert not list(tmp_path.glob("set/**/*.png"))
+    backgrounds, _ = cut_it(taken.replace(hour=11) if crs else None)
+    assert len(cut) == 4
+    tiles = all_tiles(backgrounds)
+    assert [one.light.sun is not None for one in tiles] == 4 * [crs is not None]
 
 
 def test_each_source_keeps_its_exposure(tmp_path):

@@ -32,9 +32,8 @@ _LOWEST_DEG = 5.0
 def lit_tiles(
     folder: Path,
     tiles: Sequence[BackgroundTile],
-    cells: Mapping[str, Cell],
     gsd_m: float,
-    taken: datetime | None,
+    suns: Mapping[str, SunEstimate],
     notes: list[str],
 ) -> list[BackgroundTile]:
     """Measures how each source shows light, on up to 16 of its tiles, and gives it to its tiles.
@@ -42,13 +41,9 @@ def lit_tiles(
     Args:
         folder: of the background set, with the tiles' pictures.
         tiles: cut from sources.
-        cells: of the tiles, by id.
         gsd_m: metres per pixel of the tiles.
-        taken: when the sources were photographed, with its time zone; the sun of then is kept.
-        notes: sources that show too little to be measured are named here.
-
-    Raises:
-        ImageryError: the sun was down then, or sources have no georeference and `taken` is given.
+        suns: over the tiles, by their ids, where it is known when they were photographed.
+        notes: what was measured, and which sources show too little for that, is said here.
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     of_source: dict[str, list[BackgroundTile]] = {}
@@ -72,9 +67,7 @@ def lit_tiles(
     )
     lit = []
     for tile in tiles:
-        light = lights[tile.source]
-        if taken is not None:
-            light = replace(light, sun=sun_over(cells[tile.id], taken))
+        light = replace(lights[tile.source], sun=suns.get(tile.id))
         lit.append(replace(tile, light=light))
     return lit
 

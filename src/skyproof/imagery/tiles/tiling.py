@@ -22,7 +22,7 @@ from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
-from skyproof.imagery.tiles.lights import lit_tiles
+from skyproof.imagery.tiles.lights import lit_tiles, sun_over
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
     Source,
@@ -111,7 +111,8 @@ def tile_imagery(
     Raises:
         ConfigurationError: settings that cannot work.
         ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
-            cm; images that hold no tile; labels that do not fit the imagery.
+            cm; images that hold no tile; labels that do not fit the imagery; a time at which the
+            sun was down over them, or one for images without georeference.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
@@ -123,6 +124,13 @@ def tile_imagery(
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
         cells = _cells(sources, settings, notes)
+        # A time of day that cannot be is refused before anything is cut.
+        taken = source_settings.taken
+        suns = (
+            {cell.id: sun_over(cell, taken) for cell in cells if cell.sources}
+            if taken is not None
+            else {}
+        )
         placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
         notes += placed.notes if placed is not None else []
         kept: list[tuple[Cell, BackgroundTile]] = []
@@ -169,8 +177,7 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    of_tile = {cell.id: cell for cell, _ in kept}
-    tiles = lit_tiles(folder, tiles, of_tile, settings.gsd_m, source_settings.taken, notes)
+    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, notes)
     # What was done, and the index last.
     record = TilingRecord(
         settings=_plain(
@@ -179,7 +186,7 @@ def tile_imagery(
                 "source_gsd_m": source_settings.gsd_m,
                 "crs": source_settings.crs,
                 "licence": source_settings.licence,
-                "taken": source_settings.taken,
+                "taken": taken,
             }
         ),
         sources=[_describe(source) for source in sources],
@@ -191,7 +198,7 @@ def tile_imagery(
         else [],
         notes=notes,
     )
-    write_ground_index(folder, tiles, of_tile)
+    write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
