@@ -49,25 +49,25 @@ def lit_tiles(
     of_source: dict[str, list[BackgroundTile]] = {}
     for tile in tiles:
         of_source.setdefault(tile.source, []).append(tile)
-    lights: dict[str, Light] = {}
+    measured: dict[str, Light] = {}
     for source, own in of_source.items():
         some = own[:: max(1, len(own) // _TILES_MEASURED)]
         try:
-            lights[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
+            measured[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
         except ImageryError:
-            lights[source] = Light()
             notes.append(
                 f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
                 "clear day, well exposed"
             )
-    whites = [sum(light.white) / 3 for light in lights.values()]
-    notes.append(
-        f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
-        f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
-    )
+    if measured:
+        whites = [sum(light.white) / 3 for light in measured.values()]
+        notes.append(
+            f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
+            f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
+        )
     lit = []
     for tile in tiles:
-        light = replace(lights[tile.source], sun=suns.get(tile.id))
+        light = replace(measured.get(tile.source, Light()), sun=suns.get(tile.id))
         lit.append(replace(tile, light=light))
     return lit
 
