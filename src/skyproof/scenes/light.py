@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, SupportsFloat
 
 from msgspec import Meta
 
 from skyproof.ranges import Fraction, Radians, check_ranges
 from skyproof.scenes.scene import Sun, SunElevation
 
-__all__ = ["CLEAR_SKY", "CLEAR_SKY_COLOUR", "Light", "SunEstimate"]
+__all__ = ["CLEAR_SKY", "CLEAR_SKY_COLOUR", "Light", "SunEstimate", "rounded_levels"]
 
 CLEAR_SKY_COLOUR = (0.824, 1.012, 1.403)
 """A clear sky's light in linear sRGB, luminance 1, where white is the whole daylight.
@@ -81,3 +82,9 @@ class Light:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+
+def rounded_levels(levels: Iterable[SupportsFloat]) -> tuple[float, float, float]:
+    """Returns red, green and blue as a light stores them: to four digits after the point."""
+    red, green, blue = (round(float(level), 4) for level in levels)
+    return red, green, blue

@@ -28,7 +28,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
 )
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.light import Light, SunEstimate
+from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.places import RemovedVehicle
 
 __all__ = [
@@ -251,8 +251,8 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     rows = torch.cat([torch.zeros(0, 3), *ratios])
     if len(rows) < FEWEST_VEHICLES:
         return light
-    red, green, blue = (rows.median(0).values / _SKY_LEFT).clamp(0.05, 1.0).tolist()
-    return replace(light, sky=(round(red, 4), round(green, 4), round(blue, 4)))
+    sky = (rows.median(0).values / _SKY_LEFT).clamp(0.05, 1.0)
+    return replace(light, sky=rounded_levels(sky.tolist()))
 
 
 def _side(stacked: Array) -> tuple[float, Array, float]:
