@@ -9,9 +9,8 @@ import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.procedural import write_procedural_backgrounds
-from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import save_directions
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow
 
@@ -198,7 +197,7 @@ def test_removed_vehicles_and_maps_are_read_back_and_old_sets_have_none(tmp_path
     assert (before.removed, before.drivable) == ((), None)
     stood = (RemovedVehicle(3.25, 60.0, 0.5, "label", 4.5, 1.8), RemovedVehicle(80.0, 0.0))
     values = torch.arange(60 * 80).reshape(60, 80).remainder(181).to(torch.uint8)
-    file = save_directions(tmp_path, "one", values.numpy())
+    file = save_map(tmp_path, "drivable", "one", values.numpy())
     write_index(tmp_path, 0.125, [replace(before, removed=stood, drivable=file)])
     now = BackgroundSet.open(tmp_path)
     assert now.tile("one").removed == stood

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyproof.scenes.directions import direction_values, save_directions, with_room
+from skyproof.scenes.background_index import save_map
+from skyproof.scenes.directions import direction_values, with_room
 
 PIXEL_M = 0.125
 
@@ -57,9 +58,9 @@ def test_what_stands_in_the_way_and_the_border_take_half_a_vehicle():
 
 
 def test_a_map_without_places_is_not_written(tmp_path):
-    assert save_directions(tmp_path, "a", np.zeros((8, 8), np.uint8)) is None
+    assert save_map(tmp_path, "drivable", "a", np.zeros((8, 8), np.uint8)) is None
     assert list(tmp_path.iterdir()) == []
     values = np.arange(64, dtype=np.uint8).reshape(8, 8)
-    assert save_directions(tmp_path, "a", values) == "drivable/a.png"
+    assert save_map(tmp_path, "drivable", "a", values) == "drivable/a.png"
     with Image.open(tmp_path / "drivable" / "a.png") as stored:
         assert np.array_equal(np.array(stored), values)

@@ -10,9 +10,9 @@ import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.scenes import placing
-from skyproof.scenes.background_index import BackgroundTile, save_tile
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import direction_values, save_directions
+from skyproof.scenes.directions import direction_values
 from skyproof.scenes.footprints import footprint, rectangles_overlap
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.sampling import sample_scenes
@@ -193,7 +193,7 @@ def road(folder, angle_rad=0.6, width_m=1.0):
     aside_m = GSD_M * (-math.sin(angle_rad) * east + math.cos(angle_rad) * north)
     value = direction_values(np.array(angle_rad))
     directions = np.where(np.abs(aside_m) < width_m / 2, value, 0).astype(np.uint8)
-    file = save_directions(folder, "train-0", directions)
+    file = save_map(folder, "drivable", "train-0", directions)
     tile = BackgroundTile("train-0", "none.png", "train", SIDE_PX, SIDE_PX, "made", drivable=file)
     return BackgroundSet(folder, GSD_M, [tile])
 
@@ -236,10 +236,10 @@ def test_what_has_no_places_is_one_sentence(tmp_path):
 def test_a_map_that_is_none_is_one_sentence(tmp_path):
     backgrounds = road(tmp_path)
     file = tmp_path / "drivable" / "train-0.png"
-    save_directions(tmp_path, "train-0", np.full((SIDE_PX, SIDE_PX), 200, np.uint8))
+    save_map(tmp_path, "drivable", "train-0", np.full((SIDE_PX, SIDE_PX), 200, np.uint8))
     with pytest.raises(StoredFileError, match=r"train-0\.png holds values above 180"):
         drawn(BackgroundSet(tmp_path, GSD_M, backgrounds.tiles("train")), places="drivable")
-    save_directions(tmp_path, "train-0", np.full((SIDE_PX, 9), 1, np.uint8))
+    save_map(tmp_path, "drivable", "train-0", np.full((SIDE_PX, 9), 1, np.uint8))
     with pytest.raises(StoredFileError, match=r"train-0\.png has 9 x 400 px"):
         drawn(BackgroundSet(tmp_path, GSD_M, backgrounds.tiles("train")), places="drivable")
     file.unlink()

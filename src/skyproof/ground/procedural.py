@@ -10,10 +10,8 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
-from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import save_directions
-from skyproof.scenes.shade import save_shade
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["write_procedural_backgrounds"]
@@ -68,8 +66,8 @@ def write_procedural_backgrounds(
                 kind=ground.kind,
                 sensor=ground.sensor,
                 light=ground.light,
-                drivable=save_directions(folder, tile_id, ground.directions),
-                shade=save_shade(folder, tile_id, ground.shade),
+                drivable=save_map(folder, "drivable", tile_id, ground.directions),
+                shade=save_map(folder, "shade", tile_id, ground.shade),
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from jaxtyping import UInt8
 from msgspec import Meta
 from PIL import Image
@@ -28,6 +29,7 @@ __all__ = [
     "BackgroundTile",
     "change_sensors",
     "read_index",
+    "save_map",
     "save_tile",
     "write_index",
 ]
@@ -136,6 +138,31 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
         Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
             temporary, compress_level=3
         )
+
+
+def save_map(
+    folder: Path,
+    shows: Literal["drivable", "shade"],
+    tile_id: str,
+    values: UInt8[np.ndarray, "H W"],
+) -> str | None:
+    """Writes a map of a tile's size, whole or not at all.
+
+    Args:
+        folder: the background set's.
+        shows: drivable ground (`skyproof.scenes.directions`), or shadows (`skyproof.scenes.shade`).
+        tile_id: the tile's.
+        values: the map.
+
+    Returns:
+        Its file inside the folder; None, and nothing is written, where all of it is 0.
+    """
+    if not values.any():
+        return None
+    file = f"{shows}/{tile_id}.png"
+    with write_beside(Path(folder) / file) as temporary:
+        Image.fromarray(values).save(temporary, format="PNG")
+    return file
 
 
 def write_index(

@@ -7,18 +7,14 @@ degrees from the tile's x axis (right) towards up, modulo 180: nose and tail are
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
-from skyproof.files import write_beside
-
-__all__ = ["direction_values", "save_directions", "with_room"]
+__all__ = ["direction_values", "with_room"]
 
 _Grid = NDArray[np.floating[Any]]
 
@@ -60,22 +56,3 @@ def with_room(
     result = np.zeros_like(directions)
     result[rows[kept], columns[kept]] = directions[rows[kept], columns[kept]]
     return result
-
-
-def save_directions(folder: Path, tile_id: str, directions: UInt8[np.ndarray, "H W"]) -> str | None:
-    """Writes a tile's map, whole or not at all.
-
-    Args:
-        folder: the background set's.
-        tile_id: the tile's.
-        directions: the map.
-
-    Returns:
-        Its file inside the folder; None, and nothing is written, where no vehicle may stand.
-    """
-    if not directions.any():
-        return None
-    file = f"drivable/{tile_id}.png"
-    with write_beside(Path(folder) / file) as temporary:
-        Image.fromarray(directions).save(temporary, format="PNG")
-    return file

@@ -9,19 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import torch
-from jaxtyping import UInt8
-from PIL import Image
 
-from skyproof.files import write_beside
 from skyproof.scenes.backgrounds import BackgroundSet, on_tile
 from skyproof.scenes.footprints import Sizes, footprint
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
-__all__ = ["save_shade", "shaded"]
+__all__ = ["shaded"]
 
 _ALONG, _ACROSS = 9, 5
 """Points of a vehicle's footprint at which the map is read."""
@@ -61,22 +56,3 @@ def shaded(
         ]
         standing.append(replace(placement, shade=round(float(values.double().mean()) / 255, 3)))
     return tuple(standing)
-
-
-def save_shade(folder: Path, tile_id: str, shade: UInt8[np.ndarray, "H W"]) -> str | None:
-    """Writes a tile's map, whole or not at all.
-
-    Args:
-        folder: the background set's.
-        tile_id: the tile's.
-        shade: the map.
-
-    Returns:
-        Its file inside the folder; None, and nothing is written, where no shadow is.
-    """
-    if not shade.any():
-        return None
-    file = f"shade/{tile_id}.png"
-    with write_beside(Path(folder) / file) as temporary:
-        Image.fromarray(shade).save(temporary, format="PNG")
-    return file

@@ -40,11 +40,9 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
-from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import save_directions
 from skyproof.scenes.places import RemovedVehicle
-from skyproof.scenes.shade import save_shade
 from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
@@ -263,8 +261,8 @@ def _with_places(
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),
-        drivable=save_directions(out, tile.id, directions),
-        shade=None if shade is None else save_shade(out, tile.id, shade.numpy()),
+        drivable=save_map(out, "drivable", tile.id, directions),
+        shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
     )
 
 

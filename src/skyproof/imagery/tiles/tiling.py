@@ -34,9 +34,8 @@ from skyproof.imagery.tiles.sources import (
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
-from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.directions import save_directions
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
 
@@ -146,10 +145,8 @@ def tile_imagery(
                     annotations[cell.id] = placed.on(cell, image.owner)
                 vehicles = _vehicles(annotations.get(cell.id))
                 directions = drivable_directions(pixels, settings.gsd_m, vehicles)
-                tile = dataclasses.replace(
-                    tile, drivable=save_directions(folder, tile.id, directions)
-                )
-                kept.append((cell, tile))
+                drivable = save_map(folder, "drivable", tile.id, directions)
+                kept.append((cell, dataclasses.replace(tile, drivable=drivable)))
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
