@@ -57,7 +57,9 @@ def tile(
     source_gsd_m=None,
     crs=None,
     licence=None,
+    taken=None,
     cover=None,
+    progress=None,
 ):
     """Cuts small tiles. Returns the set and the record."""
     record = tile_imagery(
@@ -65,8 +67,9 @@ def tile(
         folder,
         settings=TilingSettings(gsd_m, size_px, minimum_px, block_m, like),
         generator=torch.Generator().manual_seed(seed),
-        source_settings=SourceSettings(source_gsd_m, crs, licence, cover=cover),
+        source_settings=SourceSettings(source_gsd_m, crs, licence, taken, cover),
         labels=labels,
+        progress=progress,
     )
     return BackgroundSet.open(folder), record
 

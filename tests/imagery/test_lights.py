@@ -14,7 +14,8 @@ from skyproof.ground.ground import draw_ground
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.lights import sun_over
-from tests.imagery.made import all_tiles, tile, write_image
+from skyproof.scenes.light import Light
+from tests.imagery.made import all_tiles, noise, tile, write_image
 
 # The middle of a UTM zone, so that grid north is true north; and far from it.
 MIDDLE, EDGE = (500_000.0, 5_330_000.0), (760_000.0, 5_330_000.0)
@@ -62,6 +63,34 @@ def test_night_and_places_unknown_are_refused():
         SourceSettings(taken=datetime(2024, 6, 20, 11, 0))
 
 
+@pytest.mark.parametrize(("crs", "hour"), [("EPSG:32632", 23), (None, 11)])
+def test_a_time_that_cannot_be_is_refused_before_anything_is_cut(tmp_path, crs, hour):
+    """At night, and without a place; by day, over a place, the tiles know their sun."""
+    corner = Affine(0.125, 0, MIDDLE[0], 0, -0.125, MIDDLE[1])
+    where = {"crs": crs, "transform": corner} if crs else {}
+    image = write_image(tmp_path / "a.tif", noise(128, 128), **where)
+    taken = datetime(2024, 6, 20, hour, tzinfo=UTC)
+    cut = []
+
+    def cut_it(taken):
+        return tile(
+            [image],
+            tmp_path / "set",
+            source_gsd_m=None if crs else 0.125,
+            taken=taken,
+            progress=lambda done, _: cut.append(done),
+        )
+
+    with pytest.raises(ImageryError, match=r"--source\.taken expects"):
+        cut_it(taken)
+    assert cut == []
+    assert not list(tmp_path.glob("set/**/*.png"))
+    backgrounds, _ = cut_it(taken.replace(hour=11) if crs else None)
+    assert len(cut) == 4
+    tiles = all_tiles(backgrounds)
+    assert [one.light.sun is not None for one in tiles] == 4 * [crs is not None]
+
+
 def test_each_source_keeps_its_exposure(tmp_path):
     """One picture at half the other's exposure: its white is half as bright."""
 
@@ -74,3 +103,31 @@ def test_each_source_keeps_its_exposure(tmp_path):
     backgrounds, _ = tile([tmp_path / "0.tif", tmp_path / "1.tif"], tmp_path / "set")
     whites = {one.source: one.light.white[1] for one in all_tiles(backgrounds)}
     assert whites["1.tif"] / whites["0.tif"] == pytest.approx(0.5, abs=0.08)
+
+
+def test_only_what_was_measured_is_noted(tmp_path):
+    """The white of a plain source is nobody's measurement: of a dark one it would be the larger."""
+    corners = [Affine(0.125, 0, place, 0, -0.125, 5_330_000) for place in (500_000, 500_100)]
+    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).numpy()
+    dark = (drawn * 0.6).astype(np.uint8)
+    plain = np.full((3, 300, 300), 120, np.uint8)
+    write_image(tmp_path / "dark.tif", dark, crs="EPSG:32632", transform=corners[0])
+    write_image(tmp_path / "plain.tif", plain, crs="EPSG:32632", transform=corners[1])
+    both, record = tile([tmp_path / "dark.tif", tmp_path / "plain.tif"], tmp_path / "both")
+    lights = {one.source: one.light for one in all_tiles(both)}
+    assert lights["plain.tif"] == Light()
+    white = sum(lights["dark.tif"].white) / 3
+    assert white < 0.9
+    assert noted(record, "too plain") == [
+        "plain.tif: too plain to measure its exposure; vehicles will be drawn as on a clear day, "
+        "well exposed"
+    ]
+    (measured,) = noted(record, "exposure measured")
+    assert f"shown as {white:.2f} to {white:.2f} of" in measured
+    _, record = tile([tmp_path / "plain.tif"], tmp_path / "alone")
+    assert len(noted(record, "too plain")) == 1
+    assert noted(record, "exposure measured") == []
+
+
+def noted(record, words):
+    return [note for note in record.notes if words in note]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skyproof.ground.canvas import Canvas
-from skyproof.scenes.light import Light, SunEstimate
+from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 
 __all__ = ["GroundSensor", "Photograph", "photograph", "sunlight"]
 
@@ -154,16 +154,11 @@ def _light(canvas: Canvas, sun: Array, sky: Array, sensor: GroundSensor) -> Ligh
     """
     shown = (sun + sky) * sensor.exposure * np.asarray(sensor.tint)
     return Light(
-        white=_rounded(shown + sensor.haze),
+        white=rounded_levels(shown + sensor.haze),
         black=(round(sensor.haze, 4),) * 3,
         shoulder=_SHOULDER,
-        sky=_rounded(sky / (sun + sky)),
+        sky=rounded_levels(sky / (sun + sky)),
         sun=SunEstimate(
             round(canvas.sun_azimuth_rad, 4), round(canvas.sun_elevation_rad, 4), known_from="drawn"
         ),
     )
-
-
-def _rounded(values: Array) -> tuple[float, float, float]:
-    red, green, blue = (round(float(value), 4) for value in values)
-    return red, green, blue

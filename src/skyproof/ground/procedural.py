@@ -10,12 +10,7 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.ground.ground import draw_ground_and_sun
-from skyproof.scenes.background_index import (
-    BackgroundTile,
-    save_map,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 

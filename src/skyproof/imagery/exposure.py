@@ -15,7 +15,7 @@ from torch import Tensor
 
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.scenes.light import Light
+from skyproof.scenes.light import Light, rounded_levels
 
 __all__ = ["measure_exposure"]
 
@@ -78,14 +78,9 @@ def measure_exposure(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Light:
         middle = np.median(grey, axis=0)
         balance = middle / middle.mean()
     black = np.clip(np.quantile(light, DARK_SHARE, axis=0) - _DEEPEST * white, 0.0, 0.3)
-    return Light(white=_triple(white * balance), black=_triple(black))
+    return Light(white=rounded_levels(white * balance), black=rounded_levels(black))
 
 
 def _linear(pixels: NDArray[np.uint8]) -> Array:
     table = srgb_to_linear(torch.arange(256, dtype=torch.float64) / 255).numpy()
     return np.take(table, pixels)
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    red, green, blue = (round(float(value), 4) for value in values)
-    return red, green, blue

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, SupportsFloat
 
 from msgspec import Meta
 
 from skyproof.ranges import Fraction, Radians, check_ranges
 from skyproof.scenes.scene import Sun, SunElevation
 
-__all__ = ["CLEAR_SKY", "CLEAR_SKY_COLOUR", "Light", "SunEstimate"]
-
-CLEAR_SKY_COLOUR = (0.824, 1.012, 1.403)
-"""A clear sky's light in linear sRGB, luminance 1, where white is the whole daylight.
-
-It is daylight of 10,000 K on the CIE daylight locus (CIE 15) beside daylight of 6,504 K.
-"""
+__all__ = ["CLEAR_SKY", "Light", "SunEstimate", "rounded_levels"]
 
 CLEAR_SKY = (0.206, 0.253, 0.351)
-"""A quarter of the light on level ground, in a clear sky's colour.
+"""A quarter of the light on level ground, in a clear sky's colour, linear sRGB.
 
-The diffuse share of the global irradiance is 0.15 to 0.3 under a clear sky (Iqbal 1983).
+The diffuse share of the global irradiance is 0.15 to 0.3 under a clear sky (Iqbal 1983). The colour
+is that of daylight of 10,000 K on the CIE daylight locus (CIE 15), where white is the whole
+daylight of 6,504 K: 0.824, 1.012 and 1.403 at luminance 1.
 """
 
 _Level = Annotated[float, Meta(ge=0.05, le=20)]
@@ -81,3 +78,9 @@ class Light:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+
+def rounded_levels(levels: Iterable[SupportsFloat]) -> tuple[float, float, float]:
+    """Returns red, green and blue as a light stores them: to four digits after the point."""
+    red, green, blue = (round(float(level), 4) for level in levels)
+    return red, green, blue

@@ -40,12 +40,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
-from skyproof.scenes.background_index import (
-    BackgroundTile,
-    save_map,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS

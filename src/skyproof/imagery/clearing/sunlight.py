@@ -15,21 +15,20 @@ from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.imagery.clearing.vehicle_masks import (
-    DIRECTIONS,
     FAINTEST_SHADOW,
     FEWEST_VEHICLES,
     LAYER_M,
     NEAR_M,
-    SAMPLE_LIMIT,
     arrival,
+    covered_ground,
     darkness_profiles,
-    median_of,
     shadow_side,
+    stack_profiles,
     window_around,
 )
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.light import Light, SunEstimate
+from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.places import RemovedVehicle
 
 __all__ = [
@@ -164,7 +163,7 @@ def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Su
         None with fewer than 3 vehicles, without clear shadows, or where their side is not clear
         within 30 degrees.
     """
-    stacked = _stacked(profiles)
+    stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
         return None
     azimuth_rad, profile, contrast = _side(stacked)
@@ -215,17 +214,13 @@ def shadow_light(
     """
     linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
     values = linear.clamp(min=0.0).numpy()
-    taken = np.zeros(values.shape[1:], dtype=bool)
-    standing = list(zip(vehicles.boxes.tolist(), vehicles.headings_rad, strict=True))
-    for box, turn_rad in standing:
-        rows, columns = window_around(box, 0.0, taken.shape, turn_rad)
-        taken[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
+    taken = covered_ground(vehicles.boxes, vehicles.headings_rad, values.shape[1:])
     # Rows run down, so the shadow's way is (-cos, sin) there.
     way = (-math.cos(sun.azimuth_rad), math.sin(sun.azimuth_rad))
     across = (-way[0], -way[1])
     to_m = max(_TO_SHARE * HEIGHT_M / math.tan(sun.elevation_rad), 2 * _FROM_M)
     ratios = []
-    for box, turn_rad in standing:
+    for box, turn_rad in zip(vehicles.boxes.tolist(), vehicles.headings_rad, strict=True):
         rows, columns = window_around(box, to_m / gsd_m, taken.shape, turn_rad)
         free = ~taken[rows, columns]
         sides = []
@@ -256,27 +251,14 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     rows = torch.cat([torch.zeros(0, 3), *ratios])
     if len(rows) < FEWEST_VEHICLES:
         return light
-    red, green, blue = (rows.median(0).values / _SKY_LEFT).clamp(0.05, 1.0).tolist()
-    return replace(light, sky=(round(red, 4), round(green, 4), round(blue, 4)))
-
-
-def _stacked(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
-    measured = [
-        darkness
-        for tensor in profiles
-        for darkness in tensor.double().numpy()
-        if np.isfinite(darkness).any()
-    ]
-    return np.stack(measured[:SAMPLE_LIMIT]) if measured else np.zeros((0, DIRECTIONS, 1))
+    sky = (rows.median(0).values / _SKY_LEFT).clamp(0.05, 1.0)
+    return replace(light, sky=rounded_levels(sky.tolist()))
 
 
 def _side(stacked: Array) -> tuple[float, Array, float]:
     """Returns the sun's azimuth, the darkness by layer on the shadow's side, and the contrast."""
-    near, (x, y) = shadow_side(stacked, _NEAR_M)
-    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
-    opposite = (best + DIRECTIONS // 2) % DIRECTIONS
-    profile = median_of(stacked[:, best]) - median_of(stacked[:, opposite])
-    return math.atan2(y, -x), profile, float(near[best] - near[opposite])
+    (x, y), profile, contrast = shadow_side(stacked, _NEAR_M)
+    return math.atan2(y, -x), profile, contrast
 
 
 def _length_m(profile: Array) -> float | None:

@@ -15,10 +15,11 @@ from torch import Tensor
 __all__ = [
     "Shadow",
     "arrival",
+    "covered_ground",
     "darkness_profiles",
     "estimate_shadow",
-    "median_of",
     "shadow_side",
+    "stack_profiles",
     "vehicle_mask",
     "window_around",
 ]
@@ -104,11 +105,8 @@ def darkness_profiles(
     boxes or the picture's edge leave nothing.
     """
     grey = image.double().mean(0).numpy()
-    taken = np.zeros(grey.shape, dtype=bool)
     turns = [0.0] * len(boxes) if headings_rad is None else list(headings_rad)
-    for box, turn_rad in zip(boxes.tolist(), turns, strict=True):
-        rows, columns = window_around(box, 0.0, grey.shape, turn_rad)
-        taken[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
+    taken = covered_ground(boxes, turns, grey.shape)
     layers = round(LONGEST_SHADOW_M / LAYER_M)
     profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
     for profile, box, turn_rad in zip(profiles, boxes.tolist(), turns, strict=True):
@@ -142,24 +140,12 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
         None with fewer than 3 vehicles; without direction and length where no side is darker than
         the one across, as under an overcast sky.
     """
-    measured = [
-        darkness
-        for tensor in profiles
-        for darkness in tensor.double().numpy()
-        if np.isfinite(darkness).any()
-    ]
-    if len(measured) < FEWEST_VEHICLES:
+    stacked = stack_profiles(profiles)
+    if len(stacked) < FEWEST_VEHICLES:
         return None
-    stacked = np.stack(measured[:SAMPLE_LIMIT])
-    near_layers = round(NEAR_M / LAYER_M)
-    near, (x, y) = shadow_side(stacked)
+    (x, y), profile, contrast = shadow_side(stacked)
     length = math.hypot(x, y)
-    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
-    contrast = float(near[best] - near[(best + DIRECTIONS // 2) % DIRECTIONS])
-    profile = median_of(stacked[:, best]) - median_of(
-        stacked[:, (best + DIRECTIONS // 2) % DIRECTIONS]
-    )
-    peak = int(profile[:near_layers].argmax())
+    peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
     # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along
     # it.
@@ -174,22 +160,41 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     )
 
 
-def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[Array, tuple[float, float]]:
-    """Returns the darkness near the boxes by direction, and the way (x right, y down) of its sum.
+def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
+    """Stacks the profiles of up to 300 vehicles with free ground, `[n, directions, layers]`."""
+    measured = [
+        darkness
+        for tensor in profiles
+        for darkness in tensor.double().numpy()
+        if np.isfinite(darkness).any()
+    ]
+    return np.stack(measured[:SAMPLE_LIMIT]) if measured else np.zeros((0, DIRECTIONS, 1))
+
+
+def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[tuple[float, float], Array, float]:
+    """Finds the side of the boxes on which the ground is dark.
 
     Args:
-        stacked: `[n, directions, layers]` as `darkness_profiles` gives them.
+        stacked: of one vehicle or more, as `stack_profiles` gives them.
         near_m: how far from the boxes ground is near.
+
+    Returns:
+        The way (x right, y down, of any length) that the sum of all directions, weighted by the
+        darkness near the boxes, points; the darkness by layer on that side; and the darkness near
+        the boxes there: both less those of the side across.
     """
     near_layers = round(near_m / LAYER_M)
-    near = median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
+    near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
     near = near.reshape(DIRECTIONS, -1).mean(1)
     units = np.array([_unit(number) for number in range(DIRECTIONS)])
     x, y = (near[:, None] * units).sum(0)
-    return near, (float(x), float(y))
+    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
+    across = (best + DIRECTIONS // 2) % DIRECTIONS
+    profile = _median_of(stacked[:, best]) - _median_of(stacked[:, across])
+    return (float(x), float(y)), profile, float(near[best] - near[across])
 
 
-def median_of(values: Array) -> Array:
+def _median_of(values: Array) -> Array:
     """Takes the median over the first axis, without nan; 0 where there is nothing else."""
     masked = np.ma.masked_invalid(values)
     return np.ma.median(masked, axis=0).filled(0.0)
@@ -198,6 +203,17 @@ def median_of(values: Array) -> Array:
 def _unit(number: int) -> tuple[float, float]:
     angle = 2 * math.pi * number / DIRECTIONS
     return math.cos(angle), math.sin(angle)
+
+
+def covered_ground(
+    boxes: Float[Tensor, "n 4"], headings_rad: Sequence[float], size_px: tuple[int, ...]
+) -> NDArray[np.bool_]:
+    """Says per pixel of a picture of that height and width whether a turned box covers it."""
+    covered = np.zeros(size_px, dtype=bool)
+    for box, turn_rad in zip(boxes.tolist(), headings_rad, strict=True):
+        rows, columns = window_around(box, 0.0, size_px, turn_rad)
+        covered[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
+    return covered
 
 
 def window_around(

@@ -32,9 +32,8 @@ _LOWEST_DEG = 5.0
 def lit_tiles(
     folder: Path,
     tiles: Sequence[BackgroundTile],
-    cells: Mapping[str, Cell],
     gsd_m: float,
-    taken: datetime | None,
+    suns: Mapping[str, SunEstimate],
     notes: list[str],
 ) -> list[BackgroundTile]:
     """Measures how each source shows light, on up to 16 of its tiles, and gives it to its tiles.
@@ -42,39 +41,33 @@ def lit_tiles(
     Args:
         folder: of the background set, with the tiles' pictures.
         tiles: cut from sources.
-        cells: of the tiles, by id.
         gsd_m: metres per pixel of the tiles.
-        taken: when the sources were photographed, with its time zone; the sun of then is kept.
-        notes: sources that show too little to be measured are named here.
-
-    Raises:
-        ImageryError: the sun was down then, or sources have no georeference and `taken` is given.
+        suns: over the tiles, by their ids, where it is known when they were photographed.
+        notes: what was measured, and which sources show too little for that, is said here.
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     of_source: dict[str, list[BackgroundTile]] = {}
     for tile in tiles:
         of_source.setdefault(tile.source, []).append(tile)
-    lights: dict[str, Light] = {}
+    measured: dict[str, Light] = {}
     for source, own in of_source.items():
         some = own[:: max(1, len(own) // _TILES_MEASURED)]
         try:
-            lights[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
+            measured[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
         except ImageryError:
-            lights[source] = Light()
             notes.append(
                 f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
                 "clear day, well exposed"
             )
-    whites = [sum(light.white) / 3 for light in lights.values()]
-    notes.append(
-        f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
-        f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
-    )
+    if measured:
+        whites = [sum(light.white) / 3 for light in measured.values()]
+        notes.append(
+            f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
+            f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
+        )
     lit = []
     for tile in tiles:
-        light = lights[tile.source]
-        if taken is not None:
-            light = replace(light, sun=sun_over(cells[tile.id], taken))
+        light = replace(measured.get(tile.source, Light()), sun=suns.get(tile.id))
         lit.append(replace(tile, light=light))
     return lit
 

@@ -23,7 +23,7 @@ from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSetti
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.covers import cover_of, find_covers
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
-from skyproof.imagery.tiles.lights import lit_tiles
+from skyproof.imagery.tiles.lights import lit_tiles, sun_over
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
     Source,
@@ -35,12 +35,7 @@ from skyproof.imagery.tiles.sources import (
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
-from skyproof.scenes.background_index import (
-    BackgroundTile,
-    save_map,
-    save_tile,
-    write_index,
-)
+from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
@@ -116,7 +111,8 @@ def tile_imagery(
     Raises:
         ConfigurationError: settings that cannot work.
         ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
-            cm; images that hold no tile; labels that do not fit the imagery.
+            cm; images that hold no tile; labels that do not fit the imagery; a time at which the
+            sun was down over them, or one for images without georeference.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
@@ -128,11 +124,15 @@ def tile_imagery(
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
         cells = _cells(sources, settings, notes)
-        masks = (
-            None
-            if source_settings.cover is None
-            else find_covers(source_settings.cover, sources, reader)
+        # A time that cannot be, or a mask that is missing, is refused before anything is cut.
+        taken = source_settings.taken
+        suns = (
+            {cell.id: sun_over(cell, taken) for cell in cells if cell.sources}
+            if taken is not None
+            else {}
         )
+        cover = source_settings.cover
+        masks = find_covers(cover, sources, reader) if cover is not None else []
         placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
         notes += placed.notes if placed is not None else []
         kept: list[tuple[Cell, BackgroundTile]] = []
@@ -148,13 +148,12 @@ def tile_imagery(
                     annotations[cell.id] = placed.on(cell, image.owner)
                 vehicles = _vehicles(annotations.get(cell.id))
                 directions = drivable_directions(pixels, settings.gsd_m, vehicles)
-                tile = dataclasses.replace(
-                    tile, drivable=save_map(folder, "drivable", tile.id, directions)
-                )
-                if masks is not None:
-                    cover = cover_of(cell, image, masks, reader)
+                drivable = save_map(folder, "drivable", tile.id, directions)
+                tile = dataclasses.replace(tile, drivable=drivable)
+                if masks:
+                    hidden = cover_of(cell, image, masks, reader)
                     tile = dataclasses.replace(
-                        tile, cover=save_map(folder, "cover", tile.id, cover)
+                        tile, cover=save_map(folder, "cover", tile.id, hidden)
                     )
                 kept.append((cell, tile))
             if progress is not None:
@@ -184,8 +183,7 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    of_tile = {cell.id: cell for cell, _ in kept}
-    tiles = lit_tiles(folder, tiles, of_tile, settings.gsd_m, source_settings.taken, notes)
+    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, notes)
     # What was done, and the index last.
     record = TilingRecord(
         settings=_plain(
@@ -194,8 +192,8 @@ def tile_imagery(
                 "source_gsd_m": source_settings.gsd_m,
                 "crs": source_settings.crs,
                 "licence": source_settings.licence,
-                "taken": source_settings.taken,
-                "cover": source_settings.cover,
+                "taken": taken,
+                "cover": cover,
             }
         ),
         sources=[_describe(source) for source in sources],
@@ -207,7 +205,7 @@ def tile_imagery(
         else [],
         notes=notes,
     )
-    write_ground_index(folder, tiles, of_tile)
+    write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
