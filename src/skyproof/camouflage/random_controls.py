@@ -93,12 +93,13 @@ def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
-    """Colours about a random middle: vivid or muted, near to each other or far apart.
+    """Colours about a random middle: more often muted than vivid, near to each other or far apart.
 
-    As in the colours of some ground, lightness is spread wider than hue.
+    As in the colours of some ground, chroma is small and lightness is spread wider than hue.
     """
     middle = srgb_to_cielab(uniform_colours(1, generator=generator))
     muted, light, hue = torch.rand(3, generator=generator).tolist()
+    muted = muted**2
     spread = torch.tensor([_WIDEST_LIGHTNESS * light, _WIDEST_HUE * hue, _WIDEST_HUE * hue])
     middle = middle * torch.tensor([1.0, muted, muted])
     drawn = middle + spread * torch.randn(colours, 3, generator=generator)
