@@ -291,3 +291,19 @@ def test_a_dataset_says_who_rendered_it(workers, tmp_path):
         render_dataset(tmp_path / name, scenes, fleet, renderer)
         dataset = Dataset.open(tmp_path / name)
         assert (dataset.renderer, dataset.rendering) == (name, renderer.record(scenes))
+
+
+def test_what_stands_beneath_a_crown_is_hidden_as_by_the_other_renderer():
+    crown = torch.zeros(96, 96)
+    crown[:, :48] = 1.0
+    place = scene((0.0, 0.0, 0.0), tilt_deg=0.0)
+    (stands,) = place.placements
+    place = dataclasses.replace(place, placements=(dataclasses.replace(stands, covered=0.4),))
+    ground = PlainGround(value=None, cover=crown)
+    frames = CyclesRenderer(ground, Shadows(), COARSE)([place], vehicles(), masks=True)
+    photograph = ground.window(place.background, 96)
+    assert torch.equal(frames.image[0, :, :, :48], photograph[:, :, :48])
+    assert not torch.equal(frames.image[0, :, :, 48:], photograph[:, :, 48:])
+    other = TorchRenderer(ground)([place], vehicles(), masks=True)
+    assert torch.equal(frames.visible_fraction, other.visible_fraction)
+    assert torch.equal(frames.masks, other.masks)

@@ -30,7 +30,8 @@ class Annotation:
     Attributes:
         box_xyxy: pixels, half-open.
         centre_px: where the vehicle's centre lies, (x, y).
-        visible_fraction: of its pixels, how many are inside the image.
+        visible_fraction: of its pixels, how many are inside the image and not hidden by the
+            photograph.
         mask: `[H, W]` its visible pixels in the whole image, or None.
         vehicle: id in the fleet, or None where not known.
         placement_index: which of the scene's placements it is, or None.

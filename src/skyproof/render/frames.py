@@ -26,7 +26,8 @@ class Frames:
         centres: `[N, 2]` pixel (x, y) of the middle of the vehicle, half its height above the
             ground.
         visible_px: `[N]` pixels' worth of samples that show the vehicle inside the image.
-        visible_fraction: `[N]` of its samples, those that show it inside the image.
+        visible_fraction: `[N]` of its samples, those that show it inside the image and are not
+            hidden by the photograph's crowns and roofs.
         masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; None unless
             asked for.
     """
