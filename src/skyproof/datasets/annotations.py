@@ -79,8 +79,8 @@ class AnnotationRow(msgspec.Struct, frozen=True):
 
     Attributes:
         bbox: left, top, width and height in pixels.
-        visible_fraction: of its pixels, how many are inside the image and not hidden by the photograph;
-            None where not known.
+        visible_fraction: of its pixels, how many are inside the image and not hidden by the
+            photograph; None where not known.
     """
 
     image_id: Seed

@@ -43,8 +43,8 @@ class Dataset:
             unlabelled borders.
         ids: per image its name.
         gsd_m: metres per pixel of all images.
-        visible_fractions: per image `[n]` the fraction of each vehicle's pixels that are visible inside
-            the image; nan where not known.
+        visible_fractions: per image `[n]` the fraction of each vehicle's pixels that are
+            visible in the image; nan where not known.
         folder: where the images lie; None where they are of several places or in memory.
         info: what the annotation file says of the whole set; None where there is none.
     """

@@ -46,7 +46,7 @@ class Outcome:
             where none.
         distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan
             where none.
-        visible_fraction: share of the vehicle that is visible inside the image; nan where not known.
+        visible_fraction: share of the vehicle that is visible in the image; nan where not known.
         sun_elevation_deg, sun_azimuth_deg: the sun; azimuth from east towards north.
         tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
         heading_deg: of the vehicle, from east towards north, in [0, 360).
