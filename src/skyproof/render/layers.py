@@ -48,7 +48,7 @@ class Layers:
     Attributes:
         window: where the pixels lie.
         values: `[N, C, S, S]` of bodies linear colour times coverage and coverage (4 channels), of
-            shadows the part of the ground that the sun does not reach (1 channel).
+            shadows the parts of sun and sky that the ground loses (2 channels).
     """
 
     window: Windows

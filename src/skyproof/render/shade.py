@@ -225,7 +225,7 @@ def light(
         normal: unit normals, world axes.
         lighting: a row for each sample.
         gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them.
-        settings: the ground's light.
+        settings: the ground's reflectance, and the gloss.
 
     Returns:
         The diffuse factor and the mirrored radiance.

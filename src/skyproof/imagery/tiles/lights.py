@@ -36,7 +36,7 @@ def lit_tiles(
     suns: Mapping[str, SunEstimate],
     notes: list[str],
 ) -> list[BackgroundTile]:
-    """Measures how each source shows light, on up to 16 of its tiles, and gives it to its tiles.
+    """Measures how each source shows light, on up to 31 of its tiles, and gives it to its tiles.
 
     Args:
         folder: of the background set, with the tiles' pictures.
