@@ -13,7 +13,7 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
-from skyproof.vehicles.coats import uniform_colours
+from skyproof.vehicles.coats import varied_colours
 from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["wear_random_controls"]
@@ -93,14 +93,12 @@ def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
-    """Colours about a random middle: more often muted than vivid, near to each other or far apart.
+    """Colours about a random middle, near to each other or far apart.
 
-    As in the colours of some ground, chroma is small and lightness is spread wider than hue.
+    As in the colours of some ground, lightness is spread wider than hue.
     """
-    middle = srgb_to_cielab(uniform_colours(1, generator=generator))
-    muted, light, hue = torch.rand(3, generator=generator).tolist()
-    muted = muted**2
+    middle = srgb_to_cielab(varied_colours(1, generator=generator))
+    light, hue = torch.rand(2, generator=generator).tolist()
     spread = torch.tensor([_WIDEST_LIGHTNESS * light, _WIDEST_HUE * hue, _WIDEST_HUE * hue])
-    middle = middle * torch.tensor([1.0, muted, muted])
     drawn = middle + spread * torch.randn(colours, 3, generator=generator)
     return cielab_to_srgb(drawn).clamp(0, 1)

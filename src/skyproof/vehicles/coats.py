@@ -16,7 +16,7 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.canvas import Canvas, between
 from skyproof.vehicles.vehicle import Part
 
-__all__ = ["Coat", "lay_coat", "uniform_colours"]
+__all__ = ["Coat", "lay_coat", "varied_colours"]
 
 Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 """How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
@@ -29,7 +29,23 @@ _HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie wi
 _CANDIDATES = 64
 
 
-def uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
+def varied_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
+    """Draws colours of all kinds, half of them muted, as primer, dust and ground are.
+
+    Of CIELAB hardly a hundredth is nearly grey. Detectors that had learnt colours uniform in it
+    alone lost vehicles in one grey or beige, over glass and wheels, more often than in any vivid
+    colour (docs/results/detectors). The muted ones keep a part u ** 2 of their chroma, u uniform.
+
+    Returns:
+        sRGB in [0.03, 0.93].
+    """
+    cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
+    muted, kept = torch.rand(2, count, 1, generator=generator)
+    cielab[:, 1:] *= torch.where(muted < 0.5, kept**2, 1.0)
+    return cielab_to_srgb(cielab).clamp(_DARKEST, _BRIGHTEST)
+
+
+def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
     """Draws colours uniformly from the part of CIELAB that sRGB can show.
 
     Equal volumes there hold about equally many colours that one can tell apart.
@@ -57,7 +73,7 @@ def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float
     """
     if coat == "two_tone":
         return _two_tones(canvas, generator)
-    (colour,) = uniform_colours(1, generator=generator)
+    (colour,) = varied_colours(1, generator=generator)
     canvas.fill(_everywhere(canvas), colour, Part.BODY)
     if coat == "livery":
         _livery(canvas, generator)
@@ -70,7 +86,7 @@ def _everywhere(canvas: Canvas) -> Tensor:
 
 def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
     """Roof, bonnet and boot, or the lower half of the sides, in another colour than the rest."""
-    first, second = uniform_colours(2, generator=generator)
+    first, second = varied_colours(2, generator=generator)
     kind = int(torch.randint(3, (1,), generator=generator))
     canvas.fill(_everywhere(canvas), first, Part.BODY)
     if kind == 0:
@@ -87,7 +103,7 @@ def _livery(canvas: Canvas, generator: torch.Generator) -> None:
     """One to four signs of a fleet: stripes along, bands across, chequers, panels."""
     dimensions = canvas.body.dimensions
     count = 1 + int(torch.randint(4, (1,), generator=generator))
-    colours = uniform_colours(count, generator=generator)
+    colours = varied_colours(count, generator=generator)
     for colour in colours:
         kind = int(torch.randint(5, (1,), generator=generator))
         place, width, other = torch.rand(3, generator=generator).tolist()
