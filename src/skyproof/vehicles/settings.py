@@ -31,8 +31,8 @@ class PaintVariety:
     defaults are meant for training: detectors that learnt them do not take colour for evidence.
 
     Attributes:
-        plain: one colour, uniform in CIELAB; on half of these vehicles it covers glass and wheels,
-            too.
+        plain: one colour, uniform in CIELAB or muted; on half of these vehicles it covers glass and
+            wheels, too.
         two_tone: two such colours: roof, upper or lower half in another one.
         livery: such colours in stripes, bands, chequers and panels.
         patterned: random patterns, drawn as the random controls of all textures are; half of them
