@@ -68,8 +68,8 @@ def _areas(corners: Float[Tensor, "3 2 M"]) -> Float[Tensor, " M"]:
 
 
 def barycentric(
-    corners: Float[Tensor, "3 2 *S"], point: Float[Tensor, "2 *S"]
-) -> Float[Tensor, "3 *S"]:
+    corners: Float[Tensor, "3 2 K"], point: Float[Tensor, "2 K"]
+) -> Float[Tensor, "3 K"]:
     """Returns the weights of a triangle's three corners at a point; differentiable in both.
 
     Args:
@@ -222,5 +222,5 @@ def _span(
     return low.clamp(-1e6, 1e6), high.clamp(-1e6, 1e6)
 
 
-def _cross(first: Float[Tensor, "2 *S"], second: Float[Tensor, "2 *S"]) -> Float[Tensor, "*S"]:
+def _cross(first: Float[Tensor, "2 K"], second: Float[Tensor, "2 K"]) -> Float[Tensor, " K"]:
     return first[0] * second[1] - first[1] * second[0]

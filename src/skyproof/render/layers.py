@@ -175,9 +175,7 @@ def _gloss(
 
 
 @torch.no_grad()
-def _texture_levels(
-    corners: Float[Tensor, "3 2 M"], vehicles: VehicleBatch
-) -> Int[Tensor, " M"]:
+def _texture_levels(corners: Float[Tensor, "3 2 M"], vehicles: VehicleBatch) -> Int[Tensor, " M"]:
     """Returns per triangle the pyramid level at which a texel is as long as a sample.
 
     The direction in which the texture is more squeezed counts.
@@ -215,7 +213,9 @@ def _held_weights(
     return weights.detach().lerp(weights, kept)
 
 
-def _interpolate(values: Float[Tensor, "_ K"], weights: Float[Tensor, "3 K"]) -> Float[Tensor, "_ K"]:
+def _interpolate(
+    values: Float[Tensor, "_ K"], weights: Float[Tensor, "3 K"]
+) -> Float[Tensor, "_ K"]:
     """Barycentric mean of three corners' values, which stand one after the other."""
     first, second, third = values.chunk(3)
     result = torch.addcmul(first * weights[0], second, weights[1])

@@ -21,6 +21,8 @@ __all__ = ["Lighting", "LinearTexture", "light"]
 _HORIZON_SHARPNESS = 12.0
 # In units of white; path tracing cuts single paths there, too.
 _BRIGHTEST_GLINT = 5.0
+# The logarithm of a glint's lobe where nothing of it is left.
+_DARKEST_LOG = -80.0
 
 
 class LinearTexture:
@@ -259,9 +261,10 @@ def light(
     luminance = torch.lerp(clear * dimming, _overcast(up), overcast)
     surroundings = torch.lerp(ground, sky * luminance, torch.sigmoid(up * _HORIZON_SHARPNESS))
     # The sun's glint, which a sensor shows as white long before it ends. Its lobe is around the
-    # direction half-way from the sun to the viewer. A power takes far longer than exp and log.
+    # direction half-way from the sun to the viewer. A power takes far longer than exp and log, and
+    # exp far longer where it vanishes.
     aligned = ((towards_sun + cosine) * halving).clamp(min=1e-6)
-    lobe = torch.exp(exponent * aligned.log())
+    lobe = torch.exp((exponent * aligned.log()).clamp(min=_DARKEST_LOG))
     peak = reflectance * (exponent + 8) / 8
     glint = (peak * lobe * sunny * strength).clamp(max=_BRIGHTEST_GLINT)
     return diffuse * (1 - fresnel), torch.addcmul(glint, fresnel, surroundings)
