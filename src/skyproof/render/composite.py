@@ -60,8 +60,8 @@ def composite(
     rank = _ranks(scene, nearness)
     layers = _lay(bodies, origin, size, scene, rank, _cover)
     shadow = _lay(shadows, origin, size, scene, rank, _join)
-    layers = blurred(layers, sensors, shown - origin, shape)
-    shadow = blurred(shadow, sensors, shown - origin, shape)
+    drawn = blurred(torch.cat((layers, shadow), dim=1), sensors, shown - origin, shape)
+    colour, alpha, sun_lost, sky_lost = drawn.split((3, 1, 1, 1), dim=1)
 
     # Where each pixel of the windows lies in the flat photographs.
     x = shown[:, 0, None] + torch.arange(shape[0], device=photographs.device)
@@ -72,17 +72,14 @@ def composite(
 
     # Light adds up; then the sensor makes a picture of it.
     ground = lights.received(srgb_to_linear(ground_srgb))
-    colour = layers[:, :3]
-    alpha = layers[:, 3:]
     sky = lights.sky[:, :, None, None]
-    sun_lost, sky_lost = shadow.split(1, dim=1)
     kept_light = 1 - (1 - sky) * sun_lost - sky * sky_lost
     pixels = linear_to_srgb(lights.shown(ground * kept_light * (1 - alpha) + colour))
     if any(sensor.noise > 0 for sensor in sensors):
         noise = sensor_noise(seeds, y, x, ground)
         strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
         pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
-    reached = (alpha.detach() > 0) | (shadow.detach() > 0).any(1, keepdim=True)
+    reached = (drawn.detach()[:, 3:] > 0).any(1, keepdim=True)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
     # In place: a copy of the images would cost as much as the rest of this function.
     photographs.view(-1).index_put_((place,), pixels.flatten())

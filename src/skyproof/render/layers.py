@@ -228,7 +228,8 @@ def _average(
     """Averages samples to pixels: colour times coverage, and coverage."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
-    pixel = (visibility.vehicle * size + visibility.y // factor) * size + visibility.x // factor
+    x, y = visibility.cells(factor)
+    pixel = (visibility.vehicle * size + y) * size + x
     return _summed(_with_coverage(colour) / factor**2, pixel, count, size)
 
 

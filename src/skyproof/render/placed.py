@@ -157,8 +157,7 @@ def _visible(
     """Returns visible pixels, the share of them inside the image, and the masks."""
     count = len(visibility.keys)
     vehicle = visibility.vehicle
-    cell_x = visibility.x // factor
-    cell_y = visibility.y // factor
+    cell_x, cell_y = visibility.cells(factor)
     # Samples inside the image, of all.
     x = window.origin[:, 0].index_select(0, vehicle) + cell_x
     y = window.origin[:, 1].index_select(0, vehicle) + cell_y
