@@ -238,11 +238,12 @@ def light(
     # What is the same all over a vehicle is worked out once for it, and looked up by its samples.
     sun_and_viewer = (lighting.sun * lighting.viewer).sum(1, keepdim=True)
     halving = (lighting.sun + lighting.viewer).norm(dim=1, keepdim=True).reciprocal()
-    constants = (lighting.sun, lighting.viewer, lighting.sky, strength, ground)
-    constants += (sun_and_viewer, halving, lighting.overcast, lighting.clear_mean.reciprocal())
-    rows = torch.cat(constants, dim=1).t().index_select(1, vehicle)
-    sun, viewer, sky, strength, ground, scalars = rows.split((3, 3, 3, 3, 3, 4))
-    sun_and_viewer, halving, overcast, dimming = scalars
+    dimming = lighting.clear_mean.reciprocal()
+    vectors = (lighting.sun, lighting.viewer, lighting.sky, strength, ground)
+    scalars = (sun_and_viewer, halving, lighting.overcast, dimming)
+    rows = torch.cat((*vectors, *scalars), dim=1).t().index_select(1, vehicle)
+    sun, viewer, sky, strength, ground = rows[:15].split(3)
+    sun_and_viewer, halving, overcast, dimming = rows[15:]
     # Matt: sun, open sky above, ground below.
     towards_sun = (normal * sun).sum(0)
     sunny = towards_sun.clamp(min=0.0)

@@ -69,7 +69,8 @@ def silhouette_points(
         end_index = vehicle * screen.shape[1] + end_vertex
         start = planes.index_select(1, start_index)
         whole = planes.index_select(1, end_index) - start
-        face = torch.where(forward, *edge_faces.index_select(0, edge).t())
+        one, other = edge_faces.index_select(0, edge).t()
+        face = torch.where(forward, one, other)
         # Cut into pieces at most a sample long, each with a point in its middle.
         pieces = whole.norm(dim=0).ceil().clamp(min=1).long()
         row = torch.repeat_interleave(pieces)
