@@ -35,7 +35,7 @@ def test_texture_sampling_passes_gradcheck(finest):
     uv = torch.tensor(
         [[0.49, 0.25], [0.483, 0.253], [0.49, 0.26], [0.485, 0.247]], dtype=torch.float64
     )
-    uv = (uv + 1e-3).requires_grad_()
+    uv = (uv.t() + 1e-3).requires_grad_()
 
     def sample(patch, uv):
         filled = texture.clone()
@@ -55,9 +55,8 @@ def test_texture_sampling_is_continuous_across_the_seam_and_held_at_the_ends():
     u = torch.tensor([1e-9, 1 - 1e-9, 0.3, 0.3, 0.3, 0.3], dtype=torch.float64)
     v = torch.tensor([0.4, 0.4, 0.0, 0.003, 1.0, 0.997], dtype=torch.float64)
     zero = torch.zeros(6, dtype=torch.long)
-    left, right, nose, near_nose, tail, near_tail = texture.sample(
-        torch.stack((u, v), 1), zero, zero
-    )
+    sampled = texture.sample(torch.stack((u, v)), zero, zero)
+    left, right, nose, near_nose, tail, near_tail = sampled.t()
     torch.testing.assert_close(left, right, atol=1e-6, rtol=0)
     # Half a texel from the end (0.0039) nothing changes any more.
     assert torch.equal(nose, near_nose)
@@ -78,7 +77,7 @@ def test_a_coarser_level_holds_the_mean_of_its_texels_in_linear_light():
 def test_bytes_and_floats_of_one_texture_sample_alike():
     as_bytes = (smooth_texture(1, count=2, size=128) * 255).round().byte()
     as_floats = as_bytes.float() / 255
-    uv = torch.rand(50, 2, generator=generator(0))
+    uv = torch.rand(2, 50, generator=generator(0))
     index, level = torch.arange(50) % 2, torch.arange(50) % 5
     for finest in (0, 2):
         one = LinearTexture(as_bytes, finest).sample(uv, index, level)
@@ -87,33 +86,39 @@ def test_bytes_and_floats_of_one_texture_sample_alike():
 
 
 def test_light_passes_gradcheck_in_the_normal():
-    upward = normalize(
-        normal(6, 3, seed=1) + torch.tensor([0.0, 0.0, 2.0]), dim=-1
-    ).requires_grad_()
-    sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1).expand(6, 3)
-    viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1).expand(6, 3)
-    finish = gloss_table()[:6].double()
+    upward = normalize(normal(3, 6, seed=1) + torch.tensor([[0.0], [0.0], [2.0]]), dim=0)
+    upward = upward.requires_grad_()
+    sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1)
+    viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1)
+    finish = gloss_table()[:6].double().t()
     given = lighting_from(sun, viewer)
-    assert torch.autograd.gradcheck(lambda n: light(n, given, finish, RenderSettings()), upward)
+    vehicle = torch.zeros(6, dtype=torch.long)
+    assert torch.autograd.gradcheck(
+        lambda n: light(n, given, vehicle, finish, RenderSettings()), upward
+    )
 
 
 def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
     up = torch.tensor([[0.0, 0.0, 1.0]])
+    vehicle = torch.zeros(1, dtype=torch.long)
+    body = gloss_table().t()[:, :1]
     for elevation in (0.3, 0.8, 1.5):
         sun = torch.tensor(
             [[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]]
         )
         given = lighting_from(sun, up)
-        matt, mirrored = light(up, given, gloss_table(0.0)[:1], RenderSettings(gloss=0.0))
-        assert matt[0].tolist() == pytest.approx([1.0] * 3, abs=1e-6)
+        matt, mirrored = light(
+            up.t(), given, vehicle, gloss_table(0.0).t()[:, :1], RenderSettings(gloss=0.0)
+        )
+        assert matt[:, 0].tolist() == pytest.approx([1.0] * 3, abs=1e-6)
         assert not mirrored.any()
         # What the coat mirrors, seen from straight above, does not reach the paint.
-        coated, _ = light(up, given, gloss_table()[:1], RenderSettings())
-        assert coated[0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
+        coated, _ = light(up.t(), given, vehicle, body, RenderSettings())
+        assert coated[:, 0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
 
 
 def lighting_from(sun, viewer):
-    """A clear day's light on as many samples."""
+    """A clear day's light on as many vehicles."""
     one = torch.ones_like(sun[:, :1])
     return Lighting(sun, viewer, sun.new_tensor(CLEAR_SKY).expand_as(sun), 0 * one, one, one)
 

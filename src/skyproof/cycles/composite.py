@@ -63,9 +63,9 @@ def composite_crops(
     mean = total / weight.clamp(min=_LEAST_WEIGHT)
     colour, alpha, ratio = mean.split((3, 1, 3))
     taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
-    middle = slice(radius, radius + size)
+    middle = torch.tensor([[radius, radius]], device=photograph.device)
     colour, alpha, taken = (
-        blurred(layer[None], [sensor])[0, :, middle, middle] for layer in (colour, alpha, taken)
+        blurred(layer[None], [sensor], middle, (size, size))[0] for layer in (colour, alpha, taken)
     )
     ground = lights.received(srgb_to_linear(photograph)[None])
     mixed = (ground * (1 - taken) + colour).clamp(min=0.0)

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skyproof.geometry.meshes import at_corners
+
 __all__ = ["Visibility", "barycentric", "face_areas", "rasterise"]
 
 _NOTHING = torch.iinfo(torch.int64).max
@@ -35,13 +37,28 @@ class Visibility:
         self.covered: Int[Tensor, " K"] = torch.nonzero(flat != _NOTHING)[:, 0]
         row = self.covered // size
         self.x: Int[Tensor, " K"] = self.covered - row * size
-        self.vehicle: Int[Tensor, " K"] = row // size
+        of_row = torch.arange(len(keys) * size, device=keys.device) // size
+        self.vehicle: Int[Tensor, " K"] = of_row.index_select(0, row)
         self.y: Int[Tensor, " K"] = row - self.vehicle * size
-        self.face: Int[Tensor, " K"] = flat[self.covered] & ((1 << _FACE_BITS) - 1)
+        self.face: Int[Tensor, " K"] = flat.index_select(0, self.covered) & ((1 << _FACE_BITS) - 1)
+
+    def cells(self, factor: int) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
+        """Returns column and row of each sample's cell, where a cell is `factor` samples wide.
+
+        A look-up takes a fifth of the time of a division.
+        """
+        cell = torch.arange(self.keys.shape[-1], device=self.x.device) // factor
+        return cell.index_select(0, self.x), cell.index_select(0, self.y)
+
+    def find(self, sample: Int[Tensor, " M"]) -> Int[Tensor, " M"]:
+        """Returns where samples, flat indices into `keys`, stand in `covered`; K for empty ones."""
+        place = torch.searchsorted(self.covered, sample)
+        padded = torch.nn.functional.pad(self.covered, (0, 1), value=-1)
+        return torch.where(padded.index_select(0, place) == sample, place, len(self.covered))
 
     def depth(self, sample: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
         """Returns depth in metres at flat indices, to 0.01 mm; infinite where nothing is."""
-        key = self.keys.view(-1)[sample]
+        key = self.keys.view(-1).index_select(0, sample)
         depth = ((key >> _FACE_BITS) - _DEPTH_ZERO).double() / 1e5
         return torch.where(key == _NOTHING, torch.inf, depth)
 
@@ -51,25 +68,29 @@ def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Flo
 
     It is positive where the triangle shows its outside, as image y points down.
     """
-    a, b, c = (screen[:, faces[:, corner]] for corner in range(3))
+    return _areas(at_corners(screen, faces)).view(len(screen), len(faces))
+
+
+def _areas(corners: Float[Tensor, "3 2 M"]) -> Float[Tensor, " M"]:
+    a, b, c = corners
     return _cross(c - a, b - a)
 
 
 def barycentric(
-    corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]
-) -> Float[Tensor, "K 3"]:
+    corners: Float[Tensor, "3 2 K"], point: Float[Tensor, "2 K"]
+) -> Float[Tensor, "3 K"]:
     """Returns the weights of a triangle's three corners at a point; differentiable in both.
 
     Args:
         corners: of any orientation, with an area.
         point: one for each triangle, in the same unit.
     """
-    a, b, c = corners.unbind(1)
+    a, b, c = corners
     to_b, to_c, to_point = b - a, c - a, point - a
     area = _cross(to_c, to_b)
     second = _cross(to_c, to_point) / area
     third = _cross(to_point, to_b) / area
-    return torch.stack((1 - second - third, second, third), dim=-1)
+    return torch.stack((1 - second - third, second, third))
 
 
 @torch.no_grad()
@@ -100,60 +121,65 @@ def rasterise(
     """
     if len(faces) >= 1 << _FACE_BITS:
         raise ValueError(f"expected fewer than {1 << _FACE_BITS} faces, got {len(faces)}")
-    areas = face_areas(screen, faces)
-    shown = areas.abs() > 1e-12 if two_sided else areas > 1e-12
-    vehicle, face = torch.nonzero(shown, as_tuple=True)
+    corners = at_corners(screen, faces)
+    corner_depth = at_corners(depth[..., None], faces)[:, 0]
+    areas = _areas(corners)
+    shown = torch.nonzero(areas.abs() > 1e-12 if two_sided else areas > 1e-12)[:, 0]
     keys = torch.full(
         (len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device
     )
-    for start in range(0, len(face), _TRIANGLES):
-        part = slice(start, start + _TRIANGLES)
-        _draw(keys, screen, depth, faces, areas, vehicle[part], face[part], size)
+    for part in shown.split(_TRIANGLES):
+        vehicle = part // len(faces)
+        _draw(
+            keys,
+            corners.flatten(0, 1).index_select(1, part).view(3, 2, -1),
+            corner_depth.index_select(1, part),
+            areas.index_select(0, part),
+            vehicle,
+            part - vehicle * len(faces),
+            size,
+        )
     return Visibility(keys.view(len(screen), size, size))
 
 
 def _draw(
     keys: Int[Tensor, " M"],
-    screen: Float[Tensor, "N V 2"],
-    depth: Float[Tensor, "N V"],
-    faces: Int[Tensor, "F 3"],
-    areas: Float[Tensor, "N F"],
+    corners: Float[Tensor, "3 2 T"],
+    corner_depth: Float[Tensor, "3 T"],
+    area: Float[Tensor, " T"],
     vehicle: Int[Tensor, " T"],
     face: Int[Tensor, " T"],
     size: int,
 ) -> None:
     """Lowers `keys` to the triangles `face` of the bodies `vehicle` where these are nearer."""
-    # Corners. Row look-ups by `index_select` are about twice as fast as indexing here.
-    corner = (vehicle[:, None] * screen.shape[1] + faces.index_select(0, face)).flatten()
-    corners = screen.flatten(0, 1).index_select(0, corner).view(-1, 3, 2)
-    corner_depth = depth.flatten().index_select(0, corner).view(-1, 3)
     # Counted from a whole sample near the triangle, coordinates keep their digits.
-    low = corners.amin(1)
-    high = corners.amax(1)
+    low = corners.amin(0)
+    high = corners.amax(0)
     base = low.floor()
-    planes, depth_plane = _planes(corners - base[:, None], corner_depth, areas[vehicle, face])
-    x_base, y_base = base.long().unbind(1)
+    planes, depth_plane = _planes(corners - base, corner_depth, area)
+    x_base, y_base = base.long()
 
     # Triangles to rows: y, counted from the triangle's base, and the ends of the span of x.
-    low_y = (low[:, 1] - 0.5).ceil().long().clamp(min=0)
-    high_y = (high[:, 1] - 0.5).floor().long().clamp(max=size - 1)
+    low_y = (low[1] - 0.5).ceil().long().clamp(min=0)
+    high_y = (high[1] - 0.5).floor().long().clamp(max=size - 1)
     row, step = _enumerate((high_y - low_y + 1).clamp(min=0))
     y_step = (low_y - y_base).index_select(0, row) + step
-    span_low, span_high = _span(planes.index_select(0, row), y_step.to(screen.dtype))
+    per_row = planes.flatten(0, 1).index_select(1, row).view(3, 3, -1)
+    span_low, span_high = _span(per_row, y_step.to(corners.dtype))
     offset = x_base.index_select(0, row)
     low_x = torch.maximum(span_low.ceil().long(), -offset)
     high_x = torch.minimum(span_high.floor().long(), size - 1 - offset)
     # What the samples of a row share: their place at x step 0, and the depth there.
     place = ((vehicle * size + y_base) * size + x_base).index_select(0, row) + y_step * size
-    slope = depth_plane.index_select(0, row)
-    start = torch.addcmul(slope[:, 2], slope[:, 1], y_step.to(screen.dtype))
+    slope = depth_plane.index_select(1, row)
+    start = torch.addcmul(slope[2], slope[1], y_step.to(corners.dtype))
     label = face.index_select(0, row)
 
     # Rows to samples.
     span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
     x_step = low_x.index_select(0, span) + step
-    rise = slope[:, 0].contiguous().index_select(0, span)
-    near = torch.addcmul(start.index_select(0, span), rise, x_step.to(screen.dtype))
+    rise = slope[0].index_select(0, span)
+    near = torch.addcmul(start.index_select(0, span), rise, x_step.to(corners.dtype))
     # The nearest wins.
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
     key = (key << _FACE_BITS) | label.index_select(0, span)
@@ -168,43 +194,42 @@ def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor
 
 
 def _planes(
-    corners: Float[Tensor, "K 3 2"], depth: Float[Tensor, "K 3"], area: Float[Tensor, " K"]
-) -> tuple[Float[Tensor, "K 3 3"], Float[Tensor, "K 3"]]:
+    corners: Float[Tensor, "3 2 K"], depth: Float[Tensor, "3 K"], area: Float[Tensor, " K"]
+) -> tuple[Float[Tensor, "3 3 K"], Float[Tensor, "3 K"]]:
     """Returns the three weights, and the depth, at the centre of sample (i, j).
 
     Each is a plane of three numbers: per i, per j, constant.
     """
-    a, b, c = corners.unbind(1)
+    a, b, c = corners
     to_b, to_c, start = b - a, c - a, 0.5 - a
     # weight_b = cross(c - a, p - a) / area and weight_c = cross(p - a, b - a) / area, at the
     # point p = (i + 0.5, j + 0.5).
-    second = torch.stack((-to_c[:, 1], to_c[:, 0], _cross(to_c, start)), dim=1) / area[:, None]
-    third = torch.stack((to_b[:, 1], -to_b[:, 0], _cross(start, to_b)), dim=1) / area[:, None]
+    second = torch.stack((-to_c[1], to_c[0], _cross(to_c, start))) / area
+    third = torch.stack((to_b[1], -to_b[0], _cross(start, to_b))) / area
     first = -second - third
-    first[:, 2] += 1
-    rise = depth[:, 1:] - depth[:, :1]
-    slope = second * rise[:, :1] + third * rise[:, 1:]
-    slope[:, 2] += depth[:, 0]
-    return torch.stack((first, second, third), dim=1), slope
+    first[2] += 1
+    slope = second * (depth[1] - depth[0]) + third * (depth[2] - depth[0])
+    slope[2] += depth[0]
+    return torch.stack((first, second, third)), slope
 
 
 def _span(
-    planes: Float[Tensor, "R 3 3"], row: Float[Tensor, " R"]
+    planes: Float[Tensor, "3 3 R"], row: Float[Tensor, " R"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
     """Returns between which i all three weights are positive in a row of samples.
 
     Empty spans have low > high.
     """
-    per_i = planes[..., 0]
+    per_i, per_j, constant = planes.unbind(1)
     # A hair's breadth of tolerance closes the cracks that rounding opens between neighbours.
-    rest = planes[..., 1] * row[:, None] + planes[..., 2] + 1e-5
+    rest = per_j * row + constant + 1e-5
     bound = -rest / per_i
-    low = torch.where(per_i > 0, bound, -torch.inf).amax(1)
-    high = torch.where(per_i < 0, bound, torch.inf).amin(1)
-    never = ((per_i == 0) & (rest < 0)).any(1)
+    low = torch.where(per_i > 0, bound, -torch.inf).amax(0)
+    high = torch.where(per_i < 0, bound, torch.inf).amin(0)
+    never = ((per_i == 0) & (rest < 0)).any(0)
     low = torch.where(never, torch.inf, low)
     return low.clamp(-1e6, 1e6), high.clamp(-1e6, 1e6)
 
 
-def _cross(first: Tensor, second: Tensor) -> Tensor:
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+def _cross(first: Float[Tensor, "2 K"], second: Float[Tensor, "2 K"]) -> Float[Tensor, " K"]:
+    return first[0] * second[1] - first[1] * second[0]

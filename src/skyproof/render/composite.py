@@ -52,52 +52,52 @@ def composite(
         sensors: blur and noise, one per image.
     """
     count, _, height, width = photographs.shape
-    # One window per image, around all that is drawn into it and its blur.
+    # One window per image, around all that is drawn into it; another of it and its blur, of which
+    # only what lies inside the photograph is worked out.
+    origin, size = _whole([bodies, shadows], scene, count)
     margin_px = max(sensor.blur_radius_px for sensor in sensors)
-    origin, size = _whole([bodies, shadows], scene, count, margin_px)
+    shown, shape = _inside(origin, size, margin_px, (width, height))
     rank = _ranks(scene, nearness)
     layers = _lay(bodies, origin, size, scene, rank, _cover)
     shadow = _lay(shadows, origin, size, scene, rank, _join)
-    layers = blurred(layers, sensors)
-    shadow = blurred(shadow, sensors)
+    drawn = blurred(torch.cat((layers, shadow), dim=1), sensors, shown - origin, shape)
+    colour, alpha, sun_lost, sky_lost = drawn.split((3, 1, 1, 1), dim=1)
 
-    # Where each pixel of the windows lies in the flat photographs; beyond their edge, on the edge.
-    steps = torch.arange(size, device=photographs.device)
-    y = origin[:, 1, None] + steps
-    x = origin[:, 0, None] + steps
-    row = (y.clamp(0, height - 1) * width)[:, None, :, None]
-    column = x.clamp(0, width - 1)[:, None, None, :]
-    place = row + column + _planes(count, height * width, photographs.device)
-    ground_srgb = photographs.view(-1)[place]
+    # Where each pixel of the windows lies in the flat photographs.
+    x = shown[:, 0, None] + torch.arange(shape[0], device=photographs.device)
+    y = shown[:, 1, None] + torch.arange(shape[1], device=photographs.device)
+    place = (y * width)[:, None, :, None] + x[:, None, None, :]
+    place = (place + _planes(count, height * width, photographs.device)).flatten()
+    ground_srgb = photographs.view(-1).index_select(0, place).view(count, 3, *shape[::-1])
 
     # Light adds up; then the sensor makes a picture of it.
     ground = lights.received(srgb_to_linear(ground_srgb))
-    colour = layers[:, :3]
-    alpha = layers[:, 3:]
     sky = lights.sky[:, :, None, None]
-    sun_lost, sky_lost = shadow.split(1, dim=1)
     kept_light = 1 - (1 - sky) * sun_lost - sky * sky_lost
     pixels = linear_to_srgb(lights.shown(ground * kept_light * (1 - alpha) + colour))
     if any(sensor.noise > 0 for sensor in sensors):
         noise = sensor_noise(seeds, y, x, ground)
         strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
         pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
-    reached = (alpha.detach() > 0) | (shadow.detach() > 0).any(1, keepdim=True)
+    reached = (drawn.detach()[:, 3:] > 0).any(1, keepdim=True)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
-
-    # Only what lies inside the photographs is written.
-    rows_inside = ((y >= 0) & (y < height))[:, None, :, None]
-    columns_inside = ((x >= 0) & (x < width))[:, None, None, :]
-    inside = rows_inside & columns_inside
-    place = place.reshape(-1)
-    pixels = pixels.reshape(-1)
-    if not bool(inside.all()):
-        held = torch.nonzero(inside.expand(-1, 3, -1, -1).reshape(-1))[:, 0]
-        place = place.index_select(0, held)
-        pixels = pixels.index_select(0, held)
     # In place: a copy of the images would cost as much as the rest of this function.
-    photographs.view(-1).index_put_((place,), pixels)
+    photographs.view(-1).index_put_((place,), pixels.flatten())
     return photographs
+
+
+@torch.no_grad()
+def _inside(
+    origin: Int[Tensor, "B 2"], size: int, margin_px: int, whole: tuple[int, int]
+) -> tuple[Int[Tensor, "B 2"], tuple[int, int]]:
+    """Returns windows (x, y) inside the images that hold all of the given ones and their margin.
+
+    All have one width and height, which are returned too. What is outside of an image is left out.
+    """
+    wide = min(size + 2 * margin_px, whole[0])
+    high = min(size + 2 * margin_px, whole[1])
+    most = origin.new_tensor([whole[0] - wide, whole[1] - high])
+    return (origin - margin_px).clamp(min=0).minimum(most), (wide, high)
 
 
 def _planes(count: int, area: int, device: torch.device) -> Int[Tensor, "B 3 1 1"]:
@@ -107,9 +107,9 @@ def _planes(count: int, area: int, device: torch.device) -> Int[Tensor, "B 3 1 1
 
 @torch.no_grad()
 def _whole(
-    drawn: Sequence[Layers], scene: Int[Tensor, " N"], count: int, margin_px: int
+    drawn: Sequence[Layers], scene: Int[Tensor, " N"], count: int
 ) -> tuple[Int[Tensor, "B 2"], int]:
-    """Returns per image the top-left pixel of one window around all small ones and the blur.
+    """Returns per image the top-left pixel of one window around all small ones.
 
     All of these windows have one size, which is returned too.
     """
@@ -122,8 +122,8 @@ def _whole(
         low = low.scatter_reduce(0, index, window.origin, "amin")
         high = high.scatter_reduce(0, index, window.origin + window.size, "amax")
     empty = low == far
-    low = low.masked_fill(empty, 0) - margin_px
-    high = high.masked_fill(empty, 0) + margin_px
+    low = low.masked_fill(empty, 0)
+    high = high.masked_fill(empty, 0)
     return low, int((high - low).max())
 
 
@@ -170,9 +170,11 @@ def _lay(
     place = (plane * size + rows) * size + columns
     canvas = layers.new_zeros(len(origin) * channels * size * size)
     for turn in range(int(rank.max()) + 1):
-        chosen = rank == turn
-        where = place[chosen]
-        above = layers[chosen]
-        laid = above if turn == 0 else over(canvas[where], above)
-        canvas.index_put_((where,), laid)
+        chosen = torch.nonzero(rank == turn)[:, 0]
+        where = place.index_select(0, chosen)
+        above = layers.index_select(0, chosen)
+        if turn:
+            below = canvas.index_select(0, where.flatten()).view_as(above)
+            above = over(below, above)
+        canvas.index_put_((where,), above)
     return canvas.view(len(origin), channels, size, size)

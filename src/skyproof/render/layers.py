@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skyproof.geometry.meshes import vertex_normals
+from skyproof.geometry.meshes import at_corners, vertex_normals
 from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
 from skyproof.render.materials import CAMOUFLAGE, gloss_table
 from skyproof.render.settings import RenderSettings
@@ -22,6 +22,8 @@ __all__ = ["Layers", "Windows", "draw_bodies", "draw_shadows", "windows_around"]
 # average, but a single hit outweighs the whole body. Below this width the derivative is held at
 # what this width would give.
 _THINNEST = 0.1
+# Keeps the direction of a vanishing normal finite.
+_TINY = 1e-24
 
 
 @dataclass(frozen=True)
@@ -91,33 +93,33 @@ def draw_bodies(
     wide = window.size * factor
     samples = window.samples(screen, factor)
     visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
-    # The texture, at the levels that are read.
-    levels = _texture_levels(samples.detach(), vehicles).view(-1)
+    # Whatever samples have is kept in planes, one channel after the other, as `at_corners` does.
     seen = visibility.vehicle * len(template.faces) + visibility.face
+    corners = at_corners(samples, template.faces)
+    # The texture, at the levels that are read.
+    levels = _texture_levels(corners.detach(), vehicles)
     finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
     texture = LinearTexture(vehicles.texture, finest, samples.dtype, vehicles.overlay)
-    # The surface: one row per (vehicle, face) with all that is interpolated, so that a sample
-    # takes one look-up.
-    normals = vertex_normals(vertices, template.faces)[:, template.faces]
-    uvs = template.uvs[template.face_uvs].to(normals.dtype).expand(len(normals), -1, -1, -1)
-    surface = torch.cat((uvs, normals), dim=-1).flatten(0, 1).flatten(1)
-    gloss = gloss_table(settings.gloss).to(normals)
+    # The surface: all that is interpolated, for the three corners of every (vehicle, face), so
+    # that a sample takes one look-up.
+    normals = at_corners(vertex_normals(vertices, template.faces), template.faces)
+    uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
+    surface = torch.cat((uvs.repeat(1, 1, len(vertices)), normals), dim=1).flatten(0, 1)
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         row = vehicle * len(template.faces) + face
-        uv, normal = _interpolate(surface.index_select(0, row), weights).split((2, 3), dim=1)
-        normal = torch.nn.functional.normalize(normal, dim=-1)
+        uv, normal = _interpolate(surface.index_select(1, row), weights).split((2, 3))
+        normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
         albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
-        finish = gloss.index_select(0, _labels(vehicles, uv, vehicle))
-        diffuse, mirrored = light(normal, lighting.of(vehicle), finish, settings)
+        diffuse, mirrored = light(
+            normal, lighting, vehicle, _gloss(vehicles, uv, vehicle, settings), settings
+        )
         return torch.addcmul(mirrored, albedo, diffuse)
 
     # Light on the visible samples, averaged to pixels.
-    centre = torch.stack((visibility.x, visibility.y), dim=-1) + 0.5
-    corners = (
-        samples[:, template.faces].flatten(0, 1).flatten(1).index_select(0, seen).view(-1, 3, 2)
-    )
-    colour = radiance(visibility.vehicle, visibility.face, _held_weights(corners, centre))
+    centre = torch.stack((visibility.x, visibility.y)) + 0.5
+    weights = _held_weights(corners.flatten(0, 1).index_select(1, seen).view(3, 2, -1), centre)
+    colour = radiance(visibility.vehicle, visibility.face, weights)
     layers = _average(visibility, colour, factor)
     # What moving silhouettes change; nothing in value.
     if samples.requires_grad:
@@ -139,106 +141,124 @@ def draw_shadows(
     samples = window.samples(screen, factor)
     flat = samples.new_zeros(samples.shape[:2])
     seen = rasterise(samples.detach(), flat, faces, window.size * factor)
-    white = samples.new_ones(len(seen.covered), 3)
+    white = samples.new_ones(3, len(seen.covered))
     layers = _average(seen, white, factor)
     if samples.requires_grad:
         points = silhouette_points(samples, flat, faces, seen)
-        layers = layers + _edges(seen, points, white, white.new_ones(len(points.face), 3), factor)
+        layers = layers + _edges(seen, points, white, white.new_ones(3, len(points.face)), factor)
     return layers[:, 3:]
 
 
 @torch.no_grad()
-def _labels(
-    vehicles: VehicleBatch, uv: Float[Tensor, "K 2"], vehicle: Int[Tensor, " K"]
-) -> Int[Tensor, " K"]:
-    """Returns the part at (u, v), or `CAMOUFLAGE` where a camouflage covers it."""
+def _gloss(
+    vehicles: VehicleBatch,
+    uv: Float[Tensor, "2 K"],
+    vehicle: Int[Tensor, " K"],
+    settings: RenderSettings,
+) -> Float[Tensor, "2 _"]:
+    """Returns the gloss of the part at (u, v), or of a camouflage where one covers it.
+
+    It is a single column where a camouflage covers everything.
+    """
+    table = gloss_table(settings.gloss).to(uv).t()
     if vehicles.repainted:
-        return torch.full_like(vehicle, CAMOUFLAGE)
+        return table[:, CAMOUFLAGE:]
     height, width = vehicles.parts.shape[1:]
-    column = (uv[:, 0] * width).long() % width
-    row = (uv[:, 1] * height).long().clamp(0, height - 1)
+    column = (uv[0] * width).long() % width
+    row = (uv[1] * height).long().clamp(0, height - 1)
     place = (vehicle * height + row) * width + column
     label = vehicles.parts.view(-1).index_select(0, place).long()
-    if vehicles.overlay is None:
-        return label
-    covered = vehicles.overlay.mask.view(-1).index_select(0, place)
-    return label.masked_fill(covered, CAMOUFLAGE)
+    if vehicles.overlay is not None:
+        covered = vehicles.overlay.mask.view(-1).index_select(0, place)
+        label = label.masked_fill(covered, CAMOUFLAGE)
+    return table.index_select(1, label)
 
 
 @torch.no_grad()
-def _texture_levels(samples: Float[Tensor, "N V 2"], vehicles: VehicleBatch) -> Int[Tensor, "N F"]:
+def _texture_levels(corners: Float[Tensor, "3 2 M"], vehicles: VehicleBatch) -> Int[Tensor, " M"]:
     """Returns per triangle the pyramid level at which a texel is as long as a sample.
 
     The direction in which the texture is more squeezed counts.
+
+    Args:
+        corners: of all faces of all vehicles, in samples.
+        vehicles: give template and texture.
     """
     template = vehicles.template
-    corners = samples[:, template.faces]
-    across, down = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
-    area = (across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])[..., None]
+    across, down = corners[1] - corners[0], corners[2] - corners[0]
+    area = across[0] * down[1] - across[1] * down[0]
     texels = template.uvs[template.face_uvs] * vehicles.texture.shape[-1]
-    texel_across, texel_down = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
+    texels = texels.permute(1, 2, 0).repeat(1, 1, len(vehicles))
+    texel_across, texel_down = texels[1] - texels[0], texels[2] - texels[0]
     # The affine map from samples to texels, one column per image axis.
-    per_x = (down[..., 1:] * texel_across - across[..., 1:] * texel_down) / area
-    per_y = (across[..., :1] * texel_down - down[..., :1] * texel_across) / area
-    longest = torch.maximum(per_x.square().sum(-1), per_y.square().sum(-1)).sqrt()
+    per_x = (down[1] * texel_across - across[1] * texel_down) / area
+    per_y = (across[0] * texel_down - down[0] * texel_across) / area
+    longest = torch.maximum(per_x.square().sum(0), per_y.square().sum(0)).sqrt()
     return longest.clamp(1.0, 2.0**20).log2().round().nan_to_num(0.0).long()
 
 
 def _held_weights(
-    corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]
-) -> Float[Tensor, "K 3"]:
+    corners: Float[Tensor, "3 2 K"], point: Float[Tensor, "2 K"]
+) -> Float[Tensor, "3 K"]:
     """Returns the weights of three corners; their derivative is held where a triangle is thin."""
     weights = barycentric(corners, point)
     if not weights.requires_grad:
         return weights
     with torch.no_grad():
-        a, b, c = corners.unbind(1)
+        a, b, c = corners
         to_b, to_c = b - a, c - a
-        area = to_c[:, 0] * to_b[:, 1] - to_c[:, 1] * to_b[:, 0]
-        longest = torch.stack((to_b, to_c, c - b)).norm(dim=-1).amax(0)
-        kept = (area / longest / _THINNEST).clamp(max=1.0)[:, None]
+        area = to_c[0] * to_b[1] - to_c[1] * to_b[0]
+        longest = torch.stack((to_b, to_c, c - b)).square().sum(1).amax(0).sqrt()
+        kept = (area / longest / _THINNEST).clamp(max=1.0)
     return weights.detach().lerp(weights, kept)
 
 
 def _interpolate(
-    values: Float[Tensor, "K _"], weights: Float[Tensor, "K 3"]
-) -> Float[Tensor, "K _"]:
-    """Barycentric mean of three corners' values, which stand one after the other in a row."""
-    first, second, third = values.chunk(3, dim=1)
-    result = first * weights[:, :1]
-    return torch.addcmul(torch.addcmul(result, second, weights[:, 1:2]), third, weights[:, 2:])
+    values: Float[Tensor, "_ K"], weights: Float[Tensor, "3 K"]
+) -> Float[Tensor, "_ K"]:
+    """Barycentric mean of three corners' values, which stand one after the other."""
+    first, second, third = values.chunk(3)
+    result = torch.addcmul(first * weights[0], second, weights[1])
+    return torch.addcmul(result, third, weights[2])
 
 
 def _average(
-    visibility: Visibility, colour: Float[Tensor, "K 3"], factor: int
+    visibility: Visibility, colour: Float[Tensor, "3 K"], factor: int
 ) -> Float[Tensor, "N 4 S S"]:
     """Averages samples to pixels: colour times coverage, and coverage."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
-    pixel = (visibility.vehicle * size + visibility.y // factor) * size + visibility.x // factor
-    values = torch.cat((colour, colour.new_ones(len(colour), 1)), dim=1) / factor**2
-    layers = colour.new_zeros(count * size * size, 4).index_add(0, pixel, values)
-    return layers.view(count, size, size, 4).permute(0, 3, 1, 2)
+    x, y = visibility.cells(factor)
+    pixel = (visibility.vehicle * size + y) * size + x
+    return _summed(_with_coverage(colour) / factor**2, pixel, count, size)
 
 
 def _edges(
     visibility: Visibility,
     points: SilhouettePoints,
-    colour: Float[Tensor, "K 3"],
-    edge_colour: Float[Tensor, "M 3"],
+    colour: Float[Tensor, "3 K"],
+    edge_colour: Float[Tensor, "3 M"],
     factor: int,
 ) -> Float[Tensor, "N 4 S S"]:
     """Zero in value; carries the gradient of moving silhouettes into the averaged layers."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
-    # The last row stands for an empty sample: no colour, no coverage.
-    slot = torch.full((count * wide * wide,), -1, dtype=torch.long, device=colour.device)
-    slot[visibility.covered] = torch.arange(len(colour), device=colour.device)
-    behind = torch.cat((colour, colour.new_ones(len(colour), 1)), dim=1)
-    behind = torch.cat((behind, behind.new_zeros(1, 4)))[slot[points.outside]]
-    step = torch.cat((edge_colour, edge_colour.new_ones(len(edge_colour), 1)), dim=1) - behind
-    place = (points.place / factor).floor().long().clamp(0, size - 1)
-    pixel = (points.vehicle * size + place[:, 1]) * size + place[:, 0]
-    layers = step.new_zeros(count * size * size, 4)
-    layers = layers.index_add(0, pixel, step * points.coverage[:, None] / factor**2)
-    return layers.view(count, size, size, 4).permute(0, 3, 1, 2)
+    # The last column stands for an empty sample: no colour, no coverage.
+    behind = torch.nn.functional.pad(_with_coverage(colour), (0, 1))
+    behind = behind.index_select(1, visibility.find(points.outside))
+    step = _with_coverage(edge_colour) - behind
+    x, y = (points.place / factor).floor().long().clamp(0, size - 1)
+    pixel = (points.vehicle * size + y) * size + x
+    return _summed(step * (points.coverage / factor**2), pixel, count, size)
+
+
+def _with_coverage(colour: Float[Tensor, "3 K"]) -> Float[Tensor, "4 K"]:
+    return torch.nn.functional.pad(colour, (0, 0, 0, 1), value=1.0)
+
+
+def _summed(
+    values: Float[Tensor, "4 K"], pixel: Int[Tensor, " K"], count: int, size: int
+) -> Float[Tensor, "N 4 S S"]:
+    """Adds up what falls on each pixel of `count` windows."""
+    layers = values.new_zeros(4, count * size * size).index_add(1, pixel, values)
+    return layers.view(4, count, size, size).transpose(0, 1)

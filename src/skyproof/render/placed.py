@@ -170,8 +170,7 @@ def _visible(
     """
     count = len(visibility.keys)
     vehicle = visibility.vehicle
-    cell_x = visibility.x // factor
-    cell_y = visibility.y // factor
+    cell_x, cell_y = visibility.cells(factor)
     # Samples that are visible, of all.
     x = window.origin[:, 0].index_select(0, vehicle) + cell_x
     y = window.origin[:, 1].index_select(0, vehicle) + cell_y

@@ -19,42 +19,59 @@ _BAND_PX = 64
 
 
 def blurred(
-    pictures: Float[Tensor, "B C S S"], sensors: Sequence[Sensor]
-) -> Float[Tensor, "B C S S"]:
-    """Returns square pictures under their sensors' Gaussian blur, zero beyond their ends.
+    pictures: Float[Tensor, "B C S S"],
+    sensors: Sequence[Sensor],
+    corner: Int[Tensor, "B 2"],
+    shape: tuple[int, int],
+) -> Float[Tensor, "B C H W"]:
+    """Returns parts of square pictures under their sensors' Gaussian blur, zero beyond their ends.
 
     Args:
         pictures: linear light or coverage.
         sensors: one per picture.
+        corner: the top-left pixel (x, y) of each part; it may lie outside of the picture.
+        shape: width and height of all parts.
     """
     radius_px = max(sensor.blur_radius_px for sensor in sensors)
-    if radius_px == 0:
-        return pictures
-    kernels = _blur_matrices(pictures.shape[-1], sensors, radius_px, pictures)
-    size = kernels.shape[-1]
+    size = pictures.shape[-1]
+    weights = _blur_weights(sensors, radius_px, pictures)
+    columns = _blur_matrices(weights, size, corner[:, 0], shape[0]).mT
+    rows = _blur_matrices(weights, size, corner[:, 1], shape[1])
     if size < 3 * _BAND_PX:
-        return kernels @ pictures @ kernels
-    # Far from its diagonal a kernel is zero: a band of rows needs only the rows near it.
+        return rows @ pictures @ columns
+    # A kernel is zero far from its diagonal: a band of rows needs only the rows near it.
+    pictures = torch.cat(
+        [
+            rows[..., start:stop, low:high] @ pictures[..., low:high, :]
+            for start, stop, low, high in _bands(corner[:, 1], shape[1], size, radius_px)
+        ],
+        dim=-2,
+    )
+    return torch.cat(
+        [
+            pictures[..., low:high] @ columns[..., low:high, start:stop]
+            for start, stop, low, high in _bands(corner[:, 0], shape[0], size, radius_px)
+        ],
+        dim=-1,
+    )
+
+
+def _bands(
+    first: Int[Tensor, " B"], length: int, size: int, radius_px: int
+) -> list[tuple[int, int, int, int]]:
+    """Returns from where to where each band is, and which pixels of any picture reach into it."""
+    least = int(first.min()) - radius_px
+    most = int(first.max()) + radius_px
     bands = []
-    for start in range(0, size, _BAND_PX):
-        stop = min(start + _BAND_PX, size)
-        bands.append((start, stop, max(0, start - radius_px), min(size, stop + radius_px)))
-    rows = [
-        kernels[..., start:stop, low:high] @ pictures[..., low:high, :]
-        for start, stop, low, high in bands
-    ]
-    pictures = torch.cat(rows, dim=-2)
-    columns = [
-        pictures[..., low:high] @ kernels[..., low:high, start:stop]
-        for start, stop, low, high in bands
-    ]
-    return torch.cat(columns, dim=-1)
+    for start in range(0, length, _BAND_PX):
+        stop = min(start + _BAND_PX, length)
+        low = min(max(0, start + least), size)
+        bands.append((start, stop, low, max(low, min(size, stop + most))))
+    return bands
 
 
-def _blur_matrices(
-    size: int, sensors: Sequence[Sensor], radius_px: int, like: Tensor
-) -> Float[Tensor, "B 1 S S"]:
-    """Returns each sensor's blur of a row of pixels as a banded matrix, zero beyond the ends."""
+def _blur_weights(sensors: Sequence[Sensor], radius_px: int, like: Tensor) -> Float[Tensor, "B _"]:
+    """Returns the weight of pixels by their distance, from 0 to where it is zero for all."""
     weights = torch.zeros(len(sensors), radius_px + 2, dtype=like.dtype)
     for row, sensor in zip(weights, sensors, strict=True):
         reach = sensor.blur_radius_px
@@ -64,9 +81,17 @@ def _blur_matrices(
         total = float(torch.exp(-0.5 * (whole / sigma_px) ** 2).sum())
         half = torch.arange(reach + 1, dtype=like.dtype)
         row[: reach + 1] = torch.exp(-0.5 * (half / sigma_px) ** 2) / total
-    steps = torch.arange(size, device=like.device)
-    distance = (steps[:, None] - steps).abs().clamp(max=radius_px + 1)
-    return weights.to(like.device)[:, None, distance]
+    return weights.to(like.device)
+
+
+def _blur_matrices(
+    weights: Float[Tensor, "B _"], size: int, first: Int[Tensor, " B"], length: int
+) -> Float[Tensor, "B 1 L S"]:
+    """Returns each picture's blur as a banded matrix, for `length` of its `size` pixels."""
+    to = first[:, None, None] + torch.arange(length, device=first.device)[:, None]
+    distance = (to - torch.arange(size, device=first.device)).abs()
+    distance = distance.clamp(max=weights.shape[1] - 1).flatten(1)
+    return weights.gather(1, distance).view(len(first), 1, length, size)
 
 
 def sensor_noise(

@@ -21,6 +21,8 @@ __all__ = ["Lighting", "LinearTexture", "light"]
 _HORIZON_SHARPNESS = 12.0
 # In units of white; path tracing cuts single paths there, too.
 _BRIGHTEST_GLINT = 5.0
+# The logarithm of a glint's lobe where nothing of it is left.
+_DARKEST_LOG = -80.0
 
 
 class LinearTexture:
@@ -55,37 +57,39 @@ class LinearTexture:
         texels, offsets = [], [0]
         for index in range(self.levels):
             if index >= self.finest:
-                texels.append(level.permute(0, 2, 3, 1).reshape(-1, 3))
-                offsets.append(offsets[-1] + len(texels[-1]))
+                texels.append(level.transpose(0, 1).reshape(3, -1))
+                offsets.append(offsets[-1] + texels[-1].shape[1])
                 level = _halve(level)
-        self._texels = torch.cat(texels)
+        self._texels = torch.cat(texels, dim=1)
         self._offsets = torch.tensor(offsets[:-1], device=texture.device)
 
     def sample(
-        self, uv: Float[Tensor, "K 2"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
-    ) -> Float[Tensor, "K 3"]:
+        self, uv: Float[Tensor, "2 K"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
+    ) -> Float[Tensor, "3 K"]:
         """Returns bilinear values at (u, v) of the textures `index` (section S4.3).
 
         They are circular in u and held at the edge in v.
         """
         level = level.clamp(self.finest, self.levels - 1)
         width, height = self.width >> level, self.height >> level
-        index = torch.zeros_like(index) if self.count == 1 else index
-        base = self._offsets.index_select(0, level - self.finest) + index * height * width
-        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        base = self._offsets.index_select(0, level - self.finest)
+        if self.count > 1:
+            base = base + index * height * width
+        x, y = uv[0] * width - 0.5, uv[1] * height - 0.5
         left = x.detach().floor()
         top = y.detach().floor()
-        across, down = (x - left)[:, None], (y - top)[:, None]
+        across, down = x - left, y - top
         left = left.long()
         top = top.long()
-        columns = [left % width, (left + 1) % width]
+        # Sides are powers of two, of which this is the remainder.
+        columns = [left & (width - 1), (left + 1) & (width - 1)]
         rows = [base + top.clamp(min=0).minimum(height - 1) * width]
         rows += [base + (top + 1).clamp(min=0).minimum(height - 1) * width]
-        # Row look-ups, whose backward pass is a plain sum, are faster than indexing.
+        # Look-ups along a dimension, whose backward pass is a plain sum, are faster than indexing.
         upper, lower = (
             torch.lerp(
-                self._texels.index_select(0, row + columns[0]),
-                self._texels.index_select(0, row + columns[1]),
+                self._texels.index_select(1, row + columns[0]),
+                self._texels.index_select(1, row + columns[1]),
                 across,
             )
             for row in rows
@@ -201,19 +205,14 @@ class Lighting:
     sunlit: Float[Tensor, "N 1"]
     clear_mean: Float[Tensor, "N 1"]
 
-    def of(self, vehicle: Int[Tensor, " K"]) -> Lighting:
-        """Returns a row for each sample; all at once, because one look-up is cheaper than six."""
-        parts = (self.sun, self.viewer, self.sky, self.overcast, self.sunlit, self.clear_mean)
-        rows = torch.cat(parts, dim=1).index_select(0, vehicle)
-        return Lighting(*rows.split((3, 3, 3, 1, 1, 1), dim=1))
-
 
 def light(
-    normal: Float[Tensor, "K 3"],
+    normal: Float[Tensor, "3 K"],
     lighting: Lighting,
-    gloss: Float[Tensor, "K 2"],
+    vehicle: Int[Tensor, " K"],
+    gloss: Float[Tensor, "2 _"],
     settings: RenderSettings,
-) -> tuple[Float[Tensor, "K 3"], Float[Tensor, "K 3"]]:
+) -> tuple[Float[Tensor, "3 K"], Float[Tensor, "3 K"]]:
     """How much light falls on a surface and how much its gloss mirrors, per channel.
 
     Units: a white matt surface lying on open ground sends 1 in every channel, whatever the sun's
@@ -223,43 +222,53 @@ def light(
 
     Args:
         normal: unit normals, world axes.
-        lighting: a row for each sample.
-        gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them.
+        lighting: a row for each vehicle.
+        vehicle: which of them each sample is on.
+        gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them,
+            of each sample or one for all.
         settings: the ground's reflectance, and the gloss.
 
     Returns:
         The diffuse factor and the mirrored radiance.
     """
     # The sun's light across its rays, and the light that ground around sends back.
-    sun = lighting.sun
-    viewer = lighting.viewer
-    sky = lighting.sky
-    direct = (1 - sky) * lighting.sunlit
-    strength = direct * sun[:, 2:].reciprocal()
-    ground = settings.ground_reflectance * (direct + sky)
+    direct = (1 - lighting.sky) * lighting.sunlit
+    strength = direct * lighting.sun[:, 2:].reciprocal()
+    ground = settings.ground_reflectance * (direct + lighting.sky)
+    # What is the same all over a vehicle is worked out once for it, and looked up by its samples.
+    sun_and_viewer = (lighting.sun * lighting.viewer).sum(1, keepdim=True)
+    halving = (lighting.sun + lighting.viewer).norm(dim=1, keepdim=True).reciprocal()
+    dimming = lighting.clear_mean.reciprocal()
+    vectors = (lighting.sun, lighting.viewer, lighting.sky, strength, ground)
+    scalars = (sun_and_viewer, halving, lighting.overcast, dimming)
+    rows = torch.cat((*vectors, *scalars), dim=1).t().index_select(1, vehicle)
+    sun, viewer, sky, strength, ground = rows[:15].split(3)
+    sun_and_viewer, halving, overcast, dimming = rows[15:]
     # Matt: sun, open sky above, ground below.
-    towards_sun = (normal * sun).sum(-1, keepdim=True).clamp(min=0.0)
-    open_sky = 0.5 + 0.5 * normal[:, 2:]
-    diffuse = strength * towards_sun + sky * open_sky + ground * (1 - open_sky)
+    towards_sun = (normal * sun).sum(0)
+    sunny = towards_sun.clamp(min=0.0)
+    open_sky = 0.5 + 0.5 * normal[2]
+    diffuse = torch.addcmul(torch.lerp(ground, sky, open_sky), strength, sunny)
     # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
-    reflectance, exponent = gloss.split(1, dim=1)
-    cosine = (normal * viewer).sum(-1, keepdim=True)
+    reflectance, exponent = gloss
+    cosine = (normal * viewer).sum(0)
     # Schlick's, for reflectances up to that of the table; nothing where nothing is mirrored.
     fresnel = reflectance + (settings.gloss - reflectance) * _fifth_power(
         1 - cosine.clamp(0.0, 1.0)
     )
-    mirrored = 2 * cosine * normal - viewer
-    up = mirrored[:, 2:]
-    clear = relative_luminance(CLEAR, up, (mirrored * sun).sum(-1, keepdim=True))
-    luminance = torch.lerp(clear / lighting.clear_mean, _overcast(up), lighting.overcast)
-    above = torch.sigmoid(up * _HORIZON_SHARPNESS)
-    surroundings = above * (sky * luminance) + (1 - above) * ground
-    # The sun's glint, which a sensor shows as white long before it ends.
-    half = torch.nn.functional.normalize(sun + viewer, dim=-1)
-    lobe = (normal * half).sum(-1, keepdim=True).clamp(min=1e-6) ** exponent
+    # Of the mirrored ray, 2 cosine normal - viewer, the height and the cosine to the sun.
+    up = 2 * cosine * normal[2] - viewer[2]
+    clear = relative_luminance(CLEAR, up, 2 * cosine * towards_sun - sun_and_viewer)
+    luminance = torch.lerp(clear * dimming, _overcast(up), overcast)
+    surroundings = torch.lerp(ground, sky * luminance, torch.sigmoid(up * _HORIZON_SHARPNESS))
+    # The sun's glint, which a sensor shows as white long before it ends. Its lobe is around the
+    # direction half-way from the sun to the viewer. A power takes far longer than exp and log, and
+    # exp far longer where it vanishes.
+    aligned = ((towards_sun + cosine) * halving).clamp(min=1e-6)
+    lobe = torch.exp((exponent * aligned.log()).clamp(min=_DARKEST_LOG))
     peak = reflectance * (exponent + 8) / 8
-    glint = (peak * lobe * towards_sun * strength).clamp(max=_BRIGHTEST_GLINT)
-    return diffuse * (1 - fresnel), fresnel * surroundings + glint
+    glint = (peak * lobe * sunny * strength).clamp(max=_BRIGHTEST_GLINT)
+    return diffuse * (1 - fresnel), torch.addcmul(glint, fresnel, surroundings)
 
 
 def _overcast(up: Tensor) -> Tensor:

@@ -23,18 +23,18 @@ class SilhouettePoints:
     integral's midpoint rule.
 
     Attributes:
-        place: `[K, 2]` the point itself, in samples.
+        place: `[2, K]` the point itself, in samples.
         vehicle, face: `[K]` the front-facing triangle that ends at this edge.
-        weights: `[K, 3]` barycentric weights of the point in that triangle.
+        weights: `[3, K]` barycentric weights of the point in that triangle.
         outside: `[K]` flat index of the sample just outside the edge.
         coverage: `[K]` zero in value; its derivative is the area, in samples, that the piece
             sweeps.
     """
 
-    place: Float[Tensor, "K 2"]
+    place: Float[Tensor, "2 K"]
     vehicle: Int[Tensor, " K"]
     face: Int[Tensor, " K"]
-    weights: Float[Tensor, "K 3"]
+    weights: Float[Tensor, "3 K"]
     outside: Int[Tensor, " K"]
     coverage: Float[Tensor, " K"]
 
@@ -53,48 +53,64 @@ def silhouette_points(
     """
     edges, edge_faces = mesh_edges(faces)
     size = visibility.keys.shape[-1]
-    # Silhouettes: edges between a face towards the viewer and one that faces away.
+    planes = screen.flatten(0, 1).t()
     with torch.no_grad():
+        # Silhouettes: edges between a face towards the viewer and one that faces away.
         front = face_areas(screen, faces) > 0
-        first, second = front[:, edge_faces[:, 0]], front[:, edge_faces[:, 1]]
+        first = front.index_select(1, edge_faces[:, 0])
+        second = front.index_select(1, edge_faces[:, 1])
         vehicle, edge = torch.nonzero(first != second, as_tuple=True)
         # Walking the edge as the front face does (counter-clockwise, y down) keeps it on the left.
         forward = first[vehicle, edge]
-        ends = edges[edge]
-        start_index = torch.where(forward, ends[:, 0], ends[:, 1])
-        end_index = torch.where(forward, ends[:, 1], ends[:, 0])
+        one, other = edges.index_select(0, edge).t()
+        start_vertex = torch.where(forward, one, other)
+        end_vertex = torch.where(forward, other, one)
+        start_index = vehicle * screen.shape[1] + start_vertex
+        end_index = vehicle * screen.shape[1] + end_vertex
+        start = planes.index_select(1, start_index)
+        whole = planes.index_select(1, end_index) - start
+        one, other = edge_faces.index_select(0, edge).t()
+        face = torch.where(forward, one, other)
         # Cut into pieces at most a sample long, each with a point in its middle.
-        length = (screen[vehicle, end_index] - screen[vehicle, start_index]).norm(dim=-1)
-        pieces = length.ceil().clamp(min=1).long()
-        row = torch.repeat_interleave(torch.arange(len(pieces), device=screen.device), pieces)
-        step = torch.arange(len(row), device=screen.device) - (pieces.cumsum(0) - pieces)[row]
-        along = ((step.to(screen.dtype) + 0.5) / pieces[row])[:, None]
-        vehicle, edge = vehicle[row], edge[row]
-        start_index, end_index = start_index[row], end_index[row]
-
-    start, end = screen[vehicle, start_index], screen[vehicle, end_index]
-    point = torch.lerp(start, end, along)
-    # Visible are the points whose sample just outside lies farther away.
-    with torch.no_grad():
-        piece = (end - start) / pieces[row][:, None]
-        outward = torch.stack((-piece[:, 1], piece[:, 0]), dim=-1)
-        unit = outward / (outward.norm(dim=-1, keepdim=True) + 1e-12)
-        beyond = (point + unit).floor().long()
+        pieces = whole.norm(dim=0).ceil().clamp(min=1).long()
+        row = torch.repeat_interleave(pieces)
+        step = torch.arange(len(row), device=screen.device)
+        step = step - (pieces.cumsum(0) - pieces).index_select(0, row)
+        along = (step.to(screen.dtype) + 0.5) / pieces.index_select(0, row)
+        # Visible are the points whose sample just outside lies farther away.
+        piece = whole / pieces
+        outward = torch.stack((-piece[1], piece[0]))
+        unit = outward / (outward.norm(dim=0) + 1e-12)
+        place = torch.addcmul(start.index_select(1, row), along, whole.index_select(1, row))
+        x, y = (place + unit.index_select(1, row)).floor().long()
+        held = (x >= 0) & (x < size) & (y >= 0) & (y < size)
+        outside = (vehicle.index_select(0, row) * size + y.clamp(0, size - 1)) * size
+        outside = outside + x.clamp(0, size - 1)
+        flat_depth = depth.flatten()
         near = torch.lerp(
-            depth[vehicle, start_index][:, None], depth[vehicle, end_index][:, None], along
-        )[:, 0]
-        held = ((beyond >= 0) & (beyond < size)).all(-1)
-        beyond = beyond.clamp(0, size - 1)
-        outside = (vehicle * size + beyond[:, 1]) * size + beyond[:, 0]
-        kept = held & (visibility.depth(outside) > near + 1e-3)
-        vehicle, along = vehicle[kept], along[kept]
-        face = torch.where(forward[row], edge_faces[edge, 0], edge_faces[edge, 1])[kept]
-        corners = faces[face]
-        weights = (corners == start_index[kept][:, None]) * (1 - along) + (
-            corners == end_index[kept][:, None]
-        ) * along
+            flat_depth.index_select(0, start_index).index_select(0, row),
+            flat_depth.index_select(0, end_index).index_select(0, row),
+            along,
+        )
+        kept = torch.nonzero(held & (visibility.depth(outside) > near + 1e-3))[:, 0]
+        row = row.index_select(0, kept)
+        along = along.index_select(0, kept)
+        face = face.index_select(0, row)
+        corners = faces.index_select(0, face).t()
+        weights = (corners == start_vertex.index_select(0, row)) * (1 - along)
+        weights = weights + (corners == end_vertex.index_select(0, row)) * along
     # The area that a moving piece sweeps, as a derivative.
-    swept = ((point - point.detach()) * outward).sum(-1)
+    point = torch.lerp(
+        planes.index_select(1, start_index.index_select(0, row)),
+        planes.index_select(1, end_index.index_select(0, row)),
+        along,
+    )
+    swept = ((point - point.detach()) * outward.index_select(1, row)).sum(0)
     return SilhouettePoints(
-        point.detach()[kept], vehicle, face, weights, outside[kept], swept[kept]
+        point.detach(),
+        vehicle.index_select(0, row),
+        face,
+        weights,
+        outside.index_select(0, kept),
+        swept,
     )

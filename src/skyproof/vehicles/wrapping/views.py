@@ -59,9 +59,9 @@ def parallel_view(
     # The window is square; what lies beyond the picture goes.
     held = (seen.x < width) & (seen.y < height)
     x, y, triangle = seen.x[held], seen.y[held], seen.face[held]
-    centre = torch.stack((x, y), dim=1).double() + 0.5
+    centre = torch.stack((x, y)).double() + 0.5
     face = torch.full((height, width), -1)
     weights = torch.zeros(height, width, 3, dtype=torch.float64)
     face[y, x] = triangle
-    weights[y, x] = barycentric(screen[triangle], centre)
+    weights[y, x] = barycentric(screen[triangle].permute(1, 2, 0), centre).t()
     return View(face.numpy(), weights.numpy())
