@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
+from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.imagery.clearing.vehicle_masks import (
     FAINTEST_SHADOW,
@@ -26,6 +27,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
+from skyproof.imagery.exposure import ground_pixels, measure_exposure
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
@@ -107,9 +109,10 @@ def measured_lights(
     tiles: Sequence[BackgroundTile],
     vehicles: Mapping[str, Sequence[RemovedVehicle]],
 ) -> dict[str, Light | None]:
-    """Adds to each tile's light the sun and the sky that the shadows of its vehicles show.
+    """Measures each tile's light anew: sun and sky by its vehicles' shadows, white beside them.
 
-    What is known stays: the light of drawn ground, and a sun of a date and time.
+    White and black are those of the ground without vehicles. What is known stays: the light of
+    drawn ground, and a sun of a date and time.
 
     Args:
         backgrounds: the set with the tiles, vehicles still on them.
@@ -126,7 +129,8 @@ def measured_lights(
             of_picture[picture_of(tile)].append(tile)
     gsd_m = backgrounds.gsd_m
     for own in of_picture.values():
-        known = own[0].light or backgrounds.light
+        known = _exposed(backgrounds, own, vehicles)
+        lights.update({tile.id: known for tile in own})
         shown = [
             (tile.id, footprints)
             for tile in own
@@ -147,6 +151,29 @@ def measured_lights(
         light = with_sky(replace(known, sun=sun), ratios)
         lights.update({tile.id: light for tile in own})
     return lights
+
+
+def _exposed(
+    backgrounds: BackgroundSet,
+    tiles: Sequence[BackgroundTile],
+    vehicles: Mapping[str, Sequence[RemovedVehicle]],
+) -> Light:
+    """Returns the light of a picture: white and black as of the ground beside its vehicles."""
+    known = tiles[0].light or backgrounds.light
+    grounds = (
+        ground_pixels(
+            backgrounds.pixels(tile.id),
+            torch.tensor([(one.x_px, one.y_px) for one in vehicles[tile.id]]).reshape(-1, 2),
+            gsd_m=backgrounds.gsd_m,
+        )
+        for tile in tiles
+    )
+    try:
+        found = measure_exposure(grounds)
+    except ImageryError:
+        # Too plain to tell; so was it when it was cut.
+        return known
+    return replace(known, white=found.white, black=found.black)
 
 
 def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:

@@ -8,12 +8,15 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import torch
 from astral import Observer
 from astral.sun import azimuth, elevation
+from jaxtyping import Float
 from rasterio.crs import CRS
+from torch import Tensor
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.exposure import measure_exposure
+from skyproof.imagery.exposure import ground_pixels, measure_exposure
 from skyproof.imagery.tiles.georeference import to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.background_index import BackgroundTile
@@ -34,6 +37,7 @@ def lit_tiles(
     tiles: Sequence[BackgroundTile],
     gsd_m: float,
     suns: Mapping[str, SunEstimate],
+    vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
     notes: list[str],
 ) -> list[BackgroundTile]:
     """Measures how each source shows light, on up to 31 of its tiles, and gives it to its tiles.
@@ -43,6 +47,7 @@ def lit_tiles(
         tiles: cut from sources.
         gsd_m: metres per pixel of the tiles.
         suns: over the tiles, by their ids, where it is known when they were photographed.
+        vehicles_px: the middles of the vehicles that are known to stand on tiles, by their ids.
         notes: what was measured, and which sources show too little for that, is said here.
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
@@ -50,10 +55,16 @@ def lit_tiles(
     for tile in tiles:
         of_source.setdefault(tile.source, []).append(tile)
     measured: dict[str, Light] = {}
+    nobody = torch.zeros(0, 2)
     for source, own in of_source.items():
         some = own[:: max(1, len(own) // _TILES_MEASURED)]
         try:
-            measured[source] = measure_exposure(backgrounds.pixels(tile.id) for tile in some)
+            measured[source] = measure_exposure(
+                ground_pixels(
+                    backgrounds.pixels(tile.id), vehicles_px.get(tile.id, nobody), gsd_m=gsd_m
+                )
+                for tile in some
+            )
         except ImageryError:
             notes.append(
                 f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "

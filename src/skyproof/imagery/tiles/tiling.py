@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,7 +183,7 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, notes)
+    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, _middles(annotations), notes)
     # What was done, and the index last.
     record = TilingRecord(
         settings=_plain(
@@ -209,6 +209,14 @@ def tile_imagery(
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
+
+
+def _middles(annotations: Mapping[str, Sequence[Annotation]]) -> dict[str, torch.Tensor]:
+    """Gives the middles of each tile's labelled objects, `[n, 2]`."""
+    return {
+        name: torch.tensor([row.centre_px for row in rows], dtype=torch.float32).reshape(-1, 2)
+        for name, rows in annotations.items()
+    }
 
 
 def _vehicles(annotations: Sequence[Annotation] | None) -> torch.Tensor | None:
