@@ -36,7 +36,7 @@ from realism_pictures import write_occlusion, write_sheet
 from skyproof.files import finished_folder, write_json
 
 _SHEET = 56
-_OCCLUDED = 60
+_OCCLUDED = 40
 _SHOWN = 7
 _PATCH_M = 1.25
 _STRIDE_M = 0.5
@@ -62,8 +62,8 @@ class Realism:
     cleared: Path
     out: Path
     folds: int = 4
-    seeds: int = 2
-    steps: int = 150
+    seeds: int = 1
+    steps: int = 120
 
     def run(self) -> dict[str, Any]:
         """Measures, prints, writes, and returns what realism.json holds."""
@@ -86,7 +86,10 @@ class Realism:
                 interval = area(found[view][0], folds, spots, generator=np.random.default_rng(0))
                 values = (interval.estimate, interval.low, interval.high)
                 areas[view] = [round(value, 3) for value in values]
-                print(f"{view:<8} AUC {areas[view][0]} ({areas[view][1]}–{areas[view][2]})")
+                print(
+                    f"{view:<8} AUC {areas[view][0]} ({areas[view][1]}–{areas[view][2]})",
+                    flush=True,
+                )
             scores, networks = found["whole"]
             _draw(folder, pairs, folds, scores, networks)
             settings = asdict(self) | {"out": str(self.out), "cleared": str(self.cleared)}
@@ -115,20 +118,18 @@ def _draw(
     write_sheet(folder / "pairs.png", pairs, order[:_SHEET].tolist())
     best = order[np.argsort(-scores[order, 1], kind="stable")]
     write_sheet(folder / "told.png", pairs, best[:_SHEET].tolist())
-    chosen = [*best[:_SHOWN], *order[: _OCCLUDED - _SHOWN]]
+    chosen = np.concatenate([best[:_SHOWN], order[: _OCCLUDED - _SHOWN]])
     patch_px = round(_PATCH_M / pairs.gsd_m)
     stride_px = round(_STRIDE_M / pairs.gsd_m)
-    falls = [
-        occlusion(
-            networks[folds[index]],
-            pairs,
-            torch.tensor([index]),
-            patch_px=patch_px,
-            stride_px=stride_px,
-        )
-        for index in chosen
-    ]
-    write_occlusion(folder / "occlusion.png", pairs, chosen, np.concatenate(falls), _SHOWN)
+    falls = np.zeros(0)
+    for number, network in enumerate(networks):
+        own = np.flatnonzero(folds[chosen] == number)
+        if len(own):
+            indices = torch.from_numpy(chosen[own])
+            of_fold = occlusion(network, pairs, indices, patch_px=patch_px, stride_px=stride_px)
+            falls = falls if len(falls) else np.zeros((len(chosen), *of_fold.shape[1:]))
+            falls[own] = of_fold
+    write_occlusion(folder / "occlusion.png", pairs, chosen.tolist(), falls, _SHOWN)
 
 
 if __name__ == "__main__":

@@ -22,15 +22,15 @@ View = Literal["whole", "vehicle", "ground"]
 """What is seen of a window: all but other vehicles, the vehicle alone, or no vehicle."""
 VIEWS: tuple[View, ...] = ("whole", "vehicle", "ground")
 
-_BATCH = 32  # pairs
-_CHANNELS = (12, 24, 32, 64, 112)
+_BATCH = 24  # pairs
+_CHANNELS = (12, 16, 32, 48, 64)
 _GAP_M = WINDOW_M + 2 * ROOM_M  # windows of training and test then share no pixel
 _SPOT_M = 3.0  # across; one parked vehicle in several frames stays within
 _FEWEST = 10  # pairs to learn from or to test
 
 
 class Network(nn.Sequential):
-    """Four blocks of convolutions, some 90,000 parameters; a positive value means rendered.
+    """Four blocks of convolutions, some 45,000 parameters; a positive value means rendered.
 
     Squares of 2 x 2 pixels become channels first, which loses nothing and halves the time.
     """

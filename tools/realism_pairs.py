@@ -1,8 +1,8 @@
 """Windows around photographed vehicles and around those drawn in their places, for realism.py.
 
 Nothing but what was drawn may tell the two windows of a pair apart. Both show the same ground, cut
-from one tile at the same pixels; both hide the same pixels, and both belong to one place. So ground,
-heading, frame and the shape of a mask say nothing of which of the two was drawn.
+from one tile at the same pixels; both hide the same pixels, and both belong to one place. So
+ground, frame and the shape of a mask say nothing of which of the two was drawn.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def _rendered(folder: Path, ground: BackgroundSet) -> Iterator[Shown]:
             corners = np.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
             along = (corners[0] + corners[1] - corners[2] - corners[3]) / 2
             across = corners[1] - corners[0]
-            middle = corners.mean(0) + (window.centre_x_px, window.centre_y_px)
+            middle = corners.mean(0) + np.array([window.centre_x_px, window.centre_y_px])
             heading = math.atan2(along[1], along[0])
             vehicles.append((*middle, heading, np.hypot(*along), np.hypot(*across)))
         yield Shown(
