@@ -121,15 +121,14 @@ def _draw(
     chosen = np.concatenate([best[:_SHOWN], order[: _OCCLUDED - _SHOWN]])
     patch_px = round(_PATCH_M / pairs.gsd_m)
     stride_px = round(_STRIDE_M / pairs.gsd_m)
-    falls = np.zeros(0)
+    falls = {}
     for number, network in enumerate(networks):
-        own = np.flatnonzero(folds[chosen] == number)
+        own = torch.from_numpy(chosen[folds[chosen] == number])
         if len(own):
-            indices = torch.from_numpy(chosen[own])
-            of_fold = occlusion(network, pairs, indices, patch_px=patch_px, stride_px=stride_px)
-            falls = falls if len(falls) else np.zeros((len(chosen), *of_fold.shape[1:]))
-            falls[own] = of_fold
-    write_occlusion(folder / "occlusion.png", pairs, chosen.tolist(), falls, _SHOWN)
+            of_fold = occlusion(network, pairs, own, patch_px=patch_px, stride_px=stride_px)
+            falls.update(zip(own.tolist(), of_fold, strict=True))
+    maps = np.stack([falls[index] for index in chosen.tolist()])
+    write_occlusion(folder / "occlusion.png", pairs, chosen.tolist(), maps, _SHOWN)
 
 
 if __name__ == "__main__":

@@ -174,6 +174,11 @@ def _photographed(folder: Path, ground: BackgroundSet) -> Iterator[Shown]:
         labels = Dataset.open(folder / split)
         ignored = dict(zip(labels.ids, labels.ignore, strict=True))
         for tile in ground.tiles(split):
+            if tile.id not in ignored:
+                raise ConfigurationError(
+                    f"{folder} has no labelled tile {tile.id}; give the tiles that --cleared was "
+                    "made of."
+                )
             known = []
             others = [
                 ((left + right) / 2, (top + bottom) / 2, 0.0, right - left, bottom - top)
@@ -218,6 +223,10 @@ def _rendered(folder: Path, ground: BackgroundSet) -> Iterator[Shown]:
         sine = math.sin(window.rotation_rad)
         vehicles = []
         for row in own:
+            if row.corners_px is None:
+                raise ConfigurationError(
+                    f"{folder} does not say on which ground its vehicles stand; render it again."
+                )
             # Front left, front right, rear right, rear left, from the picture's middle.
             corners = np.array(row.corners_px) - half
             x, y = corners.T

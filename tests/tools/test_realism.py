@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -227,3 +228,20 @@ def test_the_tool_writes_what_it_found(world, capsys):
     assert "whole    AUC" in capsys.readouterr().out
     with pytest.raises(ConfigurationError, match="another number of --folds"):
         replace(tool, folds=60, out=world / "none").run()
+
+
+def test_a_folder_that_does_not_fit_is_refused(world, tmp_path):
+    cleared = BackgroundSet.open(world / "cleared")
+    (tile,) = cleared.tiles("test")[:1]
+    (tmp_path / "other").mkdir()
+    save_tile(tmp_path / "other", replace(tile, file="a.png"), cleared.pixels(tile.id))
+    write_index(tmp_path / "other", GSD_M, [replace(tile, id="elsewhere", file="a.png")])
+    with pytest.raises(ConfigurationError, match="no labelled tile elsewhere"):
+        read_pairs([world / "tiles"], [world / "second"], tmp_path / "other")
+    shutil.copytree(world / "second", tmp_path / "second")
+    path = tmp_path / "second" / "annotations.json"
+    document = json.loads(path.read_text())
+    del document["annotations"][0]["corners_px"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match="render it again"):
+        read_pairs([world / "tiles"], [tmp_path / "second"], world / "cleared")
