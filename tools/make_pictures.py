@@ -67,6 +67,9 @@ class PlainGround:
         """A clear day."""
         return Light()
 
+    def cover_of(self, window: BackgroundWindow, size_px: int) -> None:
+        return None
+
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
         """The usual one everywhere."""
         return Sensor()
