@@ -5,7 +5,8 @@ Vehicles are then drawn as bright as the photograph would have shown them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,10 +18,12 @@ from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.scenes.light import Light, rounded_levels
 
-__all__ = ["ground_pixels", "measure_exposure"]
+__all__ = ["ground_pixels", "measure_exposure", "some_of"]
 
 Array = NDArray[np.float64]
+Item = TypeVar("Item")
 
+_TILES_MEASURED = 16
 STRIDE_PX = 3
 FEWEST_PIXELS = 20_000
 BRIGHT_SHARE = 0.999
@@ -39,6 +42,11 @@ _LEAST_WHITE, _LARGEST_WHITE = 0.3, 4.0
 _VEHICLE_M = 3.5
 # A surface in deep shadow still sends this share of what white sends.
 _DEEPEST = 0.01
+
+
+def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
+    """Takes every n-th tile, at most 31, so that measuring does not grow with the imagery."""
+    return tiles[:: max(1, len(tiles) // _TILES_MEASURED)]
 
 
 def ground_pixels(
@@ -74,8 +82,8 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
 
     Ground of one kind, such as a field alone or snow, misleads it: it takes a bright sand for a
     bright exposure. A tint of more than a tenth is found in part: under it grey is no longer grey.
-    On drawn ground, the error of white is within a third on most single tiles, and
-    within a tenth over forty (tests).
+    On drawn ground, the error of white is within a third on most single tiles, and within a tenth
+    over forty (tests).
 
     Args:
         grounds: `ground_pixels` of tiles of one source.

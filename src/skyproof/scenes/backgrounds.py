@@ -117,14 +117,11 @@ class BackgroundSet:
         Raises:
             StoredFileError: the map's file is missing, damaged or no such map.
         """
-        tile = self.tile(tile_id)
-        file = tile.drivable
-        if file is None:
-            return None
-        directions = self._map(tile, file)
-        if int(directions.max()) > DIRECTIONS:
+        file = self.tile(tile_id).drivable
+        directions = self._map(tile_id, file)
+        if directions is not None and int(directions.max()) > DIRECTIONS:
             raise StoredFileError(
-                f"{self.folder / file} holds values above {DIRECTIONS}, so it is no map of "
+                f"{self.folder}/{file} holds values above {DIRECTIONS}, so it is no map of "
                 f"drivable ground; {REMEDY}."
             )
         return directions
@@ -135,9 +132,7 @@ class BackgroundSet:
         Raises:
             StoredFileError: the map's file is missing or damaged.
         """
-        tile = self.tile(tile_id)
-        file = tile.shade
-        return None if file is None else self._map(tile, file)
+        return self._map(tile_id, self.tile(tile_id).shade)
 
     def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
         """A tile's map of what hides the ground, as `BackgroundTile.cover` says; None without one.
@@ -145,12 +140,12 @@ class BackgroundSet:
         Raises:
             StoredFileError: the map's file is missing or damaged.
         """
-        tile = self.tile(tile_id)
-        file = tile.cover
-        return None if file is None else self._map(tile, file)
+        return self._map(tile_id, self.tile(tile_id).cover)
 
-    def _map(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "H W"]:
-        return self._kept(file, lambda: self._decode(tile, file)[0].clone())
+    def _map(self, tile_id: str, file: str | None) -> UInt8[Tensor, "H W"] | None:
+        if file is None:
+            return None
+        return self._kept(file, lambda: self._decode(self.tile(tile_id), file)[0].clone())
 
     def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
         """Gives what a file holds, decoded once and kept while memory allows."""

@@ -27,7 +27,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
-from skyproof.imagery.exposure import ground_pixels, measure_exposure
+from skyproof.imagery.exposure import ground_pixels, measure_exposure, some_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
@@ -166,7 +166,7 @@ def _exposed(
             torch.tensor([(one.x_px, one.y_px) for one in vehicles[tile.id]]).reshape(-1, 2),
             gsd_m=backgrounds.gsd_m,
         )
-        for tile in tiles
+        for tile in some_of(tiles)
     )
     try:
         found = measure_exposure(grounds)

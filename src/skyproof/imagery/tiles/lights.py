@@ -16,7 +16,7 @@ from rasterio.crs import CRS
 from torch import Tensor
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.exposure import ground_pixels, measure_exposure
+from skyproof.imagery.exposure import ground_pixels, measure_exposure, some_of
 from skyproof.imagery.tiles.georeference import to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.background_index import BackgroundTile
@@ -25,7 +25,6 @@ from skyproof.scenes.light import Light, SunEstimate
 
 __all__ = ["lit_tiles", "sun_over"]
 
-_TILES_MEASURED = 16
 _DEGREES = CRS.from_epsg(4326)
 _NORTH_M = 100.0
 # A sun that is lower lights no photograph that one would count vehicles in.
@@ -57,13 +56,12 @@ def lit_tiles(
     measured: dict[str, Light] = {}
     nobody = torch.zeros(0, 2)
     for source, own in of_source.items():
-        some = own[:: max(1, len(own) // _TILES_MEASURED)]
         try:
             measured[source] = measure_exposure(
                 ground_pixels(
                     backgrounds.pixels(tile.id), vehicles_px.get(tile.id, nobody), gsd_m=gsd_m
                 )
-                for tile in some
+                for tile in some_of(own)
             )
         except ImageryError:
             notes.append(

@@ -18,6 +18,7 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
+from skyproof.imagery.exposure import some_of
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import measure_sensor
@@ -43,7 +44,6 @@ from skyproof.scenes.splits import SPLITS, Split
 __all__ = ["TilingRecord", "tile_imagery"]
 
 _WAITING = "waiting"
-_TILES_MEASURED = 16
 
 
 @dataclass(frozen=True)
@@ -236,9 +236,7 @@ def _sensor(
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     try:
-        sensor = measure_sensor(
-            backgrounds.pixels(tile.id) for tile in tiles[:: max(1, len(tiles) // _TILES_MEASURED)]
-        )
+        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
     except ImageryError:
         notes.append(
             "too few clear edges to measure the blur; vehicles will be drawn with "
