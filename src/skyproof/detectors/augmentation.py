@@ -49,7 +49,8 @@ def jitter(
     Args:
         images: sRGB in [0, 1].
         strength: 0 leaves the images as they are; 1 is mild (brightness ±0.1, contrast and gamma
-            ±25 %, colour ±10 %).
+            ±25 %, colour ±10 %; a quarter blurred by up to 1.3 px, three in ten with noise of up to
+            0.03).
         generator: on the CPU.
     """
     if strength == 0:
@@ -66,15 +67,18 @@ def jitter(
     images = images.clamp(1e-4, 1) ** draw(-0.25, 0.25).exp()
     grey = images.mean(dim=1, keepdim=True)
     images = grey + (images - grey) * draw(-0.4, 0.3).exp()
-    blurred = torch.rand(count, generator=generator) < 0.2
-    if blurred.any():
-        images = images.clone()
-        images[blurred.to(images.device)] = _blur(images[blurred.to(images.device)], 0.8 * strength)
+    sigmas_px = draw(0.3, 1.3).flatten().tolist()
+    blurred = (torch.rand(count, generator=generator) < 0.25).tolist()
+    images = torch.stack(
+        [
+            _blur(image[None], sigma_px)[0] if chosen else image
+            for image, sigma_px, chosen in zip(images, sigmas_px, blurred, strict=True)
+        ]
+    )
     noisy = torch.rand(count, generator=generator) < 0.3
     deviation = draw(0.0, 0.03)[noisy.to(images.device)]
     # Drawn on the CPU, so that every device trains on the same images.
     noise = torch.randn((int(noisy.sum()), *images.shape[1:]), generator=generator).to(images)
-    images = images.clone()
     images[noisy.to(images.device)] += noise * deviation
     return images.clamp(0, 1)
 

@@ -89,7 +89,10 @@ def sensors(
     Raises:
         StoredFileError: the background set lacks a scene's background; names the scene.
     """
-    return [settings.sensor_on(_of_scene(scene, backgrounds.sensor_of)) for scene in scenes]
+    return [
+        settings.sensor_on(_of_scene(scene, backgrounds.sensor_of), scene.camera.gsd_m)
+        for scene in scenes
+    ]
 
 
 def photographed_lights(

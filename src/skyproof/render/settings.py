@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,6 +16,11 @@ __all__ = ["RenderSettings"]
 
 _Samples = Annotated[int, Meta(ge=1, le=32)]
 
+# Edges of real bodies are rounder than those of meshes: on photographs at 12.5 cm the outlines and
+# panes of vehicles are softer than the ground's own edges by as much as this blur adds
+# (docs/imagery.md).
+_ROUNDING_M = 0.05
+
 
 @dataclass(frozen=True)
 class RenderSettings:
@@ -24,8 +30,8 @@ class RenderSettings:
         supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients
             suffer.
         shadow_supersampling: the same for the cast shadow.
-        blur_sigma_px: the sensor's Gaussian blur (section S2.1) of vehicles and shadows; None for
-            that of the ground under them.
+        blur_sigma_px: Gaussian blur of vehicles and shadows (section S2.1); None for that of the
+            ground under them, and what the roundness of real edges adds to it.
         noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a
             photograph has its own. None for that of the ground under them.
         light: exposure, haze and sky that vehicles are drawn in; None for those of the ground
@@ -45,9 +51,15 @@ class RenderSettings:
     def __post_init__(self) -> None:
         check_ranges(self)
 
-    def sensor_on(self, ground: Sensor) -> Sensor:
-        """Returns what shows vehicles on ground that the given sensor took."""
+    def sensor_on(self, ground: Sensor, gsd_m: float) -> Sensor:
+        """Returns what shows vehicles on ground that the given sensor took.
+
+        Args:
+            ground: its blur and noise.
+            gsd_m: metres per pixel.
+        """
+        as_the_ground = math.hypot(ground.blur_sigma_px, _ROUNDING_M / gsd_m)
         return Sensor(
-            ground.blur_sigma_px if self.blur_sigma_px is None else self.blur_sigma_px,
+            round(as_the_ground, 3) if self.blur_sigma_px is None else self.blur_sigma_px,
             ground.noise if self.noise is None else self.noise,
         )

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.canvas import Canvas, between
+from skyproof.vehicles.paints import DARKEST, LIGHTEST
 from skyproof.vehicles.vehicle import Part
 
 __all__ = ["Coat", "lay_coat", "varied_colours"]
@@ -22,11 +23,10 @@ Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 """How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
 `skyproof.camouflage.random_controls` lays over a catalogue paint."""
 
-# Nothing paints whiter or blacker; catalogue paints are held to the same limits.
-_DARKEST = 0.03
-_BRIGHTEST = 0.93
 _HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
 _CANDIDATES = 64
+# CIELAB lightness of a pair of a dark and a light tone.
+_DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
 
 
 def varied_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
@@ -37,12 +37,12 @@ def varied_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "
     colour (docs/results/detectors). The muted ones keep a part u ** 2 of their chroma, u uniform.
 
     Returns:
-        sRGB in [0.03, 0.93].
+        sRGB in [0.03, 0.97].
     """
     cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
     muted, kept = torch.rand(2, count, 1, generator=generator)
     cielab[:, 1:] *= torch.where(muted < 0.5, kept**2, 1.0)
-    return cielab_to_srgb(cielab).clamp(_DARKEST, _BRIGHTEST)
+    return cielab_to_srgb(cielab).clamp(DARKEST, LIGHTEST)
 
 
 def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
@@ -51,7 +51,7 @@ def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor,
     Equal volumes there hold about equally many colours that one can tell apart.
 
     Returns:
-        sRGB in [0.03, 0.93].
+        sRGB in [0.03, 0.97].
     """
     found = torch.zeros(0, 3)
     while len(found) < count:
@@ -62,7 +62,7 @@ def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor,
         # What sRGB cannot show was clipped, and does not come back.
         shown = (srgb_to_cielab(srgb) - cielab).abs().amax(1) < 0.5
         found = torch.cat([found, srgb[shown]])
-    return found[:count].clamp(_DARKEST, _BRIGHTEST)
+    return found[:count].clamp(DARKEST, LIGHTEST)
 
 
 def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float[Tensor, " 3"]:
@@ -86,7 +86,7 @@ def _everywhere(canvas: Canvas) -> Tensor:
 
 def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
     """Roof, bonnet and boot, or the lower half of the sides, in another colour than the rest."""
-    first, second = varied_colours(2, generator=generator)
+    first, second = _pair(generator)
     kind = int(torch.randint(3, (1,), generator=generator))
     canvas.fill(_everywhere(canvas), first, Part.BODY)
     if kind == 0:
@@ -97,6 +97,22 @@ def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
         where = canvas.z < 0.5 * canvas.body.dimensions.height
     canvas.fill(where, second, Part.BODY)
     return first
+
+
+def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
+    """Draws two colours; every second pair is a dark and a light one, either of them first.
+
+    Of colours drawn by themselves one pair in a hundred is, and detectors lost black roofs on
+    white vehicles.
+    """
+    colours = varied_colours(2, generator=generator)
+    contrast, swap, *parts = torch.rand(4, generator=generator).tolist()
+    if contrast < 0.5:
+        return colours
+    cielab = srgb_to_cielab(colours)
+    lightness = [_DARK_BELOW * parts[0], 100 - (100 - _LIGHT_ABOVE) * parts[1]]
+    cielab[:, 0] = torch.tensor(lightness[::-1] if swap < 0.5 else lightness)
+    return cielab_to_srgb(cielab).clamp(DARKEST, LIGHTEST)
 
 
 def _livery(canvas: Canvas, generator: torch.Generator) -> None:

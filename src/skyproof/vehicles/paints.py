@@ -6,7 +6,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["PAINT_SHARES", "PAINT_TONES", "sample_paint"]
+__all__ = ["DARKEST", "LIGHTEST", "PAINT_SHARES", "PAINT_TONES", "sample_paint"]
+
+DARKEST, LIGHTEST = 0.03, 0.97
+"""Nothing paints blacker or whiter, sRGB."""
 
 # Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share
 # of cars built worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black,
@@ -27,7 +30,7 @@ _WHITE_VANS = 0.7  # our estimate, not published; the rest follows the table
 
 # Typical diffuse sRGB of each colour space: our estimates, not measured.
 PAINT_TONES: dict[str, list[tuple[float, float, float]]] = {
-    "white": [(0.90, 0.90, 0.89), (0.86, 0.87, 0.87), (0.88, 0.86, 0.82)],
+    "white": [(0.94, 0.94, 0.93), (0.91, 0.92, 0.92), (0.92, 0.91, 0.88)],
     "black": [(0.07, 0.07, 0.08), (0.10, 0.10, 0.11), (0.07, 0.08, 0.12)],
     "grey": [(0.30, 0.31, 0.33), (0.40, 0.41, 0.42), (0.23, 0.24, 0.26)],
     "silver": [(0.66, 0.67, 0.69), (0.72, 0.73, 0.74), (0.60, 0.62, 0.64)],
@@ -52,4 +55,4 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
     tone = torch.tensor(tones[min(int(draws[2] * len(tones)), len(tones) - 1)])
     lightness = 1 + 0.08 * torch.randn(1, generator=generator)
     tint = 0.006 * torch.randn(3, generator=generator)
-    return name, (tone * lightness + tint).clamp(0.03, 0.93)
+    return name, (tone * lightness + tint).clamp(DARKEST, LIGHTEST)
