@@ -69,6 +69,19 @@ def test_jitter_stays_in_range_is_mild_and_repeatable() -> None:
     assert torch.equal(images, jitter(images, 0.0, generator=torch.Generator().manual_seed(1)))
 
 
+def test_jitter_blurs_a_quarter_of_the_images_by_different_amounts() -> None:
+    # A chequerboard keeps this much of its contrast behind a blur of 0.3 px and of 1.3 px.
+    board = (torch.arange(32)[:, None] + torch.arange(32)) % 2
+    images = (0.4 + 0.2 * board).expand(400, 3, 32, 32)
+    changed = jitter(images, 1.0, generator=torch.Generator().manual_seed(0)).mean(1)
+    # Noise averages out over the board, light and contrast hardly change it.
+    contrast = (changed * (2 * board - 1)).mean((1, 2)) / 0.1
+    blurred = contrast < 0.55
+    assert 0.15 < float(blurred.float().mean()) < 0.27
+    assert float((contrast < 0.05).float().mean()) > 0.1
+    assert float(((contrast > 0.05) & blurred).float().mean()) > 0.03
+
+
 def test_a_killed_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     straight, card = run(tmp_path / "straight")
 

@@ -118,7 +118,7 @@ def compose(
         nearness=torch.tensor(nearness, dtype=photograph.dtype),
         seeds=list(seeds),
         lights=scene_lights([light] * len(photograph), [scene()] * len(photograph), photograph),
-        sensors=[settings.sensor_on(Sensor())] * len(photograph),
+        sensors=[settings.sensor_on(Sensor(), 0.125)] * len(photograph),
     )
 
 
