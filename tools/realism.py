@@ -11,7 +11,7 @@ A small network learns to tell windows around rendered vehicles from those aroun
 that stood there, at other places than it is tested on. The area under its ROC curve (AUC) is 0.5
 where it sees no difference and 1 where it is always right. It sees the whole window, the vehicle
 alone, or the ground alone. With `--real` another rendered dataset on the same tiles, the AUC should
-be near 0.5.
+be near 0.5. How sharp both are is read off their edges, as `skyproof ground` does with imagery.
 
 OUT gets realism.json, pairs.png (real above, rendered below), told.png (the same of the rendered
 windows that are told best) and occlusion.png. The pictures show the imagery: they are for looking
@@ -33,7 +33,9 @@ from realism_classifier import VIEWS, Network, area, folds_of, occlusion, spots_
 from realism_pairs import Pairs, read_pairs
 from realism_pictures import write_occlusion, write_sheet
 
+from skyproof.errors import ImageryError
 from skyproof.files import finished_folder, write_json
+from skyproof.imagery.sharpness import measure_sensor
 
 _SHEET = 56
 _OCCLUDED = 40
@@ -79,6 +81,8 @@ class Realism:
                 "tested": np.bincount(folds).tolist(),
             }
             print(counts, flush=True)
+            real_px, rendered_px = _blurs(pairs)
+            print(f"blur     real {real_px} px, rendered {rendered_px} px", flush=True)
             areas = {}
             found = {}
             for view in VIEWS:
@@ -98,12 +102,24 @@ class Realism:
             record = {
                 "settings": settings,
                 "counts": counts,
+                "blur_sigma_px": {"real": real_px, "rendered": rendered_px},
                 "auc": areas,
                 "cpu_s": round(time.process_time() - started, 1),
             }
             write_json(folder / "realism.json", record)
         print(f"{self.out}, {record['cpu_s']} CPU-seconds")
         return record
+
+
+def _blurs(pairs: Pairs) -> list[float | None]:
+    """Returns how sharp the windows are, real and rendered; None where they show too few edges."""
+    found: list[float | None] = []
+    for side in (0, 1):
+        try:
+            found.append(measure_sensor(pairs.pixels[:, side]).blur_sigma_px)
+        except ImageryError:
+            found.append(None)
+    return found
 
 
 def _draw(

@@ -223,6 +223,8 @@ def test_the_tool_writes_what_it_found(world, capsys):
                    folds=2, seeds=1, steps=25)  # fmt: skip
     tool.run()
     record = json.loads((world / "out" / "realism.json").read_text())
+    blurs_px = record["blur_sigma_px"]
+    assert blurs_px["real"] == pytest.approx(blurs_px["rendered"], abs=0.06)
     assert record["auc"]["vehicle"][0] > 0.9  # red, against catalogue paints
     for name in ("pairs.png", "told.png", "occlusion.png"):
         assert (world / "out" / name).stat().st_size > 1000
