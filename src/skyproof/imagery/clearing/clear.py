@@ -24,8 +24,9 @@ from skyproof.imagery.clearing.labelled import (
     read_labels_of_tiles,
     removed_vehicles,
 )
+from skyproof.imagery.clearing.shaded import shaded_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
+from skyproof.imagery.clearing.sunlight import OVERCAST_SKY, measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_finder import (
     VehicleFinder,
     check_resolution,
@@ -42,6 +43,7 @@ from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
@@ -175,17 +177,16 @@ def clear_backgrounds(
             if progress is not None:
                 progress("clear", done, len(tiles))
     record = _record(rows, shadows, inpainting, settings, finder, checker, labels is not None)
-    record["suns"] = {
-        picture_of(tile): asdict(light.sun)
-        for tile in tiles
-        if tile.kind is None and (light := lights[tile.id]) is not None and light.sun is not None
-    }
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
             "larger --settings.largest-masked-share."
         )
+    kept = shaded_tiles(
+        BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
+    )
+    record |= _lights_record(tiles, lights, kept)
     write_json(out / RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
@@ -256,9 +257,9 @@ def _with_places(
     """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
     gsd_m = backgrounds.gsd_m
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
-    directions = drivable_directions(cleared, gsd_m, found.sure)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
+    directions = drivable_directions(cleared, gsd_m, found.sure, cover)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),
@@ -335,6 +336,25 @@ def _caption(row: Cleared) -> str:
     vehicles = f"{row.labelled} labelled + {row.detected} detected removed"
     share = f"{row.masked_share:.1%} masked"
     return f"{row.split}, {vehicles}, {share}, {row.rounds} repairs, {check}, {state}"
+
+
+def _lights_record(
+    tiles: Sequence[BackgroundTile],
+    lights: Mapping[str, Light | None],
+    kept: Sequence[BackgroundTile],
+) -> dict[str, Any]:
+    """Says which photographs know their sun, which are overcast, and which tiles have shadows."""
+    known = {
+        picture_of(tile): light
+        for tile in tiles
+        if tile.kind is None and (light := lights[tile.id]) is not None
+    }
+    return {
+        "suns": {name: asdict(light.sun) for name, light in known.items() if light.sun is not None},
+        "overcast": [name for name, light in known.items() if light.sky == OVERCAST_SKY],
+        "photographs": len(known),
+        "shaded": [tile.id for tile in kept if tile.kind is None and tile.shade is not None],
+    }
 
 
 def _record(
