@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
-__all__ = ["Clear"]
+__all__ = ["Clear", "say_light"]
 
 
 @dataclass(frozen=True)
@@ -105,15 +105,19 @@ class Clear:
             f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
             f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
         )
-        _say_light(record)
+        say_light(record)
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
         sheet = (self.out / "sheets" / "index.html").resolve()
         say(f"Look at {sheet}; reject tiles with skyproof adjust {self.out} --drop.")
 
 
-def _say_light(record: dict[str, Any]) -> None:
-    """Says how many photographs know their sun, and what is done with the others."""
+def say_light(record: dict[str, Any]) -> None:
+    """Says over how many sources the sun is known, and what is done with the others.
+
+    Args:
+        record: of `clear_backgrounds`.
+    """
     from skyproof.imagery.clearing.shared_sun import KNOWN_FROM
 
     suns, overcast, photographs = record["suns"], record["overcast"], record["photographs"]

@@ -43,7 +43,7 @@ SHADOW_SHARE, FAINT_SHARE = 0.75, 0.15
 LUFF_SHARE, ALIKE = 0.3, 0.4
 SHORTEST_EDGE_M = 2.5
 
-FEWEST_EDGE_M = 6.0
+FEWEST_EDGE_M = 10.0
 """So much edge tells how much light is left; with less the photograph says nothing."""
 LIKE_OTHERS = 0.4
 PENUMBRA_M = 0.25
@@ -121,7 +121,7 @@ def light_left(shadows: Iterable[CastShadow]) -> tuple[float, float, float] | No
     """Returns the part of the light that is left in shadows, the median along their edges.
 
     Returns:
-        Red, green and blue; None where there is less than 6 m of edge.
+        Red, green and blue; None where there is less than 10 m of edge.
     """
     known = list(shadows)
     if sum(len(each.ratios) * each.cell_m for each in known) < FEWEST_EDGE_M:

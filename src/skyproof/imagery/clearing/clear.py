@@ -24,9 +24,9 @@ from skyproof.imagery.clearing.labelled import (
     read_labels_of_tiles,
     removed_vehicles,
 )
-from skyproof.imagery.clearing.shaded import shaded_tiles
+from skyproof.imagery.clearing.shaded import lights_record, shaded_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.sunlight import OVERCAST_SKY, measured_lights, picture_of
+from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_finder import (
     VehicleFinder,
     check_resolution,
@@ -43,7 +43,6 @@ from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.light import Light
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
@@ -110,7 +109,8 @@ def clear_backgrounds(
     """Writes a tiled folder of the same tiles without their vehicles.
 
     Where and how these stood is kept with every tile, and where vehicles may stand is looked at
-    anew. Their shadows tell the sun and the sky of each source, which are kept, too.
+    anew. Their shadows, and those that trees and buildings cast, tell the sun and the sky of each
+    source, which are kept, too, as is where these lie.
 
     Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
     `checker` still finds something are repaired, and left out if that does not help. A contact
@@ -118,8 +118,8 @@ def clear_backgrounds(
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: gets the tiles, their maps of drivable ground, `index.json`, `index.geojson`,
-            `clearing.json` and `sheets/`; use `finished_folder` around it.
+        out: gets the tiles, their maps of drivable ground and of shadows, `index.json`,
+            `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
         inpainting: fills masks; bytes outside the mask are never changed.
         settings: margins and limits.
         finder: finds vehicles that are not labelled.
@@ -186,7 +186,7 @@ def clear_backgrounds(
     kept = shaded_tiles(
         BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     )
-    record |= _lights_record(tiles, lights, kept)
+    record |= lights_record(tiles, lights, kept)
     write_json(out / RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
@@ -336,25 +336,6 @@ def _caption(row: Cleared) -> str:
     vehicles = f"{row.labelled} labelled + {row.detected} detected removed"
     share = f"{row.masked_share:.1%} masked"
     return f"{row.split}, {vehicles}, {share}, {row.rounds} repairs, {check}, {state}"
-
-
-def _lights_record(
-    tiles: Sequence[BackgroundTile],
-    lights: Mapping[str, Light | None],
-    kept: Sequence[BackgroundTile],
-) -> dict[str, Any]:
-    """Says which photographs know their sun, which are overcast, and which tiles have shadows."""
-    known = {
-        picture_of(tile): light
-        for tile in tiles
-        if tile.kind is None and (light := lights[tile.id]) is not None
-    }
-    return {
-        "suns": {name: asdict(light.sun) for name, light in known.items() if light.sun is not None},
-        "overcast": [name for name, light in known.items() if light.sky == OVERCAST_SKY],
-        "photographs": len(known),
-        "shaded": [tile.id for tile in kept if tile.kind is None and tile.shade is not None],
-    }
 
 
 def _record(

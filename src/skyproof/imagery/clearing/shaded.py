@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 from skyproof.imagery.clearing.cast_shadows import (
     CastShadow,
@@ -16,9 +17,10 @@ from skyproof.imagery.clearing.sunlight import OVERCAST_SKY, picture_of, sky_of
 from skyproof.imagery.exposure import some_of
 from skyproof.scenes.background_index import BackgroundTile, save_map
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["shaded_tiles"]
+__all__ = ["lights_record", "shaded_tiles"]
 
 
 def shaded_tiles(backgrounds: BackgroundSet) -> list[BackgroundTile]:
@@ -43,6 +45,31 @@ def shaded_tiles(backgrounds: BackgroundSet) -> list[BackgroundTile]:
     for own in of_picture.values():
         shaded.update({tile.id: tile for tile in _shaded(backgrounds, own)})
     return [shaded.get(tile.id, tile) for tile in tiles]
+
+
+def lights_record(
+    tiles: Sequence[BackgroundTile],
+    lights: Mapping[str, Light | None],
+    kept: Sequence[BackgroundTile],
+) -> dict[str, Any]:
+    """Says which photographs know their sun, which are overcast, and which tiles have shadows.
+
+    Args:
+        tiles: all that were to be cleared.
+        lights: of each, by its id, as `measured_lights` gives them.
+        kept: those that were cleared, as `shaded_tiles` gives them.
+    """
+    known = {
+        picture_of(tile): light
+        for tile in tiles
+        if tile.kind is None and (light := lights[tile.id]) is not None
+    }
+    return {
+        "suns": {name: asdict(light.sun) for name, light in known.items() if light.sun is not None},
+        "overcast": [name for name, light in known.items() if light.sky == OVERCAST_SKY],
+        "photographs": len(known),
+        "shaded": [tile.id for tile in kept if tile.kind is None and tile.shade is not None],
+    }
 
 
 def _shaded(
