@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from skyproof.cli.clear import say_light
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import Skyproof
 from tests.imagery.test_clear import tiled
@@ -17,6 +18,7 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
     assert answer.code == 0
     assert "5 of 5 kept" in answer.out
     assert "Not checked by a detector" in answer.out
+    assert "Overcast: over 1 of 1 sources vehicles cast no shadow" in answer.out
     record = json.loads((tmp_path / "cleared" / "clearing.json").read_text())
     assert record["inpainting"]["name"] == "opencv telea"
     assert record["inpainting"]["opencv"]
@@ -24,6 +26,26 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
     assert (image[0] - image[1]).max() < 30
     assert skyproof("adjust", tmp_path / "cleared", "--drop", "c").code == 0
     assert BackgroundSet.open(tmp_path / "cleared").tiles("validation") == []
+
+
+def test_it_says_what_was_done_about_the_sun_of_how_many_sources(capsys):
+    own = {"elevation_rad": 0.5, "known_from": "shadows of 9 vehicles"}
+    shared = {"elevation_rad": 0.6, "known_from": "other photographs of the set"}
+    record = {
+        "suns": {"a": own, "b": own, "c": shared, "dated": own},
+        "overcast": ["dated", "e"],
+        "photographs": 6,
+        "shaded": ["a-0", "c-0"],
+    }
+    say_light(record)
+    assert capsys.readouterr().out.splitlines() == [
+        "Sun known over 3 of 6 sources, 29 to 34 degrees high, that of 1 taken from the others, "
+        "which agree: vehicles will stand in it, and in the shadows that were found on 2 tiles.",
+        "Overcast: over 2 of 6 sources vehicles cast no shadow, so they will be drawn in the sky's "
+        "light alone.",
+        "Where the sun stood over 1 of 6 sources is not known (too few vehicles with clear "
+        "shadows): scenes will draw any sun.",
+    ]
 
 
 def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypatch):

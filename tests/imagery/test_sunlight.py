@@ -9,7 +9,9 @@ import torch
 
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.sunlight import (
+    OVERCAST_SKY,
     Footprints,
+    casts_no_shadow,
     estimate_sun,
     measured_lights,
     shadow_light,
@@ -130,6 +132,53 @@ def test_under_a_high_sun_the_sky_stays_the_usual_one():
     assert with_sky(high, ratios) == high
     assert with_sky(low, ratios).sky == pytest.approx((0.6, 0.6, 0.6), abs=0.01)
     assert with_sky(low, [torch.full((2, 3), 0.6)]) == low
+    # 56 degrees by shadows may be 62.
+    unsure = Light(sun=SunEstimate(0.0, math.radians(56), elevation_sd_rad=math.radians(3)))
+    assert with_sky(unsure, ratios) == unsure
+    surer = Light(sun=SunEstimate(0.0, math.radians(53), elevation_sd_rad=math.radians(3)))
+    assert with_sky(surer, ratios).sky == pytest.approx((0.6, 0.6, 0.6), abs=0.01)
+
+
+def test_vehicles_without_a_dark_side_tell_an_overcast_sky(ground):
+    for elevation_deg in (30, 75):
+        images, vehicles = photographs(ground, 40, elevation_deg, Light(sky=SKY))
+        assert not casts_no_shadow(profiles(images, vehicles))
+    without = [torch.full_like(image, 120) for image in images]
+    shown = profiles(without, vehicles)
+    assert casts_no_shadow(shown)
+    assert not casts_no_shadow([shown[0][:2]]), "two vehicles say nothing"
+
+
+def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(ground, tmp_path):
+    """Of five photographs one shows two vehicles alone, and one vehicles without any shadow."""
+    tiles, vehicles_of = [], {}
+    images, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
+    plain = [torch.full_like(image, 120) for image in images]
+    for source in ("a", "b", "c", "few", "overcast"):
+        for number, own in enumerate(vehicles):
+            if source == "few" and number > 0:
+                break
+            name = f"{source}-{number}"
+            tile = BackgroundTile(name, f"{name}.png", "train", SIDE_PX, SIDE_PX, source)
+            save_tile(tmp_path, tile, (plain if source == "overcast" else images)[number])
+            tiles.append(tile)
+            vehicles_of[name] = own[:2] if source == "few" else own
+    write_index(tmp_path, 0.125, tiles)
+
+    def lights_of(*sources):
+        chosen = [tile for tile in tiles if tile.source in sources]
+        return measured_lights(BackgroundSet.open(tmp_path), chosen, vehicles_of)
+
+    lights = lights_of("a", "b", "c", "few", "overcast")
+    own = lights["a-0"].sun
+    assert "shadows of" in own.known_from
+    shared = lights["few-0"].sun
+    assert shared.known_from == "other photographs of the set"
+    assert shared.azimuth_rad == own.azimuth_rad
+    assert lights["overcast-0"].sky == OVERCAST_SKY
+    assert lights["overcast-0"].sun is None
+    assert lights["few-0"].sky != OVERCAST_SKY
+    assert lights_of("a", "b", "few")["few-0"].sun is None, "two others are too few"
 
 
 def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
-__all__ = ["Clear"]
+__all__ = ["Clear", "say_light"]
 
 
 @dataclass(frozen=True)
@@ -105,18 +105,43 @@ class Clear:
             f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
             f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
         )
-        if record["suns"]:
-            elevations_deg = [math.degrees(sun["elevation_rad"]) for sun in record["suns"].values()]
-            say(
-                f"Sun known over {len(elevations_deg)} sources, {min(elevations_deg):.0f} to "
-                f"{max(elevations_deg):.0f} degrees high: vehicles will stand in it."
-            )
-        else:
-            say("Where the sun stood is not known: too few vehicles with clear shadows.")
+        say_light(record)
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
         sheet = (self.out / "sheets" / "index.html").resolve()
         say(f"Look at {sheet}; reject tiles with skyproof adjust {self.out} --drop.")
+
+
+def say_light(record: dict[str, Any]) -> None:
+    """Says over how many sources the sun is known, and what is done with the others.
+
+    Args:
+        record: of `clear_backgrounds`.
+    """
+    from skyproof.imagery.clearing.shared_sun import KNOWN_FROM
+
+    suns, overcast, photographs = record["suns"], record["overcast"], record["photographs"]
+    sunny = [sun for name, sun in suns.items() if name not in overcast]
+    if sunny:
+        elevations_deg = [math.degrees(sun["elevation_rad"]) for sun in sunny]
+        shared = sum(sun["known_from"] == KNOWN_FROM for sun in sunny)
+        taken = f", that of {shared} taken from the others, which agree" if shared else ""
+        say(
+            f"Sun known over {len(sunny)} of {photographs} sources, {min(elevations_deg):.0f} to "
+            f"{max(elevations_deg):.0f} degrees high{taken}: vehicles will stand in it, and in the "
+            f"shadows that were found on {len(record['shaded'])} tiles."
+        )
+    if overcast:
+        say(
+            f"Overcast: over {len(overcast)} of {photographs} sources vehicles cast no shadow, so "
+            "they will be drawn in the sky's light alone."
+        )
+    unknown = photographs - len(sunny) - len(overcast)
+    if unknown:
+        say(
+            f"Where the sun stood over {unknown} of {photographs} sources is not known (too few "
+            "vehicles with clear shadows): scenes will draw any sun."
+        )
 
 
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:

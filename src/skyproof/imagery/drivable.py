@@ -41,7 +41,10 @@ DIRECTION_WITHIN_M = 3.0
 
 
 def drivable_directions(
-    image: UInt8[Tensor, "3 H W"], gsd_m: float, vehicles: Float[Tensor, "n 4"] | None = None
+    image: UInt8[Tensor, "3 H W"],
+    gsd_m: float,
+    vehicles: Float[Tensor, "n 4"] | None = None,
+    cover: UInt8[Tensor, "H W"] | None = None,
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 
@@ -51,6 +54,8 @@ def drivable_directions(
     - without labels, grey: hardly saturated, not green, neither in shadow nor white;
     - with labels, of a colour as beside one of the tile's vehicles, and connected with where one
       stands or stood.
+
+    Ground of which crowns or roofs cover more than half is not drivable.
 
     The heading is along the edges around: the direction of least change by the structure tensor of
     the picture, within some 3 m.
@@ -64,6 +69,7 @@ def drivable_directions(
         gsd_m: metres per pixel.
         vehicles: boxes of the vehicles that are labelled, pixel xyxy; None where nobody labelled
             the tile.
+        cover: the tile's map of what hides the ground, as `BackgroundTile.cover` says.
     """
     cell_px = max(1, round(CELL_M / gsd_m))
     cell_m = cell_px * gsd_m
@@ -80,6 +86,8 @@ def drivable_directions(
         boxes = vehicles.double().numpy() / cell_px
         free = _tidied(plain & _like_beside(colour, plain, boxes, cell_m))
         free = _touching(free, boxes, cell_m)
+    if cover is not None:
+        free = free & (F.avg_pool2d(cover[None].float(), cell_px)[0].numpy() <= 255 / 2)
     directions = np.where(free, direction_values(_heading_rad(grey, cell_m)), 0).astype(np.uint8)
     directions = with_room(directions, free, cell_m)
     fine = np.repeat(np.repeat(directions, cell_px, 0), cell_px, 1)

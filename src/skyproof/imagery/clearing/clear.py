@@ -24,6 +24,7 @@ from skyproof.imagery.clearing.labelled import (
     read_labels_of_tiles,
     removed_vehicles,
 )
+from skyproof.imagery.clearing.shaded import lights_record, shaded_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_finder import (
@@ -108,7 +109,8 @@ def clear_backgrounds(
     """Writes a tiled folder of the same tiles without their vehicles.
 
     Where and how these stood is kept with every tile, and where vehicles may stand is looked at
-    anew. Their shadows tell the sun and the sky of each source, which are kept, too.
+    anew. Their shadows, and those that trees and buildings cast, tell the sun and the sky of each
+    source, which are kept, too, as is where these lie.
 
     Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
     `checker` still finds something are repaired, and left out if that does not help. A contact
@@ -116,8 +118,8 @@ def clear_backgrounds(
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: gets the tiles, their maps of drivable ground, `index.json`, `index.geojson`,
-            `clearing.json` and `sheets/`; use `finished_folder` around it.
+        out: gets the tiles, their maps of drivable ground and of shadows, `index.json`,
+            `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
         inpainting: fills masks; bytes outside the mask are never changed.
         settings: margins and limits.
         finder: finds vehicles that are not labelled.
@@ -175,17 +177,16 @@ def clear_backgrounds(
             if progress is not None:
                 progress("clear", done, len(tiles))
     record = _record(rows, shadows, inpainting, settings, finder, checker, labels is not None)
-    record["suns"] = {
-        picture_of(tile): asdict(light.sun)
-        for tile in tiles
-        if tile.kind is None and (light := lights[tile.id]) is not None and light.sun is not None
-    }
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
             "larger --settings.largest-masked-share."
         )
+    kept = shaded_tiles(
+        BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
+    )
+    record |= lights_record(tiles, lights, kept)
     write_json(out / RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
@@ -256,9 +257,9 @@ def _with_places(
     """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
     gsd_m = backgrounds.gsd_m
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
-    directions = drivable_directions(cleared, gsd_m, found.sure)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
+    directions = drivable_directions(cleared, gsd_m, found.sure, cover)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),

@@ -147,14 +147,18 @@ def tile_imagery(
                 if placed is not None:
                     annotations[cell.id] = placed.on(cell, image.owner)
                 vehicles = _vehicles(annotations.get(cell.id))
-                directions = drivable_directions(pixels, settings.gsd_m, vehicles)
-                drivable = save_map(folder, "drivable", tile.id, directions)
-                tile = dataclasses.replace(tile, drivable=drivable)
-                if masks:
-                    hidden = cover_of(cell, image, masks, reader)
-                    tile = dataclasses.replace(
-                        tile, cover=save_map(folder, "cover", tile.id, hidden)
-                    )
+                hidden = cover_of(cell, image, masks, reader) if masks else None
+                directions = drivable_directions(
+                    pixels,
+                    settings.gsd_m,
+                    vehicles,
+                    None if hidden is None else torch.from_numpy(hidden),
+                )
+                tile = dataclasses.replace(
+                    tile,
+                    drivable=save_map(folder, "drivable", tile.id, directions),
+                    cover=None if hidden is None else save_map(folder, "cover", tile.id, hidden),
+                )
                 kept.append((cell, tile))
             if progress is not None:
                 progress(done, len(cells))
