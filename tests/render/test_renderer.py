@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from torch.nn import functional
 
 from skyproof.errors import StoredFileError
 from skyproof.geometry.colour import srgb_to_linear
@@ -114,6 +115,19 @@ def test_heading_turns_the_nose_from_east_to_north(heading_deg, towards):
     nose, tail = image[:, ahead[1], ahead[0]], image[:, behind[1], behind[0]]
     assert nose[0] > 2 * nose[2]
     assert tail[2] > 2 * tail[0]
+
+
+def test_black_is_no_hole():
+    # On matt vehicles black sends 1.5 % of what white does, at every place alike.
+    shown = []
+    for value in (0.0, 1.0):
+        batch = dataclasses.replace(vehicles(), texture=torch.full((1, 3, 512, 512), value))
+        matt = dataclasses.replace(SHARP, gloss=0.0, light=Light(white=(0.5, 0.5, 0.5)))
+        place = scene((0, 0, 20.0), tilt_deg=0.0)
+        frames = TorchRenderer(PlainGround(0.2), matt)([place], batch, masks=True)
+        inside = -functional.max_pool2d(-frames.masks[:1, None].float(), 3, 1, 1)[0, 0] > 0
+        shown.append(srgb_to_linear(frames.image[0][:, inside]))
+    torch.testing.assert_close(shown[0], 0.015 * shown[1], rtol=0.02, atol=1e-5)
 
 
 def test_vehicles_stand_east_to_the_right_and_north_upwards():

@@ -19,8 +19,9 @@ from torch import Tensor
 
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.sky import SUN_DIAMETER_RAD, daylight
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.lighting import sky_light
-from skyproof.render.materials import material_labels, material_table
+from skyproof.render.materials import material_labels, material_table, reflectance
 from skyproof.render.placed import Placed
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
@@ -170,11 +171,9 @@ class _Rows:
     @cached_property
     def _textures(self) -> np.ndarray:
         worn = self._vehicles.worn_texture().detach()
-        return (
-            (worn if worn.dtype == torch.uint8 else (worn.clamp(0, 1) * 255).round().byte())
-            .cpu()
-            .numpy()
-        )
+        srgb = worn / 255 if worn.dtype == torch.uint8 else worn.clamp(0, 1)
+        shown = linear_to_srgb(reflectance(srgb_to_linear(srgb)))
+        return (shown * 255).round().byte().cpu().numpy()
 
     @cached_property
     def _labels(self) -> np.ndarray:

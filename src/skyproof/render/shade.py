@@ -11,6 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.render.materials import reflectance
 from skyproof.render.settings import RenderSettings
 from skyproof.render.sky import CLEAR, OVERCAST, mean_luminance, relative_luminance
 from skyproof.vehicles.vehicle import Overlay
@@ -26,7 +27,7 @@ _DARKEST_LOG = -80.0
 
 
 class LinearTexture:
-    """Textures in linear light as a pyramid of halved sizes, read at the level that fits.
+    """What textures reflect, as a pyramid of halved sizes, read at the level that fits.
 
     A sample that spans several texels must read their mean: that is what keeps a fine pattern, or a
     side seen at a grazing angle, from turning into sparkle, and its gradient into noise.
@@ -52,6 +53,7 @@ class LinearTexture:
             if overlay is None
             else _covered(texture, overlay, self.finest)
         )
+        level = reflectance(level)
         self.count = len(level)
         self.height, self.width = texture.shape[2:]
         texels, offsets = [], [0]

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.vehicles.canvas import Canvas, between, open_canvas
 from skyproof.vehicles.coats import Coat, lay_coat
 from skyproof.vehicles.paints import sample_paint
@@ -22,9 +21,6 @@ _CHROME = (0.62, 0.63, 0.64)
 _LAMP = (0.80, 0.82, 0.84)
 _TAIL_LAMP = (0.48, 0.04, 0.05)
 _PLATE = (0.82, 0.82, 0.78)
-# Reflectance of what is black on a vehicle: at 0.005, as black tones alone have it, the darkest
-# parts of rendered vehicles were darker than those of photographed ones.
-_DARKEST = 0.015
 _SEAM = 0.45  # what is left of the paint's brightness in a panel gap
 
 
@@ -67,11 +63,8 @@ def paint_vehicle(
     texture = _dirty(
         texture, torch.cat([canvas.z, canvas.z.flip(-1)], dim=-1), chance[10], generator=generator
     )
-    # Real black paint, rubber and glass with seats behind it are no holes: they send some light.
-    reflectance = srgb_to_linear(texture.clamp(0.0, 1.0))
-    texture = linear_to_srgb(_DARKEST + (1 - _DARKEST) * reflectance)
     parts = torch.cat([canvas.parts, canvas.parts.flip(-1)], dim=-1)
-    return (texture * 255).round().to(torch.uint8), parts
+    return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8), parts
 
 
 def _layout(body: Body) -> tuple[float, float, float, float]:
