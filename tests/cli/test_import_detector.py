@@ -152,7 +152,7 @@ def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproo
         folder / "validation",
     ]
     answer = skyproof(
-        *call, "--settings.steps", 3, "--settings.batch-size", 2, "--out", tmp_path / "out", *CPU
+        *call, "--settings.steps", 1, "--settings.batch-size", 2, "--out", tmp_path / "out", *CPU
     )
     assert answer.code == 0, answer.err
     card = read_card(tmp_path / "out")
