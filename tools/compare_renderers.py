@@ -44,6 +44,8 @@ ENLARGED = 2
 # The blur mixes the border of vehicle and shadow with what lies beside them; only pixels this far
 # inside are measured.
 INSIDE_PX = 3
+# Of a vehicle that stands in the sun hardly anything is in a shadow of the ground.
+LIT = 0.02
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,8 @@ def vehicle_rows(
 ) -> list[dict[str, Any]]:
     """Measures by both renderers, per vehicle, the mean linear colour well inside it.
 
-    The second figure is the light in its shadow over the photograph's.
+    The second figure is the light in its shadow over the photograph's; it counts apart for vehicles
+    that stand in a shadow of the ground themselves.
     """
     if not scene.placements:
         return []
@@ -139,9 +142,10 @@ def vehicle_rows(
         body = eroded(bodies[index] & ~(bodies.sum(0) > 1))
         shadow = eroded(shadows[index] & ~bodies.any(0) & ~(shadows.sum(0) > 1))
         row: dict[str, Any] = {"vehicle": vehicles.ids[index]}
+        place_of_it = "shadow" if scene.placements[index].shade < LIT else "shadow_in_shade"
         for name, image in light.items():
             row[f"colour_{name}"] = image[:, body].mean(1).tolist() if body.sum() >= 20 else None
-            row[f"shadow_{name}"] = (
+            row[f"{place_of_it}_{name}"] = (
                 (image[:, shadow].sum(1) / ground[:, shadow].sum(1)).tolist()
                 if shadow.sum() >= 10
                 else None
@@ -175,10 +179,14 @@ def eroded(mask: Tensor) -> Tensor:
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Means over vehicles, and how far single vehicles lie apart."""
     found: dict[str, Any] = {"vehicles": len(rows)}
-    for what in ("colour", "shadow"):
+    for what in ("colour", "shadow", "shadow_in_shade"):
         both = [
-            (row[f"{what}_torch"], row[f"{what}_cycles"]) for row in rows if row[f"{what}_torch"]
+            (row[f"{what}_torch"], row[f"{what}_cycles"])
+            for row in rows
+            if row.get(f"{what}_torch")
         ]
+        if not both:
+            continue
         first, second = (np.array([pair[index] for pair in both]) for index in (0, 1))
         found[what] = {
             "measured": len(both),
