@@ -12,7 +12,6 @@ from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.scenes.sensor import BlurChoice, Noise, chosen_blur_px
-from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Adjust"]
 
@@ -91,7 +90,7 @@ class Adjust:
             )
             change_sensors(self.folder, lambda _: replace(measured, **given))
         backgrounds = BackgroundSet.open(self.folder)
-        tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+        tiles = backgrounds.all_tiles()
         sensors = [tile.sensor or backgrounds.sensor for tile in tiles]
         blur = _span([sensor.blur_sigma_px for sensor in sensors])
         noise = _span([sensor.noise for sensor in sensors])

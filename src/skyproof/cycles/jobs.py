@@ -158,6 +158,11 @@ def _worker_hash() -> hashlib._Hash:
     return hashlib.sha256(_WORKER.read_bytes())
 
 
+def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:
+    """Returns textures as bytes that hold what their surfaces reflect."""
+    return (linear_to_srgb(reflectance(srgb_to_linear(srgb))) * 255).round().byte().numpy()
+
+
 class _Rows:
     """Vehicles as arrays, turned into bytes once."""
 
@@ -170,10 +175,11 @@ class _Rows:
 
     @cached_property
     def _textures(self) -> np.ndarray:
-        worn = self._vehicles.worn_texture().detach()
-        srgb = worn / 255 if worn.dtype == torch.uint8 else worn.clamp(0, 1)
-        shown = linear_to_srgb(reflectance(srgb_to_linear(srgb)))
-        return (shown * 255).round().byte().cpu().numpy()
+        worn = self._vehicles.worn_texture().detach().cpu()
+        if worn.dtype != torch.uint8:
+            return _shown(worn.clamp(0, 1))
+        # Of 256 values each is worked out once: a batch of full maps would take seconds.
+        return np.take(_shown(torch.arange(256) / 255), worn.numpy())
 
     @cached_property
     def _labels(self) -> np.ndarray:

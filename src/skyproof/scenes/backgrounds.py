@@ -20,6 +20,7 @@ from skyproof.scenes.light import Light
 from skyproof.scenes.places import DIRECTIONS
 from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
+from skyproof.scenes.splits import SPLITS
 
 __all__ = ["BackgroundSet", "on_tile"]
 
@@ -69,6 +70,10 @@ class BackgroundSet:
     def tiles(self, split: str) -> list[BackgroundTile]:
         """The tiles of one split, in the order of the index."""
         return [tile for tile in self._tiles.values() if tile.split == split]
+
+    def all_tiles(self) -> list[BackgroundTile]:
+        """The tiles of all splits, one split after the other."""
+        return [tile for split in SPLITS for tile in self.tiles(split)]
 
     def tile(self, tile_id: str) -> BackgroundTile:
         """The tile of that id.

@@ -136,7 +136,7 @@ def clear_backgrounds(
     """
     settings = settings or ClearSettings()
     backgrounds = BackgroundSet.open(folder)
-    tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+    tiles = backgrounds.all_tiles()
     labels = read_labels_of_tiles(folder)
     if labels is None and finder is None:
         raise ConfigurationError(
@@ -204,7 +204,7 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         StoredFileError: the folder is not a background set.
     """
     backgrounds = BackgroundSet.open(folder)
-    tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
+    tiles = backgrounds.all_tiles()
     unknown = sorted(set(ids) - {tile.id for tile in tiles})
     if unknown:
         raise ConfigurationError(f"{folder} has no tile {unknown[0]!r}; the ids are on the sheets.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -13,12 +12,11 @@ from skyproof.imagery.clearing.cast_shadows import (
     light_left,
     shade_map,
 )
-from skyproof.imagery.clearing.sunlight import OVERCAST_SKY, picture_of, sky_of
+from skyproof.imagery.clearing.sunlight import OVERCAST_SKY, by_picture, picture_of, sky_of
 from skyproof.imagery.exposure import some_of
 from skyproof.scenes.background_index import BackgroundTile, save_map
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
-from skyproof.scenes.splits import SPLITS
 
 __all__ = ["lights_record", "shaded_tiles"]
 
@@ -36,13 +34,9 @@ def shaded_tiles(backgrounds: BackgroundSet) -> list[BackgroundTile]:
     Raises:
         RunFolderError: the disk cannot take it.
     """
-    tiles = [tile for split in SPLITS for tile in backgrounds.tiles(split)]
-    of_picture: dict[str, list[BackgroundTile]] = defaultdict(list)
-    for tile in tiles:
-        if tile.kind is None:
-            of_picture[picture_of(tile)].append(tile)
+    tiles = backgrounds.all_tiles()
     shaded: dict[str, BackgroundTile] = {}
-    for own in of_picture.values():
+    for own in by_picture(tiles).values():
         shaded.update({tile.id: tile for tile in _shaded(backgrounds, own)})
     return [shaded.get(tile.id, tile) for tile in tiles]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skyproof.scenes.light import SunEstimate
 
-__all__ = ["KNOWN_FROM", "shared_sun"]
+__all__ = ["KNOWN_FROM", "shared_sun", "turned"]
 
 FEWEST_SUNS = 3
 WITHIN_RAD = math.radians(20)
@@ -35,7 +35,7 @@ def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
     azimuths_rad = np.array([sun.azimuth_rad for sun in suns])
     elevations_rad = np.array([sun.elevation_rad for sun in suns])
     # The median on a circle: that one from which the others turn least.
-    turns_rad = _turned(azimuths_rad[None] - azimuths_rad[:, None])
+    turns_rad = turned(azimuths_rad[None] - azimuths_rad[:, None])
     middle = int(np.abs(turns_rad).sum(1).argmin())
     if np.abs(turns_rad[middle]).max() > WITHIN_RAD:
         return None
@@ -51,10 +51,10 @@ def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
     )
 
 
-def _turned(angles_rad: Array) -> Array:
+def turned(angles_rad: Array) -> Array:
     """Returns angles from -pi to pi."""
-    turned: Array = (angles_rad + math.pi) % (2 * math.pi) - math.pi
-    return turned
+    within: Array = (angles_rad + math.pi) % (2 * math.pi) - math.pi
+    return within
 
 
 def _deviation(own_rad: Sequence[float], differences_rad: Array) -> float:

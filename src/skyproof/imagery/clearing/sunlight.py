@@ -15,7 +15,7 @@ from torch import Tensor
 
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.clearing.shared_sun import shared_sun
+from skyproof.imagery.clearing.shared_sun import shared_sun, turned
 from skyproof.imagery.clearing.vehicle_masks import (
     FAINTEST_SHADOW,
     FEWEST_VEHICLES,
@@ -37,6 +37,7 @@ from skyproof.scenes.places import RemovedVehicle
 __all__ = [
     "OVERCAST_SKY",
     "Footprints",
+    "by_picture",
     "casts_no_shadow",
     "estimate_sun",
     "measured_lights",
@@ -111,6 +112,15 @@ def picture_of(tile: BackgroundTile) -> str:
     return tile.source if tile.kind is None else tile.id
 
 
+def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile]]:
+    """Groups the tiles of imagery by the picture they were cut from; drawn ones are left out."""
+    groups: dict[str, list[BackgroundTile]] = defaultdict(list)
+    for tile in tiles:
+        if tile.kind is None:
+            groups[picture_of(tile)].append(tile)
+    return groups
+
+
 def measured_lights(
     backgrounds: BackgroundSet,
     tiles: Sequence[BackgroundTile],
@@ -132,10 +142,7 @@ def measured_lights(
         The light of each tile, by its id; None for that of the set.
     """
     lights = {tile.id: tile.light for tile in tiles}
-    of_picture: dict[str, list[BackgroundTile]] = defaultdict(list)
-    for tile in tiles:
-        if tile.kind is None:
-            of_picture[picture_of(tile)].append(tile)
+    of_picture = by_picture(tiles)
     of_its_own = {
         picture: _light_by_vehicles(backgrounds, own, vehicles)
         for picture, own in of_picture.items()
@@ -239,11 +246,10 @@ def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Su
         return None
     # How sure the azimuth is, by drawing the vehicles again.
     rng = np.random.default_rng(0)
-    turns = []
-    for _ in range(_RESAMPLES):
-        again, _, _ = _side(stacked[rng.integers(len(stacked), size=len(stacked))])
-        turns.append((again - azimuth_rad + math.pi) % (2 * math.pi) - math.pi)
-    azimuth_sd_rad = float(np.sqrt(np.mean(np.square(turns))))
+    again_rad = np.zeros(_RESAMPLES)
+    for index in range(_RESAMPLES):
+        again_rad[index], _, _ = _side(stacked[rng.integers(len(stacked), size=len(stacked))])
+    azimuth_sd_rad = float(np.sqrt(np.mean(np.square(turned(again_rad - azimuth_rad)))))
     if azimuth_sd_rad > _LARGEST_SD_RAD:
         return None
     elevation_rad = math.atan2(HEIGHT_M, length_m)
