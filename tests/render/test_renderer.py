@@ -10,6 +10,7 @@ from torch.nn import functional
 from skyproof.errors import StoredFileError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.light import Light
@@ -128,6 +129,13 @@ def test_black_is_no_hole():
         inside = -functional.max_pool2d(-frames.masks[:1, None].float(), 3, 1, 1)[0, 0] > 0
         shown.append(srgb_to_linear(frames.image[0][:, inside]))
     torch.testing.assert_close(shown[0], 0.015 * shown[1], rtol=0.02, atol=1e-5)
+
+
+def test_a_close_up_is_sharp():
+    # White on grey ground: seen through 5 cm of roundness no step would be a third as high.
+    batch = dataclasses.replace(vehicles(), texture=torch.ones(1, 3, 512, 512))
+    picture = close_up(batch, gsd_m=0.016)[0].double().mean(0) / 255
+    assert float(picture.diff(dim=1).abs().max()) > 0.25
 
 
 def test_vehicles_stand_east_to_the_right_and_north_upwards():

@@ -51,7 +51,7 @@ def close_up(
     size_px = round(side_m / gsd_m)
     camera = Camera(tilt_rad, math.radians(-100), gsd_m, size_px)
     window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
-    renderer = TorchRenderer(_Asphalt(), RenderSettings(supersampling=3))
+    renderer = TorchRenderer(_Asphalt(), RenderSettings(supersampling=3, blur_sigma_px=0.0))
     pictures = []
     for index, name in enumerate(vehicles.ids):
         scene = Scene(name, window, camera, _SUN, (Placement(name, 0.0, 0.0, heading_rad),), seed=0)
