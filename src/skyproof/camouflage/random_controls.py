@@ -18,11 +18,13 @@ from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["wear_random_controls"]
 
+# Colours of the ground over glass and wheels hide most: twice as many vehicles wear them.
 _TEXTURES = tuple(
-    TextureConstraints.parse(prefix + colours + mask or "U")
-    for mask in ("", "Ma")
-    for prefix in ("", "Pix")
-    for colours in ("", "Lc", "Fc")
+    TextureConstraints.parse(name)
+    for name in (
+        *("U", "Ma", "Pix", "PixMa", "Lc", "LcMa", "PixLc", "PixLcMa"),
+        *("Fc", "FcMa", "PixFc", "PixFcMa", "Fc", "PixFc"),
+    )
 )
 # Coarser and finer than the attacks' 32 blocks, so that one width is not learnt by heart.
 _BLOCKS = (8, 16, 32, 64)
@@ -37,7 +39,8 @@ def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
     """Gives vehicles the patterns and shapes that they are marked for, each one of its own.
 
     Whose coat is "patterned" is painted in the random control of one of the twelve textures
-    (section 5.4), each equally often, so half of the patterns lie on painted body panels alone.
+    (section 5.4), those in fixed colours all over twice as often as others; of fourteen patterns
+    six lie on painted body panels alone.
     Whose shape is "random" gets that of R-S-O, at a magnitude drawn uniformly from 0.1 to 0.4. No
     attack is asked, and nothing is learnt: number and width of blocks and colours vary, and fixed
     colours are spread about a random middle, as the colours of some ground are.
@@ -95,9 +98,9 @@ def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
     """Colours about a random middle, near to each other or far apart.
 
-    As in the colours of some ground, lightness is spread wider than hue.
+    As in the colours of some ground, the middle is muted, and lightness spread wider than hue.
     """
-    middle = srgb_to_cielab(varied_colours(1, generator=generator))
+    middle = srgb_to_cielab(varied_colours(1, muted=1.0, generator=generator))
     light, hue = torch.rand(2, generator=generator).tolist()
     spread = torch.tensor([_WIDEST_LIGHTNESS * light, _WIDEST_HUE * hue, _WIDEST_HUE * hue])
     drawn = middle + spread * torch.randn(colours, 3, generator=generator)

@@ -10,6 +10,7 @@ import numpy as np
 from skyproof.ground.buildings import add_building
 from skyproof.ground.canvas import Canvas, Colour, Patch, reflectance
 from skyproof.ground.clutter import add_clutter, add_lamp_post
+from skyproof.ground.markings import mark_guides
 from skyproof.ground.plants import add_bush, add_hedge, add_stand, add_tree
 from skyproof.ground.surfaces import (
     CONCRETE,
@@ -129,6 +130,11 @@ def draw_crossroads(canvas: Canvas) -> None:
     for patch, width, other in ((ground, widths[0], widths[1]), (across, widths[1], widths[0])):
         crossing = canvas.band(patch, 0.0, width - 0.6)
         _lay_over_crossing(canvas, crossing, other)
+        if rng.random() < 0.6:
+            # A path for cycles or for feet runs beside the road, and crosses the other one.
+            side = float(rng.choice([-1, 1]))
+            crossed = second if patch is ground else first
+            mark_guides(canvas, patch, side * (width / 2 + 1.5), crossed)
     for _ in range(int(rng.integers(1, 4))):
         spot = (
             float(rng.choice([-1, 1])) * (widths[1] / 2 + 6),

@@ -17,11 +17,16 @@ CROWN_COLOURS: tuple[Colour, ...] = (
     (96, 96, 58),
     (50, 70, 46),
     (112, 118, 62),
+    (38, 52, 40),
+    (62, 52, 54),
 )
 
 
 def add_stand(canvas: Canvas, place: Place, reach_m: float) -> None:
-    """Plants trees so near to each other that their crowns close, most of them of one kind."""
+    """Plants trees so near to each other that their crowns close, most of them of one kind.
+
+    Dark gaps are left between some of them, as large as a vehicle and as black as one.
+    """
     rng = canvas.rng
     kind = pick(canvas, CROWN_COLOURS, 0.1)
     largest_m = float(rng.uniform(2.0, 4.5))
@@ -34,6 +39,11 @@ def add_stand(canvas: Canvas, place: Place, reach_m: float) -> None:
         )
         own = kind * np.float32(np.exp(rng.normal(0, 0.12))) if rng.random() < 0.8 else None
         add_tree(canvas, spot, largest_m * float(rng.uniform(0.6, 1.0)), own)
+    for _ in range(int(rng.poisson(0.05 * reach_m**2))):
+        off_m = rng.normal(0, reach_m / 2, 2)
+        spot = (place[0] + float(off_m[0]), place[1] + float(off_m[1]))
+        gap = canvas.disc(spot, float(rng.uniform(0.6, 1.4)), 0.2, float(rng.uniform(1.0, 2.4)))
+        canvas.shade(gap, float(rng.uniform(0.12, 0.5)))
 
 
 def add_tree(canvas: Canvas, place: Place, radius_m: float, colour: Array | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What lies flat on the procedural ground: asphalt, paving, grass, soil, roads and their paint."""
+"""What lies flat on the procedural ground: asphalt, paving, grass, soil, and the roads of them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from skyproof.ground.canvas import Array, Canvas, Colour, Patch, pick, reflectance
+from skyproof.ground.canvas import Array, Canvas, Colour, Patch, pick
 from skyproof.ground.clutter import add_lamp_post, add_manhole
+from skyproof.ground.markings import mark_arrow, mark_bays, mark_lanes
 from skyproof.ground.plants import add_tree
 
 __all__ = [
@@ -22,7 +23,6 @@ __all__ = [
     "lay_grass",
     "lay_paving",
     "lay_soil",
-    "mark",
     "pick_asphalt",
 ]
 
@@ -92,9 +92,24 @@ def lay_asphalt(canvas: Canvas, patch: Patch, colour: Array | None = None) -> No
             patch,
             float(rng.uniform(0.65, 0.9)),
         )
+    for _ in range(int(rng.poisson(4))):
+        _stain(canvas, patch)
 
 
-def _within(canvas: Canvas, spot: Patch, ground: Patch, factor: float) -> None:
+def _stain(canvas: Canvas, ground: Patch) -> None:
+    """Darkens a place of a vehicle's size that has no edge, as braking and dripping leave it."""
+    rng = canvas.rng
+    reach = canvas.reach_m * 0.8
+    length_m, width_m = float(rng.uniform(1.5, 7)), float(rng.uniform(0.8, 2.6))
+    place = (float(rng.uniform(-reach, reach)), float(rng.uniform(-reach, reach)))
+    angle_rad = float(rng.choice([0, math.pi / 2])) + float(rng.normal(0, 0.2))
+    stain = canvas.rectangle(place, (2 * length_m, 2 * width_m), angle_rad)
+    if not stain.empty:
+        fading = np.exp(-2.5 * ((stain.u / length_m) ** 2 + (stain.v / width_m) ** 2))
+        _within(canvas, stain, ground, 1 - float(rng.uniform(0.1, 0.45)) * fading)
+
+
+def _within(canvas: Canvas, spot: Patch, ground: Patch, factor: float | Array) -> None:
     """Shades a spot only where `ground` (a whole-canvas patch) lies."""
     if not spot.empty:
         canvas.shade(spot, 1 + (factor - 1) * ground.coverage[spot.rows, spot.columns])
@@ -150,15 +165,6 @@ def lay_paving(
     canvas.paint(patch, (pick(canvas, colours) * texture[..., None]).astype(np.float32))
 
 
-def mark(canvas: Canvas, patch: Patch, colour: Colour = (232, 230, 222)) -> None:
-    """Road paint, worn in places."""
-    if not patch.empty:
-        worn = np.clip(
-            canvas.rng.uniform(0.55, 0.95) + 0.22 * canvas.noise("mottle", patch), 0.1, 1
-        )
-        canvas.paint(patch, reflectance(colour), worn)
-
-
 def add_pavement(
     canvas: Canvas, ground: Patch, centre_v_m: float, road_m: float, pavement_m: float
 ) -> None:
@@ -183,26 +189,19 @@ def add_road(
     rng = canvas.rng
     road = canvas.band(ground, centre_v_m, width_m, 0.0 if kerbed else 0.15)
     lay_asphalt(canvas, road, colour)
-    wheel_tracks = 1 - 0.06 * np.cos(2 * math.pi * road.v / 1.75) * (np.abs(road.v) < width_m / 2)
+    # Wheels polish two tracks of each lane, and oil drips between them.
+    deep = float(rng.uniform(0.02, 0.1))
+    wheel_tracks = 1 - deep * np.cos(2 * math.pi * road.v / 1.75) * (np.abs(road.v) < width_m / 2)
     canvas.shade(road, wheel_tracks.astype(np.float32))
-    style = rng.choice(["none", "dashed", "solid"], p=[0.3, 0.5, 0.2])
     lanes = max(2, round(width_m / 3.4))
     allow_lanes(canvas, road, width_m, kerbed=kerbed)
-    for lane in range(1, lanes):
-        v_m = (lane / lanes - 0.5) * width_m
-        line = canvas.band(road, v_m, 0.14)
-        if style == "solid":
-            mark(canvas, line)
-        elif style == "dashed":
-            dash = (np.mod(line.u, 9.0 if lanes > 2 else 6.0) < 3.0).astype(np.float32)
-            canvas.paint(line, reflectance((226, 224, 216)), dash * 0.8)
-    if rng.random() < 0.4:
-        for side in (-1, 1):
-            mark(
-                canvas,
-                canvas.band(road, side * (width_m / 2 - 0.35), 0.12),
-                (226, 210, 120) if rng.random() < 0.3 else (226, 224, 216),
-            )
+    mark_lanes(canvas, road, width_m, lanes)
+    if kerbed and width_m >= PARKED_ALONG_M and rng.random() < 0.3:
+        mark_bays(canvas, road, width_m)
+    for _ in range(int(rng.poisson(1.0)) if kerbed else 0):
+        v_m = centre_v_m + ((int(rng.integers(lanes)) + 0.5) / lanes - 0.5) * width_m
+        turn = float(rng.choice([0, math.pi]))
+        mark_arrow(canvas, (float(rng.uniform(-1, 1)) * canvas.reach_m, v_m), turn)
     for _ in range(int(rng.integers(1, 6))):
         add_manhole(
             canvas,

@@ -29,19 +29,23 @@ _CANDIDATES = 64
 _DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
 
 
-def varied_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
-    """Draws colours of all kinds, half of them muted, as primer, dust and ground are.
+def varied_colours(
+    count: int, *, muted: float = 0.5, generator: torch.Generator
+) -> Float[Tensor, "count 3"]:
+    """Draws colours of all kinds, a part of them `muted`, as primer, dust and ground are.
 
     Of CIELAB hardly a hundredth is nearly grey. Detectors that had learnt colours uniform in it
     alone lost vehicles in one grey or beige, over glass and wheels, more often than in any vivid
-    colour (docs/results/detectors). The muted ones keep a part u ** 2 of their chroma, u uniform.
+    colour (docs/results/detectors). The muted ones keep a part u ** 2 of their chroma, u uniform,
+    and are uniform in lightness, because there are as many blacks and whites as greys.
 
     Returns:
         sRGB in [0.03, 0.97].
     """
     cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
-    muted, kept = torch.rand(2, count, 1, generator=generator)
-    cielab[:, 1:] *= torch.where(muted < 0.5, kept**2, 1.0)
+    chance, kept, lightness = torch.rand(3, count, 1, generator=generator)
+    cielab[:, 1:] *= torch.where(chance < muted, kept**2, 1.0)
+    cielab[:, :1] = torch.where(chance < muted, 100 * lightness, cielab[:, :1])
     return cielab_to_srgb(cielab).clamp(DARKEST, LIGHTEST)
 
 
@@ -85,29 +89,32 @@ def _everywhere(canvas: Canvas) -> Tensor:
 
 
 def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
-    """Roof, bonnet and boot, or the lower half of the sides, in another colour than the rest."""
+    """Roof alone, all that is seen from above, or the lower half, in another colour than the rest.
+
+    Every second one has all that is seen from above in another colour.
+    """
     first, second = _pair(generator)
-    kind = int(torch.randint(3, (1,), generator=generator))
+    kind = int(torch.randint(4, (1,), generator=generator))
     canvas.fill(_everywhere(canvas), first, Part.BODY)
     if kind == 0:
         where = canvas.upper & (canvas.z > canvas.rail_z - 0.05)
     elif kind == 1:
-        where = canvas.upper.expand_as(canvas.z)
-    else:
         where = canvas.z < 0.5 * canvas.body.dimensions.height
+    else:
+        where = canvas.upper.expand_as(canvas.z)
     canvas.fill(where, second, Part.BODY)
     return first
 
 
 def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
-    """Draws two colours; every second pair is a dark and a light one, either of them first.
+    """Draws two colours; of two pairs in three one is dark and one light, either of them first.
 
     Of colours drawn by themselves one pair in a hundred is, and detectors lost black roofs on
     white vehicles.
     """
     colours = varied_colours(2, generator=generator)
     contrast, swap, *parts = torch.rand(4, generator=generator).tolist()
-    if contrast < 0.5:
+    if contrast < 1 / 3:
         return colours
     cielab = srgb_to_cielab(colours)
     lightness = [_DARK_BELOW * parts[0], 100 - (100 - _LIGHT_ABOVE) * parts[1]]
