@@ -52,10 +52,10 @@ def composite(
         sensors: blur and noise, one per image.
     """
     count, _, height, width = photographs.shape
-    # One window per image, around all that is drawn into it; another of it and its blur, of which
+    # One window per image, around all that is drawn near it; another of it and its blur, of which
     # only what lies inside the photograph is worked out.
-    origin, size = _whole([bodies, shadows], scene, count)
     margin_px = max(sensor.blur_radius_px for sensor in sensors)
+    origin, size = _whole([bodies, shadows], scene, count, (width, height), margin_px + 1)
     shown, shape = _inside(origin, size, margin_px, (width, height))
     rank = _ranks(scene, nearness)
     layers = _lay(bodies, origin, size, scene, rank, _cover)
@@ -107,11 +107,17 @@ def _planes(count: int, area: int, device: torch.device) -> Int[Tensor, "B 3 1 1
 
 @torch.no_grad()
 def _whole(
-    drawn: Sequence[Layers], scene: Int[Tensor, " N"], count: int
+    drawn: Sequence[Layers],
+    scene: Int[Tensor, " N"],
+    count: int,
+    whole: tuple[int, int],
+    margin_px: int,
 ) -> tuple[Int[Tensor, "B 2"], int]:
     """Returns per image the top-left pixel of one window around all small ones.
 
-    All of these windows have one size, which is returned too.
+    All of these windows have one size, which is returned too. They reach beyond an image, `whole`
+    pixels wide and high, by no more than a margin; `_lay` gathers in the last of its pixels what
+    lies farther out.
     """
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4
@@ -122,9 +128,10 @@ def _whole(
         low = low.scatter_reduce(0, index, window.origin, "amin")
         high = high.scatter_reduce(0, index, window.origin + window.size, "amax")
     empty = low == far
-    low = low.masked_fill(empty, 0)
-    high = high.masked_fill(empty, 0)
-    return low, int((high - low).max())
+    most = low.new_tensor(whole) + margin_px
+    low = low.masked_fill(empty, 0).clamp(min=-margin_px).minimum(most)
+    high = high.masked_fill(empty, 0).clamp(min=-margin_px).minimum(most)
+    return low, max(1, int((high - low).max()))
 
 
 @torch.no_grad()
@@ -163,8 +170,8 @@ def _lay(
     # Where each pixel of each vehicle's window lies on the canvas of all windows.
     shift = window.origin - origin[scene]
     steps = torch.arange(window.size, device=layers.device)
-    rows = (shift[:, 1, None] + steps)[:, None, :, None]
-    columns = (shift[:, 0, None] + steps)[:, None, None, :]
+    rows = (shift[:, 1, None] + steps).clamp(0, size - 1)[:, None, :, None]
+    columns = (shift[:, 0, None] + steps).clamp(0, size - 1)[:, None, None, :]
     channel = torch.arange(channels, device=layers.device)
     plane = (scene[:, None] * channels + channel)[:, :, None, None]
     place = (plane * size + rows) * size + columns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -100,15 +101,13 @@ def draw_bodies(
     levels = _texture_levels(corners.detach(), vehicles)
     finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
     texture = LinearTexture(vehicles.texture, finest, samples.dtype, vehicles.overlay)
-    # The surface: all that is interpolated, for the three corners of every (vehicle, face), so
-    # that a sample takes one look-up.
     normals = at_corners(vertex_normals(vertices, template.faces), template.faces)
     uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
-    surface = torch.cat((uvs.repeat(1, 1, len(vertices)), normals), dim=1).flatten(0, 1)
+    uvs = uvs.repeat(1, 1, len(vertices))
 
     def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         row = vehicle * len(template.faces) + face
-        uv, normal = _interpolate(surface.index_select(1, row), weights).split((2, 3))
+        uv, normal = _Interpolated.apply(uvs, normals, row, weights)
         normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
         albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
         diffuse, mirrored = light(
@@ -141,12 +140,14 @@ def draw_shadows(
     samples = window.samples(screen, factor)
     flat = samples.new_zeros(samples.shape[:2])
     seen = rasterise(samples.detach(), flat, faces, window.size * factor)
-    white = samples.new_ones(3, len(seen.covered))
-    layers = _average(seen, white, factor)
+    # Samples without any colour leave coverage alone.
+    nothing = samples.new_zeros(0, len(seen.covered))
+    layers = _average(seen, nothing, factor)
     if samples.requires_grad:
         points = silhouette_points(samples, flat, faces, seen)
-        layers = layers + _edges(seen, points, white, white.new_ones(3, len(points.face)), factor)
-    return layers[:, 3:]
+        at_edges = samples.new_zeros(0, len(points.face))
+        layers = layers + _edges(seen, points, nothing, at_edges, factor)
+    return layers
 
 
 @torch.no_grad()
@@ -213,33 +214,57 @@ def _held_weights(
     return weights.detach().lerp(weights, kept)
 
 
-def _interpolate(
-    values: Float[Tensor, "_ K"], weights: Float[Tensor, "3 K"]
-) -> Float[Tensor, "_ K"]:
-    """Barycentric mean of three corners' values, which stand one after the other."""
-    first, second, third = values.chunk(3)
-    result = torch.addcmul(first * weights[0], second, weights[1])
-    return torch.addcmul(result, third, weights[2])
+class _Interpolated(torch.autograd.Function):
+    """Barycentric means of texture coordinates and of normals, at samples of some triangles.
+
+    A sample takes one look-up for all of it, and the gradient is not worked out for the texture
+    coordinates of corners, nor put together from parts.
+    """
+
+    @staticmethod
+    def forward(
+        context: Any, uvs: Tensor, normals: Tensor, row: Tensor, weights: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        surface = torch.cat((uvs, normals), dim=1)
+        corners = surface.flatten(0, 1).index_select(1, row).view(3, surface.shape[1], -1)
+        means = corners[0] * weights[0]
+        for corner, weight in zip(corners[1:], weights[1:], strict=True):
+            means.addcmul_(corner, weight)
+        context.save_for_backward(corners, row, weights)
+        context.columns = normals.shape[2]
+        return means[:2], means[2:]
+
+    @staticmethod
+    def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        corners, row, weights = context.saved_tensors
+        gradient = torch.cat(gradients)
+        to_weights = torch.stack([(corner * gradient).sum(0) for corner in corners])
+        to_normals = None
+        if context.needs_input_grad[1]:
+            spread = (weights[:, None] * gradients[1]).flatten(0, 1)
+            to_normals = spread.new_zeros(9, context.columns).index_add_(1, row, spread)
+            to_normals = to_normals.view(3, 3, -1)
+        return None, to_normals, None, to_weights
 
 
 def _average(
-    visibility: Visibility, colour: Float[Tensor, "3 K"], factor: int
-) -> Float[Tensor, "N 4 S S"]:
+    visibility: Visibility, colour: Float[Tensor, "C K"], factor: int
+) -> Float[Tensor, "N C+1 S S"]:
     """Averages samples to pixels: colour times coverage, and coverage."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
     x, y = visibility.cells(factor)
     pixel = (visibility.vehicle * size + y) * size + x
-    return _summed(_with_coverage(colour) / factor**2, pixel, count, size)
+    return _summed(_with_coverage(colour), pixel, count, size) / factor**2
 
 
 def _edges(
     visibility: Visibility,
     points: SilhouettePoints,
-    colour: Float[Tensor, "3 K"],
-    edge_colour: Float[Tensor, "3 M"],
+    colour: Float[Tensor, "C K"],
+    edge_colour: Float[Tensor, "C M"],
     factor: int,
-) -> Float[Tensor, "N 4 S S"]:
+) -> Float[Tensor, "N C+1 S S"]:
     """Zero in value; carries the gradient of moving silhouettes into the averaged layers."""
     count, wide, _ = visibility.keys.shape
     size = wide // factor
@@ -252,13 +277,13 @@ def _edges(
     return _summed(step * (points.coverage / factor**2), pixel, count, size)
 
 
-def _with_coverage(colour: Float[Tensor, "3 K"]) -> Float[Tensor, "4 K"]:
+def _with_coverage(colour: Float[Tensor, "C K"]) -> Float[Tensor, "C+1 K"]:
     return torch.nn.functional.pad(colour, (0, 0, 0, 1), value=1.0)
 
 
 def _summed(
-    values: Float[Tensor, "4 K"], pixel: Int[Tensor, " K"], count: int, size: int
-) -> Float[Tensor, "N 4 S S"]:
+    values: Float[Tensor, "C K"], pixel: Int[Tensor, " K"], count: int, size: int
+) -> Float[Tensor, "N C S S"]:
     """Adds up what falls on each pixel of `count` windows."""
-    layers = values.new_zeros(4, count * size * size).index_add(1, pixel, values)
-    return layers.view(4, count, size, size).transpose(0, 1)
+    layers = values.new_zeros(len(values), count * size * size).index_add(1, pixel, values)
+    return layers.view(-1, count, size, size).transpose(0, 1)

@@ -170,6 +170,10 @@ def _visible(
     """
     count = len(visibility.keys)
     vehicle = visibility.vehicle
+    every = torch.bincount(vehicle, minlength=count)
+    end = window.origin + window.size
+    if seen is None and not masks and bool((window.origin >= 0).all() & (end <= size_px).all()):
+        return every.double() / factor**2, every.clamp(max=1).double(), None
     cell_x, cell_y = visibility.cells(factor)
     # Samples that are visible, of all.
     x = window.origin[:, 0].index_select(0, vehicle) + cell_x
@@ -177,7 +181,6 @@ def _visible(
     held = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
     if seen is not None:
         held &= seen[vehicle, y.clamp(0, size_px - 1), x.clamp(0, size_px - 1)]
-    every = torch.bincount(vehicle, minlength=count).double()
     visible = torch.bincount(vehicle[held], minlength=count).double()
     drawn = None
     if masks:
@@ -188,4 +191,4 @@ def _visible(
         owner, row, column = torch.nonzero(samples * 2 >= factor**2, as_tuple=True)
         drawn = torch.zeros(count, size_px, size_px, dtype=torch.bool, device=vehicle.device)
         drawn[owner, window.origin[owner, 1] + row, window.origin[owner, 0] + column] = True
-    return visible / factor**2, visible / every.clamp(min=1), drawn
+    return visible / factor**2, visible / every.clamp(min=1).double(), drawn

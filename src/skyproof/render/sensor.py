@@ -72,16 +72,15 @@ def _bands(
 
 def _blur_weights(sensors: Sequence[Sensor], radius_px: int, like: Tensor) -> Float[Tensor, "B _"]:
     """Returns the weight of pixels by their distance, from 0 to where it is zero for all."""
-    weights = torch.zeros(len(sensors), radius_px + 2, dtype=like.dtype)
-    for row, sensor in zip(weights, sensors, strict=True):
-        reach = sensor.blur_radius_px
-        # A sensor without blur keeps the middle pixel alone.
-        sigma_px = sensor.blur_sigma_px if reach else 1.0
-        whole = torch.arange(-reach, reach + 1, dtype=torch.float64)
-        total = float(torch.exp(-0.5 * (whole / sigma_px) ** 2).sum())
-        half = torch.arange(reach + 1, dtype=like.dtype)
-        row[: reach + 1] = torch.exp(-0.5 * (half / sigma_px) ** 2) / total
-    return weights.to(like.device)
+    reaches = torch.tensor([[sensor.blur_radius_px] for sensor in sensors])
+    # A sensor without blur keeps the middle pixel alone.
+    sigmas_px = [[sensor.blur_sigma_px or 1.0] for sensor in sensors]
+    distances = torch.arange(radius_px + 2)
+    weights = torch.exp(-0.5 * (distances / torch.tensor(sigmas_px, dtype=torch.float64)) ** 2)
+    weights = weights.masked_fill(distances > reaches, 0.0)
+    # All but the middle one stand on both sides.
+    total = 2 * weights.sum(1, keepdim=True) - weights[:, :1]
+    return (weights / total).to(like)
 
 
 def _blur_matrices(
