@@ -202,6 +202,19 @@ def test_a_vehicle_at_the_border_is_the_middle_of_a_larger_image():
     assert float(at_border.visible_fraction) == pytest.approx(share, abs=1e-6)
 
 
+@pytest.mark.parametrize("place", [(5.8, 0.0), (-5.8, 0.0), (0.0, 5.8), (0.0, -5.8), (0.0, 0.0)])
+def test_what_is_visible_does_not_depend_on_whether_masks_are_asked_for(place):
+    renderer = TorchRenderer(PlainGround(0.4))
+    with_masks, without = (
+        renderer([scene((*place, 25.0), size_px=96)], vehicles(), masks=masks)
+        for masks in (True, False)
+    )
+    assert without.masks is None
+    assert (without.visible_fraction < 0.9) == any(place)
+    assert torch.equal(without.visible_fraction, with_masks.visible_fraction)
+    assert torch.equal(without.visible_px, with_masks.visible_px)
+
+
 def test_a_vehicle_outside_the_image_changes_nothing_and_is_not_visible():
     renderer = TorchRenderer(PlainGround(None))
     place = scene((40.0, 0.0, 0.0))
