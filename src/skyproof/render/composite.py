@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.cover import hidden
 from skyproof.render.layers import Layers
 from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
@@ -27,6 +28,7 @@ def composite(
     seeds: Sequence[int],
     lights: SceneLights,
     sensors: Sequence[Sensor],
+    cover: Float[Tensor, "B 1 H W"] | None = None,
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
@@ -50,6 +52,7 @@ def composite(
         seeds: decide the noise, one per image.
         lights: how the photographs show light.
         sensors: blur and noise, one per image.
+        cover: the part of each pixel in which the photograph hides all of this, if any.
     """
     count, _, height, width = photographs.shape
     # One window per image, around all that is drawn near it; another of it and its blur, of which
@@ -66,8 +69,8 @@ def composite(
     # Where each pixel of the windows lies in the flat photographs.
     x = shown[:, 0, None] + torch.arange(shape[0], device=photographs.device)
     y = shown[:, 1, None] + torch.arange(shape[1], device=photographs.device)
-    place = (y * width)[:, None, :, None] + x[:, None, None, :]
-    place = (place + _planes(count, height * width, photographs.device)).flatten()
+    pixel = (y * width)[:, None, :, None] + x[:, None, None, :]
+    place = (pixel + _planes(count, 3, height * width, photographs.device)).flatten()
     ground_srgb = photographs.view(-1).index_select(0, place).view(count, 3, *shape[::-1])
 
     # Light adds up; then the sensor makes a picture of it.
@@ -81,6 +84,9 @@ def composite(
         pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
     reached = (drawn.detach()[:, 3:] > 0).any(1, keepdim=True)
     pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
+    if cover is not None:
+        covering = pixel + _planes(count, 1, height * width, photographs.device)
+        pixels = hidden(pixels, ground_srgb, cover.view(-1)[covering])
     # In place: a copy of the images would cost as much as the rest of this function.
     photographs.view(-1).index_put_((place,), pixels.flatten())
     return photographs
@@ -100,9 +106,9 @@ def _inside(
     return (origin - margin_px).clamp(min=0).minimum(most), (wide, high)
 
 
-def _planes(count: int, area: int, device: torch.device) -> Int[Tensor, "B 3 1 1"]:
+def _planes(count: int, channels: int, area: int, device: torch.device) -> Int[Tensor, "B C 1 1"]:
     """Returns where each channel of each image begins in a flat batch of images."""
-    return (torch.arange(count * 3, device=device) * area).view(count, 3, 1, 1)
+    return (torch.arange(count * channels, device=device) * area).view(count, channels, 1, 1)
 
 
 @torch.no_grad()

@@ -14,7 +14,7 @@ from torch import Tensor
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
 from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
-from skyproof.render.cover import covers, hidden
+from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
 from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
 from skyproof.render.lighting import lighting, scene_lights
@@ -192,8 +192,6 @@ class TorchRenderer:
             light,
         )
         cover = covers(self.backgrounds.cover_of, scenes, placed, vehicles.template.faces)
-        # The picture is drawn into the photographs where they lie.
-        before = None if cover is None else ground.clone()
         image = composite(
             ground,
             bodies=Layers(window, bodies),
@@ -203,9 +201,8 @@ class TorchRenderer:
             seeds=[scene.seed for scene in scenes],
             lights=lights,
             sensors=sensors(self.backgrounds, scenes, settings),
+            cover=cover,
         )
-        if cover is not None and before is not None:
-            image = hidden(image, before, cover)
         image = finish_images(image, scenes)
         return label(
             image, placed, visibility, window, settings.supersampling, cover=cover, masks=masks
