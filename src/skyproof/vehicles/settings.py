@@ -35,8 +35,8 @@ class PaintVariety:
             wheels, too.
         two_tone: two such colours: roof, upper or lower half in another one.
         livery: such colours in stripes, bands, chequers and panels.
-        patterned: random patterns, drawn as the random controls of all textures are; half of them
-            on painted body panels alone.
+        patterned: random patterns, drawn as the random controls of all textures are; six of
+            fourteen on painted body panels alone.
     """
 
     plain: Fraction = 0.15
