@@ -85,6 +85,22 @@ def test_shaded_ground_keeps_four_fifths_of_the_sky_and_less_towards_the_vehicle
     assert float(share[0, -1]) < 0.7
 
 
+@pytest.mark.parametrize(("shade", "kept"), [(0.0, 0.2), (0.5, 0.36), (1.0, 1.0)])
+def test_in_a_photographed_shadow_there_is_less_sun_to_lose_of_less_light(shade, kept):
+    place = lit_from(scene((0, 0, 0), tilt_deg=0.0), 0, 45)
+    place = dataclasses.replace(
+        place, placements=(dataclasses.replace(place.placements[0], shade=shade),)
+    )
+    renderer = TorchRenderer(PlainGround(None, light=Light(sky=(0.25, 0.25, 0.25))), SHARP)
+    image = renderer([place], post(side_m=2.0)).image
+    photograph = photographs(renderer.backgrounds, [place], torch.device("cpu"))
+    # The far end of the shadow: a fifth of a clear sky is missing there, of clouds nothing, and a
+    # vehicle in the shade has clouds as far as it is in it: (0.25 - 0.025) / 0.625.
+    far = (0, slice(None), slice(46, 50), slice(48 - 28, 48 - 26))
+    found = (srgb_to_linear(image[far]) / srgb_to_linear(photograph[far])).mean()
+    assert float(found) == pytest.approx(kept, abs=0.03)
+
+
 @pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
 def test_the_roof_leans_away_from_the_camera_by_height_times_tangent_of_tilt(azimuth_deg):
     place = seen_from(scene((0, 0, 0), size_px=96), azimuth_deg, 20)

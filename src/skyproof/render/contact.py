@@ -75,10 +75,10 @@ def ground_shadows(
     sunlit = light.sunlit[:, :, None, None]
     clear = sunlit * (1 - light.overcast[:, :, None, None])
     sky_lost = clear * cast * (_FAR_LOSS + _NEAR_LOSS * contact) + (1 - clear) * contact
-    # In a photographed shadow there is no sun to lose, and the sky is all there is.
+    # In a photographed shadow there is less sun to lose, of less light in all.
     share = light.sky.mean(1)[:, None, None, None]
     left = (1 - share) * sunlit + share
-    return torch.cat((cast * sunlit, (sky_lost / left).clamp(max=1.0)), dim=1)
+    return (torch.cat((cast * sunlit, sky_lost), dim=1) / left).clamp(max=1.0)
 
 
 def _between(
