@@ -7,10 +7,11 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity, interpolate, normalize
 
+from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import gloss_table
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import Lighting, LinearTexture, light
+from skyproof.render.shade import Lighting, light
 from skyproof.scenes.light import CLEAR_SKY
 from tests.render.bodies import PlainGround, double, scene, smooth_texture, vehicles
 

@@ -56,7 +56,7 @@ def _quarters(cielab: torch.Tensor) -> list[float]:
     return [float((quarter == number).float().mean()) for number in range(4)]
 
 
-def test_every_second_two_tone_coat_is_dark_and_light() -> None:
+def test_two_in_three_two_tone_coats_are_dark_and_light() -> None:
     fleet = sample_fleet(
         FleetSettings(count=40, paints=PaintVariety(0.0, 1.0, 0.0, 0.0)), generator=_generator()
     )

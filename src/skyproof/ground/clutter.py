@@ -102,7 +102,7 @@ def add_skip(canvas: Canvas, place: Place, angle_rad: float) -> None:
     hollow = canvas.rectangle(place, (size[0] - 0.5, size[1] - 0.4), angle_rad)
     if not hollow.empty:
         fill = textured(
-            canvas, hollow, pick(canvas, ((110, 100, 90), (70, 66, 62), (150, 140, 126))), 0.15, 0.2
+            canvas, hollow, pick(canvas, ((110, 100, 90), (94, 88, 82), (150, 140, 126))), 0.15, 0.2
         )
         canvas.paint(hollow, fill * np.exp(0.3 * canvas.noise("clump", hollow))[..., None])
 
@@ -115,7 +115,7 @@ def add_shed(canvas: Canvas, place: Place, angle_rad: float) -> None:
     if patch.empty:
         return
     canvas.raise_to(patch, 2.0 + 0.35 * (size[1] / 2 - np.abs(patch.v)))
-    colours = ((120, 96, 72), (90, 88, 86), (190, 196, 198), (60, 62, 64), (150, 120, 90))
+    colours = ((120, 96, 72), (90, 88, 86), (190, 196, 198), (104, 106, 108), (150, 120, 90))
     canvas.paint(patch, textured(canvas, patch, pick(canvas, colours), 0.05, 0.06))
     if rng.random() < 0.4:
         for u_m in (-size[0] / 4, size[0] / 4):

@@ -92,7 +92,7 @@ def lay_asphalt(canvas: Canvas, patch: Patch, colour: Array | None = None) -> No
             patch,
             float(rng.uniform(0.65, 0.9)),
         )
-    for _ in range(int(rng.poisson(4))):
+    for _ in range(int(rng.poisson(10))):
         _stain(canvas, patch)
 
 
@@ -100,13 +100,13 @@ def _stain(canvas: Canvas, ground: Patch) -> None:
     """Darkens a place of a vehicle's size that has no edge, as braking and dripping leave it."""
     rng = canvas.rng
     reach = canvas.reach_m * 0.8
-    length_m, width_m = float(rng.uniform(1.5, 7)), float(rng.uniform(0.8, 2.6))
+    length_m, width_m = float(rng.uniform(1.5, 8)), float(rng.uniform(0.8, 3.5))
     place = (float(rng.uniform(-reach, reach)), float(rng.uniform(-reach, reach)))
     angle_rad = float(rng.choice([0, math.pi / 2])) + float(rng.normal(0, 0.2))
     stain = canvas.rectangle(place, (2 * length_m, 2 * width_m), angle_rad)
     if not stain.empty:
         fading = np.exp(-2.5 * ((stain.u / length_m) ** 2 + (stain.v / width_m) ** 2))
-        _within(canvas, stain, ground, 1 - float(rng.uniform(0.1, 0.45)) * fading)
+        _within(canvas, stain, ground, 1 - float(rng.uniform(0.05, 0.4)) * fading)
 
 
 def _within(canvas: Canvas, spot: Patch, ground: Patch, factor: float | Array) -> None:

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from skyproof.geometry.meshes import at_corners, vertex_normals
 from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
+from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import CAMOUFLAGE, gloss_table
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import Lighting, LinearTexture, light
+from skyproof.render.shade import Lighting, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.vehicles.vehicle import VehicleBatch
 

@@ -107,7 +107,7 @@ def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
 
 
 def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
-    """Draws two colours; of two pairs in three one is dark and one light, either of them first.
+    """Draws two colours; of two pairs in three one is dark and one light, mostly the second dark.
 
     Of colours drawn by themselves one pair in a hundred is, and detectors lost black roofs on
     white vehicles.
@@ -118,7 +118,7 @@ def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
         return colours
     cielab = srgb_to_cielab(colours)
     lightness = [_DARK_BELOW * parts[0], 100 - (100 - _LIGHT_ABOVE) * parts[1]]
-    cielab[:, 0] = torch.tensor(lightness[::-1] if swap < 0.5 else lightness)
+    cielab[:, 0] = torch.tensor(lightness[::-1] if swap < 0.75 else lightness)
     return cielab_to_srgb(cielab).clamp(DARKEST, LIGHTEST)
 
 
