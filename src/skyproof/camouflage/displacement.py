@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
@@ -94,6 +94,16 @@ class DisplacementMap(Camouflage):
     def project_(self) -> None:
         """Clips D to [0, 1]."""
         self.reach.clamp_(0.0, 1.0)
+
+    @torch.no_grad()
+    def vary_(self, generator: torch.Generator) -> None:
+        """Moves a rectangle and its mirror image to another place between in and out."""
+        rows, columns = random_part(DISPLACEMENT_SIZE, generator=generator)
+        value = float(torch.rand((), generator=generator))
+        self.reach[rows, columns] = value
+        self.reach[rows, DISPLACEMENT_SIZE - columns.stop : DISPLACEMENT_SIZE - columns.start] = (
+            value
+        )
 
     @torch.no_grad()
     def finalise(self) -> None:
