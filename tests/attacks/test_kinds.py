@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from skyproof.attacks.attack import attack
+from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.sign_test import sign_test, target_scores
+from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
@@ -168,7 +169,9 @@ def test_the_score_on_the_target_is_the_best_within_a_metre(world):
     assert target_scores(Fixed(), frames, 0.2).tolist() == pytest.approx([0.3])
 
 
-@pytest.mark.parametrize("name", ["T-PixLcMa", "S-O@0.4", "C-PixFc-par@0.2", "C-PixFc-seq@0.2"])
+@pytest.mark.parametrize(
+    "name", ["T-PixLcMa", "S-O@0.4", "C-PixFc-par@0.2", "C-PixFc-seq@0.2", "R-PixLc_search"]
+)
 def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world, name):
     whole = attack(start(name), [BrightnessDetector()], world, FEW, tmp_path / "whole")
 

@@ -29,7 +29,7 @@ def pushed_out() -> Camouflage:
     """Every vertex as far out as it may go: nothing is learnt."""
     shape = drawn("S-O@0.4")
     with torch.no_grad():
-        shape.get_parameter("displacement").fill_(8.0)
+        shape.get_parameter("reach").fill_(1.0)
     return shape
 
 

@@ -70,7 +70,7 @@ def test_random_controls_are_finished_and_follow_their_seed():
         for a, b in zip(both.state_dict().values(), again.state_dict().values(), strict=True)
     )
     assert not torch.equal(both.texture.cells, other.texture.cells)
-    assert not torch.equal(both.shape.displacement, other.shape.displacement)
+    assert not torch.equal(both.shape.reach, other.shape.reach)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -78,7 +78,7 @@ def test_a_combination_wears_both(vehicles, masked):
     name = f"C-PixFc{'Ma' if masked else ''}-par@0.3"
     both = make(name)
     with torch.no_grad():
-        both.shape.displacement.fill_(2.0)
+        both.shape.reach.fill_(0.9)
     worn = both(vehicles)
     assert torch.equal(worn.vertices, both.shape(vehicles).vertices)
     assert torch.equal(worn.worn_texture(), both.texture(vehicles).worn_texture())
@@ -95,12 +95,12 @@ def test_a_sequence_learns_the_shape_alone(vehicles):
     texture.finalise()
     both = make("C-Fc-seq@0.3", texture=texture)
     assert [name for name, value in both.named_parameters() if value.requires_grad] == [
-        "shape.displacement"
+        "shape.reach"
     ]
     worn = both(vehicles)
     (worn.vertices.sum() + worn.worn_texture().sum()).backward()
     assert both.texture.cells.grad is None
-    assert both.shape.displacement.grad.abs().sum() > 0
+    assert both.shape.reach.grad.abs().sum() > 0
     before = both.texture.bytes()
     both.before_step_(1, 5)
     both.project_()
@@ -120,7 +120,6 @@ def test_a_parallel_attack_takes_turns():
         turns.append(learnt.pop())
     assert turns == ["texture"] * 3 + ["shape"] * 3 + ["texture"] * 3 + ["shape"]
     assert both.learning_rates["texture.cells"] == both.texture.learning_rates["cells"]
-    assert both.learning_rates["shape.displacement"] == both.shape.learning_rates["displacement"]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +129,7 @@ def test_shapes_and_combinations_are_stored_with_pictures(tmp_path, vehicles, na
     made = make(name)
     if isinstance(made, Combination):
         with torch.no_grad():
-            made.shape.displacement.add_(torch.randn(64, 64, generator=drawn(3)))
+            made.shape.reach.copy_(torch.rand(64, 64, generator=drawn(3)))
     made.finalise()
     save_camouflage(tmp_path, made, {"seed": 1})
     loaded = load_camouflage(tmp_path)

@@ -57,7 +57,7 @@ def test_a_paint_lies_on_body_panels_or_everywhere_and_can_be_stored(fleet, tmp_
     assert torch.equal(whole(vehicles).worn_texture(), orange.expand(1, 3, 512, 512))
     save_camouflage(tmp_path / "paint", body)
     assert torch.equal(load_camouflage(tmp_path / "paint")(vehicles).worn_texture(), painted)
-    assert str(load_camouflage(tmp_path / "paint").name) == "R-PixMa_plain_ff8000"
+    assert str(load_camouflage(tmp_path / "paint").name) == "R-Ma_plain_ff8000"
     assert len(set(LATTICE)) == 27
 
 

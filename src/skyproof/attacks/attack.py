@@ -22,6 +22,7 @@ from skyproof.attacks.objective import (
     frozen,
     loss_and_gradient,
 )
+from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
@@ -30,7 +31,7 @@ from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
-from skyproof.loop import Loop, refuse_other
+from skyproof.loop import Loop, Part, refuse_other
 
 __all__ = ["attack", "descend", "make_optimiser"]
 
@@ -49,9 +50,11 @@ def attack(
 ) -> Camouflage:
     """Optimises the camouflage so that the ensemble's losses against an empty truth fall.
 
-    The weights of the losses make every detector's term 1 at the start. Scenes depend on the seed
-    and the step alone, so a stopped attack goes on exactly where it was from its last checkpoint. A
-    finished folder is not touched again.
+    The weights of the losses make every detector's term 1 on vehicles without camouflage, whatever
+    the start hides. Scenes depend on the seed and the step alone, so a stopped attack goes on
+    exactly where it was from its last checkpoint. A finished folder is not touched again. A control
+    that is to be searched for ("R-PixFc_search") takes random changes instead of gradients, on as
+    many images.
 
     Differences from the paper: losses are normalised per image and the weights computed, not
     chosen; the optimiser, which the paper does not name, is Adam.
@@ -86,14 +89,17 @@ def attack(
     }
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)
-    optimiser = make_optimiser(camouflage, settings)
-    schedule = LambdaLR(optimiser, lambda step: _half_cosine(step / settings.steps))
+    parts: dict[str, Part] = {"camouflage": camouflage}
+    if camouflage.name.choice != "search":
+        optimiser = make_optimiser(camouflage, settings)
+        schedule = LambdaLR(optimiser, lambda step: _half_cosine(step / settings.steps))
+        parts |= {"optimiser": optimiser, "schedule": schedule}
     loop = Loop(
         folder,
         identity,
         settings.steps,
         settings.checkpoint_every,
-        {"camouflage": camouflage, "optimiser": optimiser, "schedule": schedule},
+        parts,
         other=_OTHER,
         remedy=f"remove {folder} and attack again",
         on_row=on_step,
@@ -125,29 +131,14 @@ def _take_steps(
     loop: Loop,
 ) -> dict[str, Any]:
     """Takes the steps that are left, and finalises the camouflage; returns what is recorded."""
-    optimiser = cast(torch.optim.Adam, loop.parts["optimiser"])
-    schedule = cast(LambdaLR, loop.parts["schedule"])
     if "weights" not in loop.facts:
-        first = _measure(camouflage, detectors, world, settings)
-        loop.facts["weights"] = balanced_weights(first)
+        loop.facts["weights"] = balanced_weights(_measure(None, detectors, world, settings))
     weights: dict[str, float] = loop.facts["weights"]
 
+    take = _search if camouflage.name.choice == "search" else _learn
     for step in loop:
-        camouflage.before_step_(step, settings.steps)
-        scenes = world.step_scenes(settings.batch_size, settings.seed, step)
-        vehicles = world.camouflaged(camouflage, scenes)
-        images = world.renderer(scenes, vehicles).image
-        losses, gradient = loss_and_gradient(detectors, weights, images)
+        losses, images = take(camouflage, detectors, world, settings, loop)
         total = sum(weights[name] * loss for name, loss in losses.items())
-        if not math.isfinite(total):
-            raise NotFiniteError(
-                f"The loss of {camouflage.name} is {total} at step {step}; attack again in another "
-                "folder, with a lower --settings.learning-rate than "
-                f"{settings.learning_rate:g}."
-            )
-        descend(camouflage, optimiser, images, gradient)
-        schedule.step()
-
         loop.report({"step": step, "loss": total, "losses": losses, "weights": weights})
         if step % settings.preview_every == 0 or step in (1, settings.steps):
             _write_preview(loop.folder / "previews" / f"{step:06d}.png", images.detach())
@@ -163,6 +154,43 @@ def _take_steps(
         "weights": weights,
         "discretisation": {"before": _means(before), "after": _means(after)},
     }
+
+
+def _learn(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
+    loop: Loop,
+) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
+    """Takes the loop's step along the gradient; returns the losses before it, and their images."""
+    step = loop.step
+    weights: dict[str, float] = loop.facts["weights"]
+    camouflage.before_step_(step, settings.steps)
+    scenes = world.step_scenes(settings.batch_size, settings.seed, step)
+    images = world.frames(camouflage, scenes).image
+    losses, gradient = loss_and_gradient(detectors, weights, images)
+    total = sum(weights[name] * loss for name, loss in losses.items())
+    if not math.isfinite(total):
+        raise NotFiniteError(
+            f"The loss of {camouflage.name} is {total} at step {step}; attack again in another "
+            f"folder, with a lower --settings.learning-rate than {settings.learning_rate:g}."
+        )
+    descend(camouflage, cast(torch.optim.Adam, loop.parts["optimiser"]), images, gradient)
+    cast(LambdaLR, loop.parts["schedule"]).step()
+    return losses, images
+
+
+def _search(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: AttackWorld,
+    settings: AttackSettings,
+    loop: Loop,
+) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
+    """Takes the loop's step at random; returns the losses after it, and their images."""
+    weights: dict[str, float] = loop.facts["weights"]
+    return search_step(camouflage, detectors, weights, world, settings, loop.step)
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
@@ -207,16 +235,21 @@ def _half_cosine(share: float) -> float:
 
 @torch.no_grad()
 def _measure(
-    camouflage: Camouflage,
+    camouflage: Camouflage | None,
     detectors: Sequence[TrainableDetector],
     world: AttackWorld,
     settings: AttackSettings,
 ) -> dict[str, list[float]]:
-    """Every detector's mean loss on each of the batches that no step sees."""
+    """Every detector's mean loss on each of the batches that no step sees, with a camouflage or
+    without any.
+    """
     means: dict[str, list[float]] = {detector.name: [] for detector in detectors}
     for batch in range(settings.balance_batches):
         scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
-        images = world.frames(camouflage, scenes).image
+        if camouflage is None:
+            images = world.bare(scenes, detectors[0]).image
+        else:
+            images = world.frames(camouflage, scenes).image
         for name, losses in empty_truth_losses(detectors, images).items():
             means[name].append(float(losses.mean()))
             if not math.isfinite(means[name][-1]):

@@ -1,4 +1,4 @@
-"""What an attack minimises: the detectors' own losses against an empty truth."""
+"""What an attack minimises, the detectors' own losses against an empty truth, and its aim."""
 
 from __future__ import annotations
 
@@ -11,8 +11,17 @@ from torch import Tensor
 
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
+from skyproof.render.frames import Frames
 
-__all__ = ["balanced_weights", "empty_truth_losses", "frozen", "loss_and_gradient"]
+__all__ = [
+    "balanced_weights",
+    "empty_truth_losses",
+    "frozen",
+    "loss_and_gradient",
+    "target_scores",
+]
+
+_NEAR_M = 1.0
 
 
 def empty_truth_losses(
@@ -54,15 +63,27 @@ def loss_and_gradient(
     return losses, leaf.grad
 
 
-def balanced_weights(first_losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Gives the weights that bring every detector's mean first loss to 1.
+def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """Gives the weights that bring every detector's mean of these losses to 1.
 
     Differences from the paper: its weights were chosen by hand for losses that partly sum over
     anchors (table S2); ours are normalised per image, so that those would not balance them.
     """
-    return {
-        name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in first_losses.items()
-    }
+    return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in losses.items()}
+
+
+@torch.no_grad()
+def target_scores(detector: TrainableDetector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
+    """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
+
+    Near means that the candidate's centre lies within 1 m of the vehicle's.
+    """
+    candidates = detector.candidates(frames.image.detach())
+    centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
+    candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
+    distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
+    near = candidates.valid & (distance_m <= _NEAR_M)
+    return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
 @contextmanager

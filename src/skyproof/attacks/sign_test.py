@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
@@ -17,6 +16,7 @@ from skyproof.attacks.objective import (
     empty_truth_losses,
     frozen,
     loss_and_gradient,
+    target_scores,
 )
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
@@ -26,9 +26,7 @@ from skyproof.errors import NotFiniteError
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 
-__all__ = ["sign_test", "target_scores"]
-
-_NEAR_M = 1.0
+__all__ = ["sign_test"]
 
 
 def sign_test(
@@ -94,20 +92,6 @@ def _before_and_after(
     descend(moved, make_optimiser(moved, settings), frames.image, gradient)
     with torch.no_grad():
         return frames, world.frames(moved, scenes)
-
-
-@torch.no_grad()
-def target_scores(detector: TrainableDetector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
-    """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
-
-    Near means that the candidate's centre lies within 1 m of the vehicle's.
-    """
-    candidates = detector.candidates(frames.image.detach())
-    centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
-    candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
-    distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
-    near = candidates.valid & (distance_m <= _NEAR_M)
-    return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
 def _judged(before: Tensor, after: Tensor) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import nn
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.errors import ConfigurationError
@@ -96,9 +97,16 @@ class AttackWorld:
 
     def camouflaged(self, camouflage: Camouflage, scenes: list[Scene]) -> VehicleBatch:
         """Puts the scenes' vehicles into the camouflage, on its device."""
-        tensors = [*camouflage.parameters(), *camouflage.buffers()]
-        return camouflage(placed_vehicles(self.fleet, scenes).to(tensors[0].device))
+        return camouflage(placed_vehicles(self.fleet, scenes).to(_device(camouflage)))
+
+    def bare(self, scenes: list[Scene], detector: nn.Module) -> Frames:
+        """Renders the scenes, their vehicles as they are, on a detector's device."""
+        return self.renderer(scenes, placed_vehicles(self.fleet, scenes).to(_device(detector)))
 
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
         """Renders the scenes, their vehicles in the camouflage, on its device."""
         return self.renderer(scenes, self.camouflaged(camouflage, scenes))
+
+
+def _device(module: nn.Module) -> torch.device:
+    return [*module.parameters(), *module.buffers()][0].device

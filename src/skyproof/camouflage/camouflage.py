@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
+import torch
 from torch import nn
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Camouflage"]
+__all__ = ["Camouflage", "random_part"]
 
 
 class Camouflage(nn.Module):
@@ -36,8 +38,35 @@ class Camouflage(nn.Module):
     def project_(self) -> None:
         """Puts the parameters back into what is allowed; called after every optimiser step."""
 
+    def vary_(self, generator: torch.Generator) -> None:
+        """Changes a part at random, by what a random search tries next; finished ones alone.
+
+        Args:
+            generator: on the CPU.
+        """
+        raise NotImplementedError
+
     def finalise(self) -> None:
         """Makes the camouflage exactly what is stored and shown, such as colours of 8 bits.
 
         Called once at the end.
         """
+
+
+def random_part(size: int, *, generator: torch.Generator) -> tuple[slice, slice]:
+    """Draws a rectangle of a square map: from a thirty-second of a side to all of it, each octave
+    of width and of height equally often.
+
+    Args:
+        size: of a side, in cells.
+        generator: on the CPU.
+
+    Returns:
+        Its rows and its columns.
+    """
+    parts = []
+    for octave, place in torch.rand(2, 2, generator=generator).tolist():
+        length = min(size, max(1, round(size * 2 ** (-5 * octave))))
+        start = math.floor(place * (size - length + 1))
+        parts.append(slice(start, start + length))
+    return parts[0], parts[1]

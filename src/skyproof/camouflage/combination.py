@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import torch
+
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
@@ -76,6 +78,11 @@ class Combination(Camouflage):
         if self.turn_steps is not None:
             self.texture.project_()
         self.shape.project_()
+
+    def vary_(self, generator: torch.Generator) -> None:
+        """Changes texture or shape, each as often."""
+        part = self.texture if torch.rand((), generator=generator) < 0.5 else self.shape
+        part.vary_(generator)
 
     def finalise(self) -> None:
         """Finalises both parts."""

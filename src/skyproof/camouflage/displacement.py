@@ -5,14 +5,13 @@ It is called S-O when it is learnt and R-S-O as drawn.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
@@ -21,22 +20,21 @@ __all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "sample_map"]
 
 DISPLACEMENT_SIZE = 64
 
-_START = 0.0  # half-way out, where sigmoid is steepest (section S4.3: "initialised with zeros")
-_LARGEST = 8.0  # sigmoid 0.9997; beyond it nothing moves and nothing is learnt
+_START = 0.5  # half-way out, as sigmoid(0) is (section S4.3: "initialised with zeros")
 
 
 class DisplacementMap(Camouflage):
     """Moves every vertex away from the middle of its vehicle, further where the map is bright.
 
-    Vertex i moves by PM * W * sigmoid(D_i) * R_i / |R_i|: D_i is the map read at the vertex' UV,
+    Vertex i moves by PM * W * D_i * R_i / |R_i|: D_i in [0, 1] is the map read at the vertex' UV,
     R_i the vector from the mean of the vehicle's vertices to the vertex, W the vehicle's width
     (section S4.3). The map is made symmetric first, so mirrored vertices move alike.
 
-    Differences from the paper: sigmoid of D_i instead of the vector R_i * D_i, which would push
-    every vertex towards one corner. Wheels and underside stay where they are, and no vertex is
-    pushed below the ground: there its way ends, in the same direction. So a deformed vehicle can
-    still roll. Of "negative" and "initialised with zeros" it starts at zero: from -4 most of the
-    map never left the flat end of the sigmoid.
+    Differences from the paper: it has sigmoid of D_i * R_i, a vector that would push every vertex
+    towards one corner. D itself is held in [0, 1], because what reaches the flat ends of a sigmoid
+    hardly leaves them again, and it starts half-way. Wheels and underside stay where they are, and
+    no vertex is pushed below the ground: there its way ends, in the same direction. So a deformed
+    vehicle can still roll.
 
     Vertices only slide along their rays from the middle, so a body whose every point can be seen
     from there never runs through itself. The bed of a pickup cannot be seen, and does (see
@@ -45,12 +43,9 @@ class DisplacementMap(Camouflage):
     Attributes:
         magnitude: PM, the largest displacement as a fraction of the width; the name says it.
         frozen_parts: whether wheels and underside stay.
-        displacement: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as
-            in `Template.uvs`.
+        reach: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as in
+            `Template.uvs`.
     """
-
-    # A map has farther to go than a colour, which lies in [0, 1].
-    learning_rates: Mapping[str, float] = {"displacement": 16.0}
 
     def __init__(
         self,
@@ -64,8 +59,8 @@ class DisplacementMap(Camouflage):
         Args:
             name: of a shape or a combination, such as "S-O@0.4"; at PM = 0 every vehicle keeps its
                 vertices bit for bit.
-            generator: if given, sigmoid(D) is drawn uniformly from [0, 1] for every texel and its
-                mirror image.
+            generator: if given, D is drawn uniformly from [0, 1] for every texel and its mirror
+                image.
             frozen_parts: whether wheels and underside stay as they are.
 
         Raises:
@@ -82,8 +77,8 @@ class DisplacementMap(Camouflage):
         start = torch.full((DISPLACEMENT_SIZE, DISPLACEMENT_SIZE), _START)
         if generator is not None:
             half = torch.rand(DISPLACEMENT_SIZE, DISPLACEMENT_SIZE // 2, generator=generator)
-            start = torch.cat((half, half.flip(1)), dim=1).logit().clamp(-_LARGEST, _LARGEST)
-        self.displacement = nn.Parameter(start)
+            start = torch.cat((half, half.flip(1)), dim=1)
+        self.reach = nn.Parameter(start)
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
         """Deforms the vehicles; at PM = 0 they are handed through, without a gradient."""
@@ -92,22 +87,29 @@ class DisplacementMap(Camouflage):
         return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
 
     def map(self) -> Float[Tensor, "64 64"]:
-        """Gives sigmoid of the symmetric map: the fraction of PM * W by which each place moves."""
-        return self._symmetric().sigmoid()
+        """Gives the symmetric map: the fraction of PM * W by which each place moves."""
+        return (self.reach + self.reach.flip(1)) / 2
 
     @torch.no_grad()
     def project_(self) -> None:
-        """Clips D to [-8, 8], beyond which sigmoid is flat."""
-        self.displacement.clamp_(-_LARGEST, _LARGEST)
+        """Clips D to [0, 1]."""
+        self.reach.clamp_(0.0, 1.0)
+
+    @torch.no_grad()
+    def vary_(self, generator: torch.Generator) -> None:
+        """Moves a rectangle and its mirror image to another place between in and out."""
+        rows, columns = random_part(DISPLACEMENT_SIZE, generator=generator)
+        value = float(torch.rand((), generator=generator))
+        self.reach[rows, columns] = value
+        self.reach[rows, DISPLACEMENT_SIZE - columns.stop : DISPLACEMENT_SIZE - columns.start] = (
+            value
+        )
 
     @torch.no_grad()
     def finalise(self) -> None:
         """Stores the symmetric map that is applied."""
         self.project_()
-        self.displacement.copy_(self._symmetric())
-
-    def _symmetric(self) -> Float[Tensor, "64 64"]:
-        return (self.displacement + self.displacement.flip(1)) / 2
+        self.reach.copy_(self.map())
 
     def _offsets(self, vehicles: VehicleBatch) -> Float[Tensor, "N V 3"]:
         vertices = vehicles.vertices
@@ -115,18 +117,16 @@ class DisplacementMap(Camouflage):
         radius = vertices - vertices.mean(dim=1, keepdim=True)
         direction = torch.nn.functional.normalize(radius, dim=-1)
         width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
-        sampled = sample_map(self._symmetric(), template.vertex_uvs.to(self.displacement.dtype))
+        sampled = sample_map(self.map(), template.vertex_uvs.to(self.reach.dtype))
         # Mirrored vertices read the map at places that are mirrored up to rounding only.
         sampled = (sampled + sampled[template.mirror]) / 2
-        distance = self.magnitude * width[:, None] * sampled.sigmoid().to(vertices.dtype)
+        distance = self.magnitude * width[:, None] * sampled.to(vertices.dtype)
         if self.frozen_parts:
             distance = distance.masked_fill(_frozen(vehicles), 0.0)
         return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
 
 
-def sample_map(
-    displacement: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]
-) -> Float[Tensor, " V"]:
+def sample_map(values: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
     """Reads a map bilinearly between its texel centres (i + 0.5) / 64.
 
     Circular in u, replicated in v (section S4.3).
@@ -139,7 +139,7 @@ def sample_map(
     down = row - top
     columns = torch.stack((left, left + 1), dim=-1).long() % DISPLACEMENT_SIZE
     rows = torch.stack((top, top + 1), dim=-1).long().clamp(max=DISPLACEMENT_SIZE - 1)
-    texels = displacement[rows[:, :, None], columns[:, None, :]]
+    texels = values[rows[:, :, None], columns[:, None, :]]
     upper, lower = texels.unbind(1)
     between = upper + down[:, None] * (lower - upper)
     return between[:, 0] + across * (between[:, 1] - between[:, 0])

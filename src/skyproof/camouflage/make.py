@@ -8,13 +8,16 @@ from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.paint import LATTICE, plain_paint
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
+from skyproof.randomness import generator_of
 
-__all__ = ["make_camouflage"]
+__all__ = ["make_camouflage", "make_candidates"]
 
 
 def make_camouflage(
@@ -57,6 +60,51 @@ def make_camouflage(
     if name.random:
         made.finalise()
     return made
+
+
+def make_candidates(
+    name: CamouflageName,
+    draws: int,
+    *,
+    seed: int,
+    palette: Float[Tensor, "K 3"] | None = None,
+    settings: CamouflageSettings | None = None,
+) -> list[Camouflage]:
+    """Makes what a control is chosen from.
+
+    Args:
+        name: of the control: "R-Ma_plain", 27 plain paints under its mask; "R-PixFc_best", the
+            first so many draws of R-PixFc.
+        draws: how many draws.
+        seed: decides them, as of the draws by themselves.
+        palette, settings: as of `make_camouflage`.
+
+    Raises:
+        ConfigurationError: no such control, or a plain paint of a shape.
+    """
+    if name.choice == "plain":
+        return _plain(name)
+    if name.choice != "best":
+        raise ConfigurationError(f"{name} names no control that is chosen from others.")
+    made = []
+    for draw in range(draws):
+        drawn = name.base.with_repeat(draw)
+        generator = generator_of(seed, "control", str(drawn))
+        made.append(make_camouflage(drawn, generator=generator, palette=palette, settings=settings))
+    return made
+
+
+def _plain(name: CamouflageName) -> list[Camouflage]:
+    if name.kind != "texture" or name.constraints not in (
+        TextureConstraints(),
+        TextureConstraints(masked=True),
+    ):
+        raise ConfigurationError(
+            f"{name} asks for the best plain paint, which only R-U_plain (all over) and R-Ma_plain "
+            "(on painted parts) have."
+        )
+    masked = name.constraints is not None and name.constraints.masked
+    return [plain_paint(colour, masked=masked) for colour in LATTICE]
 
 
 def _finished(texture: Camouflage | None, name: CamouflageName) -> UniversalTexture:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast, get_args
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
-__all__ = ["CamouflageName", "Order"]
+__all__ = ["CHOICES", "CamouflageName", "Choice", "Order"]
+
+Choice = Literal["plain", "best", "search"]
+CHOICES: tuple[Choice, ...] = get_args(Choice)
+"""How a control is chosen without learning: the best plain paint, the best of many random draws, or
+what a random search finds."""
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
@@ -155,6 +160,12 @@ class CamouflageName:
     def with_repeat(self, repeat: int) -> CamouflageName:
         """The name of one repeat of the same camouflage, "T-U" and 1 to "T-U-1"."""
         return replace(self, repeat=str(repeat))
+
+    @property
+    def choice(self) -> Choice | None:
+        """How a control is chosen: "R-Ma_plain", "R-PixFc_best", "R-S-O@0.4_search"; else None."""
+        chosen = self.random and self.variant in CHOICES
+        return cast(Choice, self.variant) if chosen else None
 
     @property
     def control(self) -> CamouflageName:

@@ -34,7 +34,7 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
-    """Returns one colour as a finished camouflage: a universal texture of a single block.
+    """Returns one colour as a finished camouflage: a universal texture.
 
     It is what the simplest of all attacks would put on a vehicle, and under the same mask the fair
     control of those that learn.
@@ -44,15 +44,15 @@ def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
         masked: whether it lies on painted body panels only (Ma), or on everything.
 
     Returns:
-        A texture named after its constraints and its colour, "R-PixMa_plain_ff8000".
+        A texture named after its constraints and its colour, "R-Ma_plain_ff8000".
     """
     name = CamouflageName(
         "texture",
-        TextureConstraints(pixelised=True, masked=masked),
+        TextureConstraints(masked=masked),
         random=True,
         variant=f"plain_{bytes(colour).hex()}",
     )
-    paint = UniversalTexture(name, generator=torch.Generator(), blocks=1)
+    paint = UniversalTexture(name, generator=torch.Generator())
     with torch.no_grad():
         paint.cells.copy_(torch.tensor(colour).view(3, 1, 1) / 255)
     paint.finalise()

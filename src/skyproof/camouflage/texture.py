@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
@@ -165,6 +165,22 @@ class UniversalTexture(Camouflage):
         """Clips colours to [0, 1]."""
         colours = self.palette if self.restricted else self.cells
         colours.clamp_(0.0, 1.0)
+
+    @torch.no_grad()
+    def vary_(self, generator: torch.Generator) -> None:
+        """Gives a rectangle one other colour; one change in four of a learnt palette is its own."""
+        if self.constraints.colours == "learnt" and torch.rand((), generator=generator) < 0.25:
+            row = int(torch.randint(len(self.palette), (), generator=generator))
+            self.palette[row] = torch.rand(3, generator=generator).to(self.palette)
+            return
+        rows, columns = random_part(self.blocks, generator=generator)
+        if self.restricted:
+            colour = int(torch.randint(len(self.palette), (), generator=generator))
+            self.cells[:, rows, columns] = -1.0
+            self.cells[colour, rows, columns] = 0.0
+        else:
+            colour_srgb = torch.rand(3, 1, 1, generator=generator)
+            self.cells[:, rows, columns] = colour_srgb.to(self.cells)
 
     @torch.no_grad()
     def finalise(self) -> None:

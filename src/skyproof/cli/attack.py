@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     import torch
 
     from skyproof.attacks.world import AttackWorld
+    from skyproof.camouflage.camouflage import Camouflage
     from skyproof.detectors.detector import TrainableDetector
+    from skyproof.detectors.loaded import LoadedDetector
 
 __all__ = ["Attack"]
 
@@ -35,8 +37,10 @@ class Attack:
     Names: T-U, or T- with any of Pix (blocks), Lc or Fc (few learnt or fixed colours), Ma (painted
     parts only), such as T-PixFcMa; S-O@0.4, a shape of perturbation magnitude 0.4; C-Fc-seq@0.2, a
     shape on a finished texture; C-Fc-par@0.2, texture and shape in turns. R-PixFcMa, R-S-O@0.4 and
-    R-C-Fc@0.2 are their random controls, drawn and not learnt. "-1", "-2" at the end number
-    repeats.
+    R-C-Fc@0.2 are their random controls, drawn and not learnt. R-Ma_plain is the best of 27 plain
+    paints on painted parts (R-U_plain: all over), R-PixFcMa_best the best of --draws random draws,
+    R-PixFcMa_search what a random search finds with as many images as an attack sees: controls that
+    are chosen on the attack's scenes, and not learnt. "-1", "-2" at the end number repeats.
 
     A stopped attack goes on where it was when the command is given again; finished camouflages are
     kept.
@@ -44,9 +48,9 @@ class Attack:
     Attributes:
         names: what is made, as tables show it.
         out: folder; every camouflage gets a folder of its name in it.
-        detectors: detector folders, attacked together; needed for what is learnt.
-        backgrounds: background set folder, whose attack split is used; needed for what is learnt.
-        fleet: fleet folder; needed for what is learnt.
+        detectors: detector folders, attacked together; needed for what is learnt or chosen.
+        backgrounds: background set folder, whose attack split is used; needed for the same.
+        fleet: fleet folder; needed for the same.
         palette: the colours of Fc: a palette file, or a background set whose colours are taken;
             those of --backgrounds where not given.
         texture: folder of the finished texture that a sequential combination puts its shape on.
@@ -54,6 +58,7 @@ class Attack:
         conditions: weather and light that scenes are drawn from, each equally likely.
         places: where vehicles stand: uniform (anywhere), removed (where skyproof clear removed
             vehicles) or drivable (on ground where vehicles may stand).
+        draws: of how many random draws the best is taken.
         camouflage: what the names leave open.
         settings: steps, batch, learning rate, seed; the seed is also that of random draws.
         device: auto, cpu or cuda.
@@ -69,6 +74,7 @@ class Attack:
     image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
     conditions: tuple[str, ...] = ("clear",)
     places: Places = "uniform"
+    draws: Annotated[int, Meta(ge=2, le=1000)] = 32
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
@@ -84,8 +90,8 @@ class Attack:
                 f"{still[0]} has magnitude 0, with which there is nothing to learn; give a "
                 "magnitude above 0."
             )
-        learnt = [name for name in names if not name.random]
-        drawn = [name for name in names if name.random]
+        learnt = [name for name in names if not name.random or name.choice is not None]
+        drawn = [name for name in names if name not in learnt]
         # What cannot work is said before anything is made.
         if learnt:
             self._check_scenes(learnt[0])
@@ -150,7 +156,7 @@ class Attack:
                 save_camouflage(partial, control, {"seed": seed})
 
     def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
-        """Attacks, each after a sign test of its gradient."""
+        """Attacks, each after a sign test of its gradient, or chooses."""
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
@@ -167,9 +173,56 @@ class Attack:
             places=self.places,
         )
         ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
-        models = [loaded.detector for loaded in ensemble]
         for name in names:
-            self._attack(name, models, world, palette, device)
+            if name.choice in ("plain", "best"):
+                self._choose(name, ensemble, world, palette, device)
+            else:
+                self._attack(name, [each.detector for each in ensemble], world, palette, device)
+
+    def _choose(
+        self,
+        name: CamouflageName,
+        ensemble: Sequence[LoadedDetector[TrainableDetector]],
+        world: AttackWorld,
+        palette: torch.Tensor | None,
+        device: torch.device,
+    ) -> None:
+        from skyproof.attacks.search import choose
+        from skyproof.camouflage.folder import save_camouflage
+        from skyproof.camouflage.make import make_candidates
+        from skyproof.files import finished_folder
+
+        folder = self.out / str(name)
+        if (folder / "camouflage.json").exists():
+            return
+        candidates = make_candidates(
+            name,
+            self.draws,
+            seed=self.settings.seed,
+            palette=palette,
+            settings=self.camouflage,
+        )
+        with progress_bar(f"choose {name}") as update:
+
+            def shown() -> Iterator[Camouflage]:
+                for number, candidate in enumerate(candidates):
+                    update(number, len(candidates))
+                    yield candidate.to(device)
+
+            chosen = choose(shown(), ensemble, world, self.settings)
+        record = {
+            "chosen": {
+                "of": [str(candidate.name) for candidate in candidates],
+                "hidden": chosen.hidden,
+                "scenes": chosen.scenes,
+                "seed": self.settings.seed,
+            }
+        }
+        chosen.camouflage.name = name
+        with suppress(OSError):
+            folder.rmdir()
+        with finished_folder(folder) as partial:
+            save_camouflage(partial, chosen.camouflage, record)
 
     def _attack(
         self,
@@ -194,6 +247,8 @@ class Attack:
         ).to(device)
 
         def signs() -> dict[str, Any]:
+            if name.random:
+                return {}
             return {"sign_test": sign_test(camouflage, models, world, self.settings)}
 
         with progress_bar(f"attack {name}") as update:

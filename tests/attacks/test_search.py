@@ -1,0 +1,131 @@
+"""Controls that are chosen without learning: plain paints, the best of many draws, random search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from skyproof.attacks.attack import attack
+from skyproof.attacks.search import choose
+from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.camouflage import random_part
+from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.make import make_candidates
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.paint import plain_paint
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.detectors.card import DetectorCard
+from skyproof.detectors.loaded import LoadedDetector
+from skyproof.errors import ConfigurationError
+from tests.attacks.test_kinds import FEW, PALETTE, BrightnessDetector, mean_loss, start, world
+
+__all__ = ["world"]
+
+SEARCHED = ["R-U_search", "R-PixLcMa_search", "R-S-O@0.4_search", "R-C-PixFc@0.3_search"]
+
+
+class Counting(BrightnessDetector):
+    """Counts the images that it is asked about."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.images = 0
+
+    def loss(self, images: Tensor, targets: list[Tensor]) -> Tensor:
+        self.images += len(images)
+        return super().loss(images, targets)
+
+
+def loaded(threshold: float) -> LoadedDetector:
+    return LoadedDetector(
+        BrightnessDetector(), DetectorCard("brightness", threshold=threshold, gsd_m=0.125)
+    )
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_a_search_finds_something_better_than_its_start(
+    tmp_path: Path, world: AttackWorld, name: str
+) -> None:
+    settings = replace(FEW, steps=40, batch_size=8, checkpoint_every=50)
+    before = mean_loss(start(name), world)
+    found = attack(start(name), [BrightnessDetector()], world, settings, tmp_path)
+    assert mean_loss(found, world) < before
+    assert str(load_camouflage(tmp_path).name) == name
+
+
+def test_a_search_keeps_its_constraints(tmp_path: Path, world: AttackWorld) -> None:
+    settings = replace(FEW, steps=30, batch_size=4, checkpoint_every=50)
+    found = attack(start("R-PixFc_search"), [BrightnessDetector()], world, settings, tmp_path)
+    assert isinstance(found, UniversalTexture)
+    colours = found.bytes().flatten(1).T.unique(dim=0)
+    allowed = {tuple(colour) for colour in (PALETTE * 255).round().int().tolist()}
+    assert {tuple(colour) for colour in colours.tolist()} <= allowed
+    blocks = found.bytes().view(3, 32, 16, 32, 16)
+    assert (blocks == blocks[:, :, :1, :, :1]).all()
+
+
+def test_a_search_sees_as_many_images_as_the_attack_that_it_controls(
+    tmp_path: Path, world: AttackWorld
+) -> None:
+    asked = []
+    for name in ("T-PixFc", "R-PixFc_search"):
+        detector = Counting()
+        attack(start(name), [detector], world, replace(FEW, batch_size=4), tmp_path / name)
+        asked.append(detector.images)
+    assert asked[0] == asked[1]
+
+
+def test_the_paint_that_hides_most_is_chosen(world: AttackWorld) -> None:
+    # The detector fires where it is bright.
+    paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
+    chosen = choose(paints, [loaded(0.6)], world, FEW)
+    assert chosen.camouflage is paints[1]
+    assert chosen.hidden[1] > max(chosen.hidden[0], chosen.hidden[2])
+    assert len(chosen.hidden) == 3
+    assert chosen.scenes == 16
+
+
+def test_candidates_are_the_paints_under_the_mask_or_the_draws_themselves() -> None:
+    paints = make_candidates(CamouflageName.parse("R-Ma_plain"), 5, seed=0)
+    assert len(paints) == 27
+    assert all(paint.name.constraints.masked for paint in paints)
+    draws = make_candidates(CamouflageName.parse("R-PixLc_best"), 3, seed=7)
+    assert [str(draw.name) for draw in draws] == ["R-PixLc-0", "R-PixLc-1", "R-PixLc-2"]
+    first, second = (draw.bytes() for draw in draws[:2])
+    assert not torch.equal(first, second)
+
+
+def test_a_chosen_paint_is_stored_under_its_own_name(tmp_path: Path) -> None:
+    (paint, *_) = make_candidates(CamouflageName.parse("R-U_plain"), 2, seed=0)
+    paint.name = CamouflageName.parse("R-U_plain")
+    save_camouflage(tmp_path, paint)
+    assert str(load_camouflage(tmp_path).name) == "R-U_plain"
+
+
+@pytest.mark.parametrize("name", ["R-PixFc_plain", "R-S-O@0.4_plain"])
+def test_a_plain_paint_has_no_other_constraint(name: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"only R-U_plain .* and R-Ma_plain"):
+        make_candidates(CamouflageName.parse(name), 5, seed=0)
+
+
+def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: AttackWorld) -> None:
+    with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
+        choose([plain_paint((0, 0, 0), masked=False)], [loaded(1.1)], world, FEW)
+
+
+def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:
+    generator = torch.Generator().manual_seed(0)
+    parts = [random_part(64, generator=generator) for _ in range(2000)]
+    lengths = torch.tensor([rows.stop - rows.start for rows, _ in parts])
+    assert lengths.min() == 2
+    assert lengths.max() == 64
+    # Half of a map's octaves lie below 64 / 2 ** 2.5.
+    assert 0.45 < float((lengths < 11.3).float().mean()) < 0.55
+    covered = torch.zeros(64)
+    for rows, _ in parts:
+        covered[rows] += 1
+    assert covered.min() > 30
