@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
+from skyproof.results.pairs.tiles import Series, write_tiles
 from skyproof.results.statistics.planning import Assumptions, vehicles_needed
 from tests.cli.conftest import Skyproof, flags
+from tests.results.counted import on_tiles
 
 
 def test_the_answer_and_the_table(skyproof: Skyproof):
@@ -22,9 +23,8 @@ def test_the_answer_and_the_table(skyproof: Skyproof):
 def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     lost = np.tile([1, 2, 3, 4], 10)
     counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
-    tiles = TileCounts(
-        tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts}
-    )
+    series = {Series("T-U", "torch", "a", "centre_1m"): counts}
+    tiles = on_tiles([f"t{i:02d}" for i in range(40)], series)
     write_tiles(tmp_path / "tiles.parquet", tiles)
     said = skyproof("sample-size", "--pilot", tmp_path)
     assert "of an EASR of 62 %" in said.out

@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.tiles import Series
 from skyproof.results.statistics.intervals import cluster_interval, resample
 from skyproof.results.statistics.planning import (
     Assumptions,
@@ -16,6 +16,7 @@ from skyproof.results.statistics.planning import (
     vehicles_needed,
 )
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from tests.results.counted import on_tiles
 
 
 def easr(counts):
@@ -85,7 +86,7 @@ def test_a_pilot_tells_rates_and_design_effect(rng):
     surer = simulate(rng, 400, 9, 0.95, 0.0, 0.3)
     names = {"T-U-0": counts, "R-U-0": control, "T-Pix-0": surer}
     series = {Series(name, "torch", "yolov5", "centre_1m"): each for name, each in names.items()}
-    assumed, name = assume_from_pilot(TileCounts(tuple(f"t{i:03d}" for i in range(400)), series))
+    assumed, name = assume_from_pilot(on_tiles([f"t{i:03d}" for i in range(400)], series))
     assert name == "T-U-0 before yolov5"
     assert assumed.easr == pytest.approx(0.70, abs=0.05)
     assert assumed.enhancement_rate == pytest.approx(0.05, abs=0.02)
@@ -96,4 +97,4 @@ def test_a_pilot_tells_rates_and_design_effect(rng):
 def test_a_pilot_that_tells_nothing_is_refused():
     all_hidden = {Series("T-U", "torch", "a", "centre_1m"): np.tile([5, 0, 5, 0], (4, 1))}
     with pytest.raises(ConfigurationError, match="pilot tells nothing"):
-        assume_from_pilot(TileCounts(("a", "b", "c", "d"), all_hidden))
+        assume_from_pilot(on_tiles("abcd", all_hidden))
