@@ -135,6 +135,8 @@ def _rates(rng, world, side, scales, shared, tile, vehicle):
 
 def _scales(world, side):
     """On the normal scale, how much repeats, tiles and vehicles move the rate."""
+    if world.correlation:
+        return []
     return [_scale(sd, side.rate) for sd in (side.repeat_sd, world.tile_sd, world.vehicle_sd)]
 
 
@@ -196,7 +198,6 @@ WORLDS = {
     ),
     "vehicle SD 0.3, 0.5": World((Side(0.5),), vehicle_sd=0.3),
     "vehicle SD 0.3, 0.8": World((Side(0.8),), vehicle_sd=0.3),
-    "vehicle SD 0.3, 0.8, fleet of 8": World((Side(0.8),), fleet=8, vehicle_sd=0.3),
     "3 seeds of SD 0.1, 0.8": World((LEARNT,)),
     "3 seeds of SD 0.1, 0.9, 100 like tiles": World((Side(0.9, 3, 0.1),), 100, tile_sd=0.05),
     "30 draws of SD 0.4": World((WIDE,)),
@@ -206,6 +207,8 @@ WORLDS = {
 }
 
 STUDIED = {
+    "vehicle SD 0.3, 0.8, fleet of 8": World((Side(0.8),), fleet=8, vehicle_sd=0.3),
+    "vehicle SD 0.3, 0.5, fleet of 8": World((Side(0.5),), fleet=8, vehicle_sd=0.3),
     "3 seeds of SD 0.1, 0.5, 100 like tiles": World((Side(0.5, 3, 0.1),), 100, tile_sd=0.05),
     "3 seeds of SD 0.02, 0.9": World((Side(0.9, 3, 0.02),)),
     "2 seeds of SD 0.1, 0.8": World((Side(0.8, 2, 0.1),)),

@@ -180,6 +180,11 @@ def test_what_repeats_share_is_paired(sample, rng):
     second = stack(lost + 1, lost + 2, lost + 4, repeats=seeds)
     paired = difference_interval([second], [first], sample)
     assert paired.errors["seeds"] == pytest.approx(0.07 / 3)
+    draws = labels("R-U", DRAWS, 3)
+    first, second = (Group(each.counts, draws) for each in (first, second))
+    found = difference_interval([second], [first], sample)
+    assert found.errors["draws"] == paired.errors["seeds"]
+    first, second = (Group(each.counts, seeds) for each in (first, second))
     # The same shuffled is not the same.
     other = stack(lost + 4, lost + 2, lost + 1, repeats=seeds)
     assert difference_interval([other], [first], sample).errors["seeds"] > 0.1

@@ -64,8 +64,9 @@ def repeat_variance(
 
     Per thing repeated, R repeats have the variance (σ² + Σ (x − mean)²) / R of one of them, with R
     degrees of freedom: the repeat that was expected, σ off the mean, and those that were seen. So
-    few repeats that happen to agree do not pass for certain, and many speak for themselves. What
-    was not repeated adds nothing: then the interval is about this very seed or draw.
+    few repeats that happen to agree do not pass for certain, and many speak for themselves. Of
+    draws that are paired, as under two renderers, no more is expected than of seeds. What was not
+    repeated adds nothing: then the interval is about this very seed or draw.
 
     Args:
         values: the series' rates.
@@ -91,9 +92,13 @@ def repeat_variance(
             at = numbers.index(repeats[place].number)
             sums[at] += count * factors[place] * values[place]
             weights[int(factors[place] < 0), at] += abs(factors[place])
-        # A difference of two rates of one repeat is expected to differ as a rate does.
+        usual = kind.usual_sd
+        if weights.min() > 0:
+            # What a repeat does under one renderer it does much alike under another.
+            usual = min(usual, SEEDS.usual_sd)
         scale = float(weights.sum(axis=1).max())
-        variance = _variance(kind, count, float(np.sum((sums - sums.mean()) ** 2)), scale)
+        squares_seen = float(np.sum((sums - sums.mean()) ** 2))
+        variance = _variance(usual * scale, count, squares_seen)
         variances[kind.name] = variances.get(kind.name, 0.0) + variance
         squares += variance * _quantile(count) ** 2
     return variances, math.sqrt(squares)
@@ -109,12 +114,12 @@ def expected_margin(kind: Kind, count: int, sd: float) -> float:
     """
     if count < 2:
         return 0.0
-    return math.sqrt(_variance(kind, count, (count - 1) * sd**2, 1.0)) * _quantile(count)
+    return math.sqrt(_variance(kind.usual_sd, count, (count - 1) * sd**2)) * _quantile(count)
 
 
-def _variance(kind: Kind, count: int, squares: float, scale: float) -> float:
+def _variance(usual_sd: float, count: int, squares: float) -> float:
     """Gives the variance of the mean, from the summed squares about it."""
-    return ((kind.usual_sd * scale) ** 2 + squares) / count**2
+    return (usual_sd**2 + squares) / count**2
 
 
 def _quantile(degrees: int) -> float:
