@@ -166,9 +166,16 @@ def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
     draws = (0.5**2 + 2 / 36) / 4
     assert found.errors["seeds"] == pytest.approx(seeds**0.5)
     assert found.errors["draws"] == pytest.approx(draws**0.5)
-    margin = math.hypot(3.182446 * seeds**0.5, 4.302653 * draws**0.5)
+    # Two draws say nothing at all: the control's mean may be anything from 0 to 1, and that of the
+    # attack, by 0.43 either way, at most 1.
+    drawn = (lost.mean() - 1) / 6
+    learnt = (lost.mean() + 2) / 6
+    assert 4.302653 * draws**0.5 > 1
     assert found.high - found.estimate == pytest.approx(
-        math.hypot(plain.high - plain.estimate, margin)
+        math.hypot(plain.high - plain.estimate, 1 - learnt, drawn)
+    )
+    assert found.estimate - found.low == pytest.approx(
+        math.hypot(plain.estimate - plain.low, 3.182446 * seeds**0.5, 1 - drawn)
     )
 
 

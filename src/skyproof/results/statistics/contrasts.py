@@ -22,7 +22,7 @@ from skyproof.results.statistics.intervals import (
     resampled,
 )
 from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.repeats import Repeat, repeat_variance
+from skyproof.results.statistics.repeats import Repeat, spread_of_repeats
 from skyproof.results.statistics.sample import Sample
 
 __all__ = ["Group", "difference_interval", "mean_interval"]
@@ -53,7 +53,7 @@ def mean_interval(
     """Gives the interval of a rate's mean over series, no surer than they are.
 
     It covers which tiles and vehicles were drawn and, where there are several, which seeds or draws
-    (`repeat_variance`).
+    (`spread_of_repeats`).
 
     Args:
         group: the series.
@@ -183,10 +183,10 @@ def _with_repeats(
     """Adds what repeats leave open: half-widths are squared and added."""
     if math.isnan(whole.low):
         return whole
-    variances, margin = repeat_variance(values, factors, repeats)
-    below = math.hypot(whole.estimate - whole.low, margin)
-    above = math.hypot(whole.high - whole.estimate, margin)
-    errors = whole.errors | {name: math.sqrt(variance) for name, variance in variances.items()}
+    spread = spread_of_repeats(values, factors, repeats)
+    below = math.hypot(whole.estimate - whole.low, spread.below)
+    above = math.hypot(whole.high - whole.estimate, spread.above)
+    errors = {name: math.sqrt(variance) for name, variance in spread.variances.items()}
     low = max(whole.estimate - below, limits[0])
     high = min(whole.estimate + above, limits[1])
-    return replace(whole, low=low, high=high, errors=errors)
+    return replace(whole, low=low, high=high, errors=whole.errors | errors)

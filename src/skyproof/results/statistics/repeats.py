@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-__all__ = ["DRAWS", "SEEDS", "Kind", "Repeat", "expected_margin", "repeat_variance"]
+__all__ = ["DRAWS", "SEEDS", "Kind", "Repeat", "Spread", "expected_margin", "spread_of_repeats"]
 
 _TAIL = 0.025
 
@@ -55,12 +55,26 @@ class Repeat:
     kind: Kind
 
 
-def repeat_variance(
+@dataclass(frozen=True)
+class Spread:
+    """What repeats leave open of a sum of rates.
+
+    Attributes:
+        variances: of the sum, by name of the kind.
+        below, above: how far the 95 % limits lie from the sum on either side.
+    """
+
+    variances: dict[str, float]
+    below: float
+    above: float
+
+
+def spread_of_repeats(
     values: Float[np.ndarray, " S"],
     factors: Float[np.ndarray, " S"],
     repeats: Sequence[Repeat],
-) -> tuple[dict[str, float], float]:
-    """Gives the variance of a sum of rates by repeats, and the half-width that it makes.
+) -> Spread:
+    """Says how far the repeats that were seen leave the mean of all open.
 
     Per thing repeated, R repeats have the variance (σ² + Σ (x − mean)²) / R of one of them, with R
     degrees of freedom: the repeat that was expected, σ off the mean, and those that were seen. So
@@ -68,20 +82,18 @@ def repeat_variance(
     draws that are paired, as under two renderers, no more is expected than of seeds. What was not
     repeated adds nothing: then the interval is about this very seed or draw.
 
+    Half-widths are Student's; those of several things are squared and added. None reaches farther
+    than the mean of repeats can lie: from 0 to 1, or to a repeat that lies beyond.
+
     Args:
         values: the series' rates.
         factors: by which they are multiplied in the sum.
         repeats: of each series.
-
-    Returns:
-        The variance by name of the kind, and the half-width of the 95 % interval: the things'
-        Student half-widths, squared and added.
     """
     variances: dict[str, float] = {}
-    squares = 0.0
+    margins: list[tuple[float, float]] = []
     for of in dict.fromkeys(repeat.of for repeat in repeats):
         places = [place for place, repeat in enumerate(repeats) if repeat.of == of]
-        kind = repeats[places[0]].kind
         numbers = list(dict.fromkeys(repeats[place].number for place in places))
         count = len(numbers)
         if count < 2:
@@ -92,16 +104,27 @@ def repeat_variance(
             at = numbers.index(repeats[place].number)
             sums[at] += count * factors[place] * values[place]
             weights[int(factors[place] < 0), at] += abs(factors[place])
-        usual = kind.usual_sd
-        if weights.min() > 0:
-            # What a repeat does under one renderer it does much alike under another.
-            usual = min(usual, SEEDS.usual_sd)
+        kind = repeats[places[0]].kind
+        paired = bool(weights.min() > 0)
+        # What a repeat does under one renderer it does much alike under another.
+        usual = min(kind.usual_sd, SEEDS.usual_sd) if paired else kind.usual_sd
         scale = float(weights.sum(axis=1).max())
-        squares_seen = float(np.sum((sums - sums.mean()) ** 2))
-        variance = _variance(usual * scale, count, squares_seen)
+        variance = _variance(usual * scale, count, float(np.sum((sums - sums.mean()) ** 2)))
         variances[kind.name] = variances.get(kind.name, 0.0) + variance
-        squares += variance * _quantile(count) ** 2
-    return variances, math.sqrt(squares)
+        margin = math.sqrt(variance) * _quantile(count)
+        if paired:
+            margins.append((margin, margin))
+            continue
+        sign = 1 if weights[1].max() == 0 else -1
+        rates = sign * sums / scale
+        below = min(margin, scale * float(rates.mean() - min(rates.min(), 0.0)))
+        above = min(margin, scale * float(max(rates.max(), 1.0) - rates.mean()))
+        margins.append((below, above) if sign > 0 else (above, below))
+    return Spread(
+        variances,
+        math.hypot(*(below for below, _ in margins)),
+        math.hypot(*(above for _, above in margins)),
+    )
 
 
 def expected_margin(kind: Kind, count: int, sd: float) -> float:
