@@ -151,8 +151,8 @@ def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
     else:
         degrees = tiles - 1.0
         if by_vehicles:
-            apart = by_tiles**2 / degrees + by_vehicles**2 / (assumptions.fleet - 1)
-            degrees = (by_tiles + by_vehicles) ** 2 / apart
+            share = by_vehicles / (by_tiles + by_vehicles)
+            degrees = 1 / ((1 - share) ** 2 / degrees + share**2 / (assumptions.fleet - 1))
         low, high = effective_limits(easr, by_tiles + by_vehicles, degrees)
         width = (high - low) / 2
     return math.hypot(width, *_repeat_margins(assumptions).values())
