@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
+from skyproof.results.pairs.tiles import Series, write_tiles
 from skyproof.results.statistics.planning import Assumptions, vehicles_needed
 from tests.cli.conftest import Skyproof, flags
+from tests.results.counted import on_tiles
 
 
 def test_the_answer_and_the_table(skyproof: Skyproof):
@@ -16,15 +17,31 @@ def test_the_answer_and_the_table(skyproof: Skyproof):
     assert f"About {need.vehicles} test vehicles on {need.tiles} background tiles" in said.out
     table = [line.split() for line in said.out.splitlines() if line.startswith("  ")][1:]
     assert [line[0] for line in table] == ["±10", "±5", "±2.5", "±1.25"]
-    assert [int(line[-2].replace(",", "")) for line in table][1] == need.vehicles
+    assert int(table[1][-2].replace(",", "")) == need.vehicles
+    # 32 vehicles alone leave ±3.3 points.
+    assert [line[-2:] for line in table[2:]] == [["–", "–"]] * 2
+    assert "tiles 58 %, vehicles 42 %: more tiles narrow it most." in said.out
+    assert "It says nothing of other seeds of the attack." in said.out
+
+
+def test_seeds_and_draws_are_planned_for(skyproof: Skyproof):
+    said = skyproof("sample-size", *flags("--half-width 0.15 --seeds 5 --draws 20"))
+    assert "interval of the net of an EASR of 80 % is about ±15" in said.out
+    assert "draws 50 %, tiles 35 %, seeds 10 %, vehicles 5 %: more draws narrow it" in said.out
+    assert "says nothing" not in said.out
+    assert "5 seeds of standard deviation 0.03; 20 draws of standard deviation 0.20" in said.out
+    one = skyproof("sample-size", *flags("--half-width 0.15 --draws 1 --fleet 1"))
+    assert (
+        "nothing of other vehicles or other seeds of the attack or other draws of the control"
+        in one.out
+    )
 
 
 def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     lost = np.tile([1, 2, 3, 4], 10)
     counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
-    tiles = TileCounts(
-        tuple(f"t{i:02d}" for i in range(40)), {Series("T-U", "torch", "a", "centre_1m"): counts}
-    )
+    series = {Series("T-U", "torch", "a", "centre_1m"): counts}
+    tiles = on_tiles([f"t{i:02d}" for i in range(40)], series)
     write_tiles(tmp_path / "tiles.parquet", tiles)
     said = skyproof("sample-size", "--pilot", tmp_path)
     assert "of an EASR of 62 %" in said.out
@@ -48,6 +65,9 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
         ("--easr 0.9 --enhancement-rate 0.2", "EASR"),
         ("--vehicles-per-tile 0", "--vehicles-per-tile expects a number above 0"),
         ("--intra-tile-correlation 1.5", "intra-tile-correlation"),
+        ("--intra-vehicle-correlation 2", "intra-vehicle-correlation"),
+        ("--fleet 0", "--fleet"),
+        ("--seeds 3 --half-width 0.01", "with so few seeds at best"),
         ("--pilot nowhere", "tiles.parquet is missing"),
     ],
 )

@@ -151,7 +151,9 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     write_record(tmp_path, replace(record, rates=[undefined, *record.rates[1:]]))
     read = read_record(tmp_path)
     assert math.isnan(read.rates[0].easr.low)
-    as_read = [replace(rate, easr=replace(rate.easr, unanimous=False)) for rate in record.rates]
+    as_read = [
+        replace(rate, easr=replace(rate.easr, unanimous=False, errors={})) for rate in record.rates
+    ]
     assert read.rates[1:] == as_read[1:]
     assert read.measured_on == record.measured_on
     assert read.sets[0].json() == record.sets[0].json()

@@ -15,8 +15,14 @@ from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
 from skyproof.results.score_folder import ScoreRecord, write_record
 
 DETECTORS = ("retinanet", "yolov5")
-TILES = tuple(f"tile-{index:02d}" for index in range(20))
+TILES = 20
 PER_TILE = 10
+FLEET = 40
+CELLS = tuple(
+    (f"tile-{tile:02d}", f"car-{(tile * PER_TILE + place) % FLEET:02d}")
+    for tile in range(TILES)
+    for place in range(PER_TILE)
+)
 
 
 def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
@@ -27,32 +33,27 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
         rates: per camouflage the share of vehicles found before that is lost, on every tile alike
             without `spread`.
         found: the share of vehicles found before.
-        spread: generator that scatters the lost vehicles over the tiles.
+        spread: generator that scatters the lost vehicles.
         renderer: that drew the images.
     """
-    before = round(found * PER_TILE)
+    # Every fourth tile shows the same vehicles; who is found and lost goes round.
+    turn = (np.arange(PER_TILE)[None] + np.arange(TILES)[:, None]) % PER_TILE
+    before = (turn < round(found * PER_TILE)).ravel()
     series, sets = {}, []
     for detector in DETECTORS:
         for match in ("centre_1m", "iou_50"):
             sets.append(SetScore("original", renderer, detector, match, 0.9, 1.0))
             for name, rate in rates.items():
                 if spread is None:
-                    lost = np.full(len(TILES), round(rate * before))
+                    lost = (turn < round(rate * before.sum() / TILES)).ravel()
                 else:
-                    lost = spread.binomial(before, min(max(rate, 0.0), 1.0), len(TILES))
-                counts = np.stack(
-                    [
-                        np.full(len(TILES), PER_TILE),
-                        before - lost,
-                        lost,
-                        np.zeros(len(TILES), dtype=int),
-                    ],
-                    axis=1,
-                )
+                    lost = before & (spread.random(len(CELLS)) < rate)
+                columns = [np.ones(len(CELLS)), before & ~lost, lost, np.zeros(len(CELLS))]
+                counts = np.stack(columns, axis=1).astype(np.int64)
                 series[Series(name, renderer, detector, match)] = counts
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
-    write_tiles(folder / "tiles.parquet", TileCounts(TILES, series))
+    write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
     write_checks(folder / "checks.json", [])
     thresholds = dict.fromkeys(DETECTORS, 0.5)

@@ -8,6 +8,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement, renderer_agreement
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.tiles import Series, TileCounts
+from tests.results.counted import on_tiles
 
 PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
 
@@ -26,7 +27,7 @@ def counted(lost_of_hundred, rng=None, tiles=40, renderer="torch"):
         )
         counts = np.stack([np.full(tiles, 100), 100 - gone, gone, 0 * gone], axis=1)
         series[Series(name, renderer, "a", "centre_1m")] = counts
-    return TileCounts(tuple(f"t{i:02d}" for i in range(tiles)), series)
+    return on_tiles([f"t{i:02d}" for i in range(tiles)], series)
 
 
 OURS = {
@@ -77,7 +78,7 @@ def test_two_renderers(rng):
         counted({"T-U-0": 60, "T-U-1": 40, "T-Ma": 70, "T-Fc": 20, "T-X": 5}, renderer="cycles"),
     )
     alone = counted({"T-U-2": 0}).series  # a repeat that only one of them has does not count
-    both = TileCounts(ours.tiles, {**ours.series, **other.series, **alone})
+    both = TileCounts(ours.cells, {**ours.series, **other.series, **alone})
     found = renderer_agreement(both, ["T-U", "T-Fc", "T-Ma", "T-X", "R-U"], generator=rng)
     # T-X and R-U are on one of them only.
     assert found.attacks == ["T-Ma", "T-U", "T-Fc"]
@@ -101,7 +102,7 @@ def test_two_renderers(rng):
 def test_two_renderers_of_unlike_tiles_leave_the_order_open(rng):
     ours = counted(OURS, rng)
     other = counted({"T-U-0": 55, "T-Ma": 50, "T-Fc": 45}, rng, renderer="cycles")
-    both = TileCounts(ours.tiles, {**ours.series, **other.series})
+    both = TileCounts(ours.cells, {**ours.series, **other.series})
     found = renderer_agreement(both, ["T-U", "T-Ma", "T-Fc"], generator=rng)
     assert -1 <= found.spearman.low < found.spearman.high <= 1
     fixed = rank_agreement(

@@ -7,7 +7,8 @@ import pytest
 
 from skyproof.errors import ConfigurationError
 from skyproof.paper.curves import curve_families, p1_score, practicality_curve
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.tiles import Series
+from tests.results.counted import on_tiles
 
 
 def made(lost, tiles=20, found=10):
@@ -22,7 +23,7 @@ def made(lost, tiles=20, found=10):
         gone[::2], gone[1::2] = np.minimum(gone[::2] + 1, found), gone[1::2] - 1
         counts = np.stack([np.full(tiles, found), found - gone, gone, 0 * gone], axis=1)
         series[Series(camouflage, "torch", detector, "centre_1m")] = counts
-    return TileCounts(tuple(f"t{i:02d}" for i in range(tiles)), series)
+    return on_tiles([f"t{i:02d}" for i in range(tiles)], series)
 
 
 def test_p1_by_hand():

@@ -251,8 +251,11 @@ def test_how_far_success_moves_to_cycles(folder):
     close(rows["textures"]["easr"], 60)
     close(rows["textures"]["cycles_easr"], 56.25)
     close(rows["textures"]["change"], -3.75)
-    # Tiles that all agree leave the exact margin, 1 - 0.025^(1/20), of both renderers' means.
-    close(rows["textures"]["change_low"], -3.75 - 100 * (1 - 0.025**0.05) * 2**0.5)
+    # Tiles that all agree leave the exact margin, 1 - 0.025^(1/20), of both renderers' means. The
+    # repeats add 4.30² · (7² + 2 · 2.5²) / 4 for T-U (-30, -25), 4.30² · (7² + 2 · 10²) / 4 for
+    # T-Fc (30, 10), each halved before it is squared.
+    margin = (2 * (100 * (1 - 0.025**0.05)) ** 2 + 4.302653**2 * (61.5 + 249) / 16) ** 0.5
+    close(rows["textures"]["change_low"], -3.75 - margin)
     # 10, 30 and 10 became 12.5, 37.5 and 25.
     close(rows["random textures"]["change"], 25 - 50 / 3)
     assert (rows["random textures"]["camouflages"], rows["random textures"]["paper_number"]) == (
@@ -310,9 +313,11 @@ def test_the_page_says_what_the_cycles_column_is(folder):
     # its; 6 are there.
     assert "Not scored on Cycles yet: 4 of 10 attacks and controls." in page
     assert "repeats of an attack or draws" not in page  # as many on both
-    # T-U 37.5, T-Fc 25 and S-O 12.5 above chance, give or take 17.
-    assert "in 2 of 3 rows" in page
-    assert "better than chance there: S-O." in page
+    # T-U 37.5, T-Fc 25 and S-O 12.5 above chance; two draws of R-U leave it open by more than 100,
+    # tiles (17 of either) and two seeds of T-Fc by 28.
+    assert "in 0 of 3 rows" in page
+    assert "better than chance there: T-U, T-Fc, S-O." in page
+    assert "a single draw there, so that nothing is said of others: T-Fc, S-O." in page
     # AP 0.9 for both; 10 and 8 of 10 vehicles found.
     assert "| RetinaNet | 90.0 | 90.0 | 100.0 | 80.0 |" in page
 
@@ -361,3 +366,21 @@ def test_files_and_the_same_bytes_again(folder):
 def test_nothing_scored_yet(tmp_path):
     with pytest.raises(StoredFileError, match="no scores"):
         write_reproduction(tmp_path)
+
+
+def test_what_is_tested_counts_each_camouflage_once(folder):
+    # At PM 0.2 the shape hides no more than the texture alone, which so stands for both.
+    write_scores(folder / "scores" / "002", {"C-U-seq@0.2-0": 0.5, "R-C-U@0.2-0": 0.1})
+    page = write_reproduction(folder).read_text()
+    tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
+    assert table(folder, "shape_combined")["C-U-seq"]["pm_star"] == "0"
+    # T-U, T-Fc, S-O@0.4 and C-Fc-seq@0.2; one draw each but for T-U, whose two leave it open.
+    assert "for 2 of 4 distinct camouflages above" in tests
+    assert "Not surely better than chance: T-U, T-Fc." in tests
+    assert "a single draw, so that nothing is said of others: T-Fc, S-O@0.4, C-Fc-seq@0.2." in tests
+    assert "for every repeat and every draw, for 4 of 4." in tests
+    assert "(McNemar’s exact test, corrected alike): 4 of 4." in tests
+    row = table(folder, "textures")["T-U"]
+    # All 20 tiles lose more to T-U: twice 2^-20 is below what 10,000 swaps can show, times rows.
+    assert float(row["control_p_holm"]) < 0.01
+    assert float(row["no_camouflage_p_holm"]) < 1e-4

@@ -3,6 +3,7 @@
 Its numbers, its honesty, and what it does without optional parts are looked at.
 """
 
+import dataclasses
 import json
 import re
 import shutil
@@ -228,10 +229,37 @@ def headline(easr, net=None, random=None):
 
 def test_an_answer_without_control_or_without_a_rate():
     nan = float("nan")
-    (*_, last) = answer(headline(Interval(0.5, 0.4, 0.6)))
-    assert "No random control was run" in last
+    (*_, without, _) = answer(headline(Interval(0.5, 0.4, 0.6)))
+    assert "No random control was run" in without
     (only,) = answer(headline(Interval(nan, nan, nan)))
     assert "The success rate is undefined" in only
+
+
+def test_an_answer_says_what_its_intervals_leave_out():
+    easr, net = Interval(0.5, 0.4, 0.6, errors={"tiles": 0.05}), Interval(0.3, 0.2, 0.5)
+    single = " ".join(answer(headline(easr, net, 0.2)))
+    assert "One vehicle was tested: the interval says nothing of others." in single
+    assert "nothing of what other seeds would have learnt" in single
+    assert "the net interval says nothing of other draws" in single
+    several = dataclasses.replace(easr, errors={"tiles": 0.05, "vehicles": 0.0})
+    one = headline(several, net, 0.2)
+    row = dataclasses.replace(one.row, repeats=3, random_draws=30)
+    assert "nothing" not in " ".join(answer(dataclasses.replace(one, row=row)))
+
+
+def test_what_the_intervals_are_made_of(fabricated, page):
+    row = next(
+        row
+        for row in json.loads((fabricated / "results.json").read_text())["rows"]
+        if (row["camouflage"], row["detector"], row["match"]) == ("T-U", "mean", "centre_1m")
+    )
+    errors = [row[name] for name in ("easr_tile_se", "easr_vehicle_se", "random_draw_se")]
+    tiles, vehicles, draws = (f"{100 * error:.1f}" for error in errors)
+    text = words_of(page[page.index("What the intervals are made of") :])
+    # One attack was run, so that its seeds are left out.
+    assert f"net EASR: random draws T-U {tiles} {vehicles} – {draws}" in text
+    assert float(draws) > 20  # two draws
+    assert "p against random draws (Holm)" in words_of(page)
 
 
 def test_a_net_rate_that_could_be_zero_is_not_called_success():

@@ -1,5 +1,6 @@
 """The table of results, counted by hand."""
 
+import dataclasses
 import json
 from typing import get_type_hints
 
@@ -10,7 +11,7 @@ from skyproof.results import summary
 from skyproof.results.pairs.outcomes import Outcome
 from skyproof.results.pairs.sets import SetScore
 from skyproof.results.pairs.tiles import count_tiles
-from skyproof.results.statistics.intervals import mcnemar_p
+from skyproof.results.statistics.hypotheses import mcnemar_p
 
 REQUIRED = [
     "camouflage",
@@ -104,7 +105,8 @@ def test_mean_is_unweighted_over_detectors(rows):
     assert row["net_easr"] == pytest.approx((13 / 18 + 8 / 16) / 2 - (1 / 18 + 4 / 16) / 2)
     # One detector without scores leaves the mean AP undefined, not the mean of the others.
     assert row["ap_original"] is None
-    assert row["mcnemar_p"] is None
+    assert row["no_camouflage_p"] is None
+    assert 0 < row["control_p"] < 0.05
 
 
 def test_random_draws_share_a_row(rows):
@@ -125,11 +127,65 @@ def test_average_precision_difference_and_false_alarms(rows):
     )
 
 
-def test_mcnemar_and_holm(rows):
-    first, second = rows["T-U", "retinanet", "centre_1m"], rows["T-U", "yolov5", "centre_1m"]
-    assert first["mcnemar_p"] == pytest.approx(mcnemar_p(14, 1))
-    assert first["mcnemar_p_holm"] == pytest.approx(2 * first["mcnemar_p"])
-    assert second["mcnemar_p_holm"] == pytest.approx(second["mcnemar_p"])
+def test_two_questions_are_tested(rows):
+    row = rows["T-U", "retinanet", "centre_1m"]
+    assert row["no_camouflage_p"] == pytest.approx(mcnemar_p(14, 1))
+    # The larger of the two draws' p. T-U loses 2 on each of the first seven tiles and gains 1 on
+    # the last; R-U-0 loses 2 on the first. Six times 2 and once -1 are left: of all swaps, four
+    # give 11 or more, either way. Against R-U-1 only two give as much as it does.
+    assert row["control_p"] == 4 / 2**7
+    control = rows["R-U", "retinanet", "centre_1m"]
+    assert control["control_p"] is control["no_camouflage_p"] is None
+    # Without a control there is nothing to test against.
+    assert rows["T-U", "retinanet", "iou_50"]["control_p"] is None
+
+
+def test_holm_runs_over_the_camouflages_of_one_detector(rng):
+    lost = {"T-U": 14, "T-Pix": 9, "R-U-0": 2, "R-Pix-0": 1}
+    found = [
+        outcome
+        for detector in ("a", "b")
+        for name, count in lost.items()
+        for outcome in outcomes(name, detector, [(1, 0)] * count + [(1, 1)] * (20 - count))
+    ]
+    made = summarise(count_tiles(found), [], generator=rng)
+    rows = {(row["camouflage"], row["detector"]): row for row in made}
+    for detector in ("a", "b"):
+        first, second = rows["T-U", detector], rows["T-Pix", detector]
+        for test, smaller, larger in (
+            ("control_p", 2 / 2**6, 2 / 2**5),
+            ("no_camouflage_p", 2 / 2**14, 2 / 2**9),
+        ):
+            assert (first[test], second[test]) == pytest.approx((smaller, larger))
+            assert first[f"{test}_holm"] == pytest.approx(2 * smaller)
+            assert second[f"{test}_holm"] == pytest.approx(larger)
+
+
+def test_a_row_says_what_its_intervals_are_made_of(rng):
+    lost = {"T-U-0": 14, "T-U-1": 10, "R-U-0": 2, "R-U-1": 1}
+    found = [
+        outcome
+        for name, count in lost.items()
+        for outcome in outcomes(name, "a", [(1, 0)] * count + [(1, 1)] * (20 - count))
+    ]
+    made = summarise(count_tiles(found), [], generator=rng)
+    rows = {row["camouflage"]: row for row in made}
+    # Two seeds, 0.7 and 0.5, beside one that was expected 0.07 off: (0.07² + 2 · 0.1²) / 4.
+    assert rows["T-U"]["easr_repeat_se"] == pytest.approx((0.0249 / 4) ** 0.5)
+    # Two draws, 0.1 and 0.05, beside one that was expected 0.5 off.
+    draws = (0.5**2 + 2 * 0.025**2) ** 0.5 / 2
+    assert rows["T-U"]["random_draw_se"] == rows["R-U"]["easr_repeat_se"] == pytest.approx(draws)
+    assert rows["R-U"]["random_draw_se"] is None
+    assert rows["T-U"]["easr_tile_se"] > 0.1
+    # All vehicles are the same one.
+    assert rows["T-U"]["easr_vehicle_se"] is None
+    fleet = [dataclasses.replace(each, vehicle=f"car-{each.scene}") for each in found]
+    made = summarise(count_tiles(fleet), [], generator=rng)
+    # Where each vehicle stands on one tile, it adds nothing to the tile.
+    assert made[0]["easr_vehicle_se"] == pytest.approx(0, abs=1e-9)
+    found = [each for each in found if not each.camouflage.endswith("1")]
+    alone = summarise(count_tiles(found), [], generator=rng)[0]
+    assert alone["easr_repeat_se"] is alone["random_draw_se"] is None
 
 
 def test_both_matches_and_the_order_of_keys(rows):
@@ -229,7 +285,7 @@ def test_repeats_share_a_row_and_their_spread_is_said(repeated):
 
 
 def test_mcnemar_holds_for_every_repeat(repeated):
-    assert repeated["T-Pix", "retinanet"]["mcnemar_p"] == pytest.approx(mcnemar_p(8, 0))
+    assert repeated["T-Pix", "retinanet"]["no_camouflage_p"] == pytest.approx(mcnemar_p(8, 0))
     # One seed loses five, the other gains five: nothing can be claimed of both.
-    assert repeated["T-Pix", "yolov5"]["mcnemar_p"] == 1
-    assert repeated["R-Pix", "retinanet"]["mcnemar_p"] is None
+    assert repeated["T-Pix", "yolov5"]["no_camouflage_p"] == 1
+    assert repeated["R-Pix", "retinanet"]["no_camouflage_p"] is None

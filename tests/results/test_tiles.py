@@ -14,15 +14,17 @@ from skyproof.results.pairs.outcomes import Outcome
 from skyproof.results.pairs.sets import SetScore, read_sets, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
 from skyproof.results.score_folder import ScoreRecord, write_record
+from tests.results.counted import on_tiles
 
 
-def outcome(tile, camouflage, before, after, detector="yolov5"):
+def outcome(tile, camouflage, before, after, vehicle="car-1", detector="yolov5"):
     blank = {
         name: {str: "x", int: 0, bool: False, float: 0.0}[kind]
         for name, kind in get_type_hints(Outcome).items()
     }
     blank |= {
         "background": tile,
+        "vehicle": vehicle,
         "camouflage": camouflage,
         "renderer": "torch",
         "detector": detector,
@@ -39,25 +41,25 @@ def tiles():
             outcome("b", "T-U-1", True, False),
             outcome("a", "T-U-1", True, True),
             outcome("a", "T-U-1", True, False),
-            outcome("a", "T-U-1", False, True),
-            outcome("a", "T-U-1", False, False),
+            outcome("a", "T-U-1", False, True, "car-2"),
+            outcome("a", "T-U-1", False, False, "car-2"),
             outcome("b", "T-U-0", True, True),
         ]
     )
 
 
 def test_counts_by_hand(tiles):
-    assert tiles.tiles == ("a", "b")
+    assert tiles.cells == (("a", "car-1"), ("a", "car-2"), ("b", "car-1"))
     assert list(tiles.series) == [
         Series(name, "torch", "yolov5", "iou_50") for name in ("T-U-1", "T-U-0")
     ]
     first, second = tiles.series.values()
-    assert first.tolist() == [[4, 1, 1, 1], [1, 0, 1, 0]]
-    assert second.tolist() == [[0, 0, 0, 0], [1, 1, 0, 0]]
+    assert first.tolist() == [[2, 1, 1, 0], [2, 0, 0, 1], [1, 0, 1, 0]]
+    assert second.tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [1, 1, 0, 0]]
 
 
 def same(one, other):
-    assert one.tiles == other.tiles
+    assert one.cells == other.cells
     assert list(one.series) == list(other.series)
     assert all(np.array_equal(one.series[key], other.series[key]) for key in one.series)
 
@@ -65,7 +67,7 @@ def same(one, other):
 def test_round_trip(tmp_path, tiles):
     write_tiles(tmp_path / "tiles.parquet", tiles)
     same(read_tiles(tmp_path / "tiles.parquet"), tiles)
-    assert pq.read_table(tmp_path / "tiles.parquet").num_rows == 3
+    assert pq.read_table(tmp_path / "tiles.parquet").num_rows == 4
     write_tiles(tmp_path / "none.parquet", TileCounts((), {}))
     assert read_tiles(tmp_path / "none.parquet").series == {}
 
@@ -80,11 +82,19 @@ def test_bad_files_are_named(tmp_path, tiles):
     pq.write_table(pa.table({"scene": ["a"]}), path)
     with pytest.raises(StoredFileError, match="other columns"):
         read_tiles(path)
+    # What was written before vehicles were told apart.
+    write_tiles(path, tiles)
+    table = pq.read_table(path).drop_columns(["vehicle"])
+    pq.write_table(table.rename_columns({"in_sight": "vehicles"}), path)
+    with pytest.raises(
+        StoredFileError, match=r"than this version writes \(in_sight, vehicle, vehicles\); copy"
+    ):
+        read_tiles(path)
     write_tiles(path, tiles)
     table = pq.read_table(path)
     for wrong in (
         pa.concat_tables([table, table]),
-        table.set_column(5, "vehicles", pa.array([1, 1, 1], pa.int64())),
+        table.set_column(6, "in_sight", pa.array([1, 1, 1, 1], pa.int64())),
     ):
         pq.write_table(wrong, path)
         with pytest.raises(StoredFileError, match="contradict each other"):
@@ -115,7 +125,7 @@ def make_folder(tmp_path):
             Series(camouflage, renderer, "yolov5", "iou_50"): np.array([[2, *row] for row in rows])
             for camouflage, rows in counts.items()
         }
-        write_tiles(folder / "tiles.parquet", TileCounts(("a", "b"), series))
+        write_tiles(folder / "tiles.parquet", on_tiles("ab", series))
         scores = [SetScore("original", renderer, "yolov5", "iou_50", precision, 3.0)]
         scores += [
             SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts
@@ -146,7 +156,7 @@ def test_two_renderers_are_merged(make_folder):
         "cycles", {"T-U-0": [[2, 0, 0], [0, 1, 0]]}, precision=0.7, renderer="cycles"
     )
     tiles, sets = merge_counts([one, other])
-    assert tiles.tiles == ("a", "b")
+    assert tiles.cells == (("a", "car"), ("b", "car"))
     assert tiles.series[Series("T-U-0", "torch", "yolov5", "iou_50")].tolist() == [
         [2, 1, 1, 0],
         [2, 0, 2, 0],
@@ -174,7 +184,7 @@ def test_contradictions_are_refused(make_folder, tmp_path):
         merge_counts([one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)])
     other = make_folder("four", {"T-U-2": [[1, 1, 0], [0, 2, 0]]})
     fewer = {Series("T-U-2", "torch", "yolov5", "iou_50"): np.array([[1, 0, 1, 0], [2, 0, 2, 0]])}
-    write_tiles(other / "tiles.parquet", TileCounts(("a", "b"), fewer))
+    write_tiles(other / "tiles.parquet", on_tiles("ab", fewer))
     with pytest.raises(ConfigurationError, match="same vehicles on the same tiles"):
         merge_counts([one, other])
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
 from skyproof.cli.console import say
+from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction
 
 if TYPE_CHECKING:
@@ -25,7 +26,9 @@ _CORRELATION = 0.1
 class SampleSize:
     """Says how many test vehicles a wanted precision needs.
 
-    The precision is the half-width of the 95 % interval of EASR, for one detector.
+    The precision is the half-width of the 95 % interval of EASR, or with --draws of the net EASR,
+    for one detector. The interval is over background tiles and the vehicles of the fleet and, where
+    there are several, over seeds of the attack and draws of the control.
 
     Attributes:
         half_width: the wanted half-width, as a fraction: 0.05 is plus or minus 5 percentage points.
@@ -36,6 +39,13 @@ class SampleSize:
             given.
         intra_tile_correlation: how alike vehicles of one tile fare, from 0 (independent) to 1; the
             pilot's, or 0.1, where not given.
+        fleet: different vehicles in the test; the pilot's, or 32, where not given.
+        intra_vehicle_correlation: how alike one vehicle fares on different tiles, from 0 to 1; the
+            pilot's, or 0.05, where not given.
+        seeds: attacks from different seeds whose mean is wanted; 1 for what one camouflage does.
+        seed_sd: standard deviation of their EASRs; the pilot's, or 0.03, where not given.
+        draws: of the random control, for the net EASR; 0 for the EASR.
+        draw_sd: standard deviation of their EASRs; the pilot's, or 0.2, where not given.
     """
 
     half_width: Annotated[float, Meta(ge=0.001, lt=1)] = 0.05
@@ -44,6 +54,12 @@ class SampleSize:
     enhancement_rate: Fraction | None = None
     vehicles_per_tile: Annotated[float, Meta(gt=0, le=10_000)] | None = None
     intra_tile_correlation: Fraction | None = None
+    fleet: Annotated[int, Meta(ge=1, le=10**6)] | None = None
+    intra_vehicle_correlation: Fraction | None = None
+    seeds: Annotated[int, Meta(ge=1, le=1000)] = 1
+    seed_sd: Fraction | None = None
+    draws: Annotated[int, Meta(ge=0, le=1000)] = 0
+    draw_sd: Fraction | None = None
 
     def run(self) -> None:
         """Prints the answer and what other half-widths would need."""
@@ -51,24 +67,33 @@ class SampleSize:
 
         assumptions, source = self._assumptions()
         need = vehicles_needed(self.half_width, assumptions)
+        what = "the net of an EASR" if assumptions.draws else "an EASR"
         say(
             f"About {need.vehicles:,} test vehicles on {need.tiles:,} background tiles: then the "
-            f"95 % interval of an EASR of {100 * assumptions.easr:.0f} % is about "
+            f"95 % interval of {what} of {100 * assumptions.easr:.0f} % is about "
             f"±{100 * self.half_width:.3g} percentage points."
         )
+        say(_limiting(need.tiles, assumptions))
         say("")
         say("  half-width  vehicles    tiles")
         for factor in (2.0, 1.0, 0.5, 0.25):
             wanted = self.half_width * factor
             if SMALLEST <= wanted < 1:
-                other = vehicles_needed(wanted, assumptions)
-                say(f"  {f'±{100 * wanted:.3g} %':>10}  {other.vehicles:>8,}  {other.tiles:>7,}")
+                try:
+                    other = vehicles_needed(wanted, assumptions)
+                    counts = (f"{other.vehicles:,}", f"{other.tiles:,}")
+                except ConfigurationError:
+                    counts = ("–", "–")
+                say(f"  {f'±{100 * wanted:.3g} %':>10}  {counts[0]:>8}  {counts[1]:>7}")
         say("")
         say(
             f"For one detector, {source}: {assumptions.vehicles_per_tile:.3g} vehicles a tile, "
             f"{100 * assumptions.found_before:.0f} % of them found before, "
             f"ER {100 * assumptions.enhancement_rate:.1f} %, "
-            f"design effect {assumptions.design_effect:.2f}."
+            f"design effect {assumptions.design_effect:.2f}; a fleet of {assumptions.fleet:,} "
+            f"whose vehicles fare alike by {assumptions.vehicle_correlation:.2f}"
+            + _repeats(assumptions)
+            + ". A dash: no number of tiles is enough."
         )
 
     def _assumptions(self) -> tuple[Assumptions, str]:
@@ -84,8 +109,14 @@ class SampleSize:
             "easr": self.easr,
             "enhancement_rate": self.enhancement_rate,
             "vehicles_per_tile": self.vehicles_per_tile,
+            "fleet": self.fleet,
+            "vehicle_correlation": self.intra_vehicle_correlation,
+            "seeds": self.seeds,
+            "seed_sd": self.seed_sd,
+            "draws": self.draws,
+            "draw_sd": self.draw_sd,
         }
-        known = {name: value for name, value in given.items() if value is not None}
+        known: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         assumptions = replace(start, **known)
         if correlation is None:
             return assumptions, source
@@ -101,3 +132,32 @@ class SampleSize:
             return Assumptions(_EASR, vehicles_per_tile=_VEHICLES_PER_TILE), "assumed"
         assumptions, name = assume_from_pilot(read_tiles(self.pilot / "tiles.parquet"))
         return assumptions, f"as {name} in the pilot"
+
+
+def _limiting(tiles: int, assumptions: Assumptions) -> str:
+    """Says what makes the interval as wide as it is, the most of it first, and what is left out."""
+    from skyproof.results.statistics.planning import parts_of_width
+
+    parts = parts_of_width(tiles, assumptions)
+    ordered = sorted(parts, key=lambda name: -parts[name])
+    shares = ", ".join(f"{name} {100 * parts[name]:.0f} %" for name in ordered)
+    left_out = [
+        name
+        for name, given in (
+            ("other vehicles", assumptions.fleet > 1),
+            ("other seeds of the attack", assumptions.seeds > 1),
+            ("other draws of the control", assumptions.draws != 1),
+        )
+        if not given
+    ]
+    without = f" It says nothing of {' or '.join(left_out)}." if left_out else ""
+    return f"Of its square, {shares}: more {ordered[0]} narrow it most.{without}"
+
+
+def _repeats(assumptions: Assumptions) -> str:
+    said = ""
+    if assumptions.seeds > 1:
+        said += f"; {assumptions.seeds} seeds of standard deviation {assumptions.seed_sd:.2f}"
+    if assumptions.draws > 1:
+        said += f"; {assumptions.draws} draws of standard deviation {assumptions.draw_sd:.2f}"
+    return said

@@ -28,9 +28,9 @@ from skyproof.render.settings import RenderSettings
 from skyproof.results.checks import Check
 from skyproof.results.clean import CleanSet, check_clean
 from skyproof.results.pairs.compare import Comparison, compare
-from skyproof.results.pairs.tiles import cluster_counts
-from skyproof.results.statistics.intervals import mean_interval, resample
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.pairs.tiles import count_cells
+from skyproof.results.statistics.contrasts import Group, mean_interval
+from skyproof.results.statistics.sample import Sample
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
@@ -229,9 +229,20 @@ class _Gate:
         return _Seen(Dataset.of_images(images, boxes, gsd_m=gsd_m, ids=names), found)
 
     def rates(self, unchanged: _Seen, trials: Sequence[Trial]) -> dict[str, list[Rate]]:
-        """What each change hides from each detector; draws of one control are averaged."""
-        tiles = {name: row for row, name in enumerate(dict.fromkeys(self._places))}
-        weights = resample(len(tiles), generator=numpy_generator(self.seed))
+        """What each change hides from each detector; draws of one control are averaged.
+
+        These draws are taken as given: a detector that loses vehicles to them is caught, whatever
+        others would do.
+        """
+        cells = sorted(
+            {
+                (scene.background.tile, placement.vehicle)
+                for scene in self.scenes
+                for placement in scene.placements
+            }
+        )
+        row_of = {cell: row for row, cell in enumerate(cells)}
+        sample = Sample.draw(cells, generator=numpy_generator(self.seed))
         before = {judge.name: unchanged.matched(judge) for judge in self.judges}
         counts: dict[tuple[str, Kind, str], list[np.ndarray]] = {}
         for trial in trials:
@@ -244,12 +255,10 @@ class _Gate:
                     Comparison(trial.name, TorchRenderer.name, judge.name, judge.threshold),
                 )
                 key = (judge.name, trial.kind, trial.name)
-                counts.setdefault(key, []).append(cluster_counts(outcomes, tiles))
+                counts.setdefault(key, []).append(count_cells(outcomes, row_of))
         rates: dict[str, list[Rate]] = {judge.name: [] for judge in self.judges}
         for (detector, kind, name), drawn in counts.items():
-            easr = mean_interval(
-                np.stack(drawn), overall_attack_success_rate, weights, (-math.inf, 1.0)
-            )
+            easr = mean_interval(Group(np.stack(drawn)), sample)
             rates[detector].append(Rate(kind, name, len(drawn), easr))
         return rates
 

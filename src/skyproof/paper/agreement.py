@@ -17,8 +17,9 @@ from scipy import stats
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.tiles import TileCounts
-from skyproof.results.statistics.intervals import Interval, resample, resampled
+from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.sample import Sample
 
 __all__ = ["Agreement", "rank_agreement", "renderer_agreement"]
 
@@ -55,8 +56,8 @@ def rank_agreement(
     """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
 
     Ours are means over repeats and detectors. The interval says how far the test scenes alone could
-    move the correlation: ours vary over resampled tiles, the paper's numbers, which come without
-    intervals, stay fixed.
+    move the correlation: ours vary over resampled tiles; vehicles, seeds and draws, and the paper's
+    numbers, which come without intervals, stay fixed.
 
     Args:
         tiles: our counts.
@@ -84,8 +85,8 @@ def rank_agreement(
         )
 
     # Ours vary over resampled tiles; the paper's are the same in every replicate.
-    weights = resample(len(tiles.tiles), generator=generator)
-    ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, weights)
+    sample = Sample.draw(tiles.cells, generator=generator)
+    ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, sample)
     theirs = np.array([paper[name] for name in shared])
     return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
 
@@ -101,7 +102,7 @@ def renderer_agreement(
     """Gives the rank correlation between the EASRs under two renderers.
 
     It is over the attacks that were scored under both. Repeats that only one renderer has are left
-    out. Both vary over the same resampled tiles: they show the same scenes.
+    out. Both vary over the same resampled tiles: they show the same scenes. The rest stays fixed.
 
     Args:
         tiles: counts under both.
@@ -118,7 +119,7 @@ def renderer_agreement(
         all(key._replace(renderer=renderer) in tiles.series for renderer in renderers)
         for key in tiles.series
     ]
-    paired = TileCounts(tiles.tiles, dict(itertools.compress(tiles.series.items(), both)))
+    paired = TileCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
     pooled = [_pooled(paired, renderer, match) for renderer in renderers]
     shared = [name for name in names if all(name in series for series in pooled)]
     if len(shared) < _FEWEST:
@@ -128,10 +129,10 @@ def renderer_agreement(
         )
 
     # EASR under either renderer, on the same resampled tiles.
-    weights = resample(len(tiles.tiles), generator=generator)
+    sample = Sample.draw(tiles.cells, generator=generator)
     first, second = pooled
-    ours, drawn_ours = _easr({name: first[name] for name in shared}, weights)
-    theirs, drawn_theirs = _easr({name: second[name] for name in shared}, weights)
+    ours, drawn_ours = _easr({name: first[name] for name in shared}, sample)
+    theirs, drawn_theirs = _easr({name: second[name] for name in shared}, sample)
 
     # In the second renderer's order of falling success.
     order = np.argsort(-theirs, kind="stable")
@@ -146,7 +147,7 @@ def renderer_agreement(
 
 def _pooled(
     tiles: TileCounts, renderer: str, match: str
-) -> dict[str, list[Int[np.ndarray, "C 3"]]]:
+) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
     """Gathers the pair counts of every repeat and detector by attack."""
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
@@ -158,7 +159,7 @@ def _pooled(
 
 
 def _easr(
-    series: Mapping[str, Sequence[Int[np.ndarray, "C 3"]]], weights: Int[np.ndarray, "R C"]
+    series: Mapping[str, Sequence[Int[np.ndarray, "N 3"]]], sample: Sample
 ) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
     """Gives the mean EASR of every attack, as it is and on the resampled tiles.
 
@@ -175,7 +176,7 @@ def _easr(
             f"The EASR of {undefined} is undefined; a detector found no vehicle before it."
         )
     drawn = [
-        overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1) for stack in stacks
+        overall_attack_success_rate(sample.replicates(stack)).mean(axis=-1) for stack in stacks
     ]
     return easr, np.stack(drawn, axis=1)
 

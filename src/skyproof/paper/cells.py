@@ -83,7 +83,7 @@ def in_percent(row: Row | None) -> dict[str, Any]:
     """Gives a row of results in percent and points; None where there is no row."""
     values = {} if row is None else row.json()
     rates = {name: values.get(name) for name in _RATES}
-    return {"repeats": values.get("repeats")} | {
+    return {name: values.get(name) for name in ("repeats", "random_draws")} | {
         name: None if value is None else 100 * value for name, value in rates.items()
     }
 

@@ -11,9 +11,12 @@ from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.tiles import TileCounts
-from skyproof.results.statistics.intervals import Interval, mean_interval, resample, resampled
+from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.repeats import repeat_of
+from skyproof.results.statistics.contrasts import Group, mean_interval
+from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.sample import Sample
 
 __all__ = ["Curve", "Point", "curve_families", "p1_score", "practicality_curve"]
 
@@ -26,7 +29,7 @@ class Point:
         perturbation_magnitude: PM in [0, 1]; 0 is the family without its shape change.
         easr: mean over repeats and detectors with its interval.
         p1: of `easr` and practicality Pr = 1 − PM.
-        share_best: in how many of the bootstrap replicates this magnitude has the largest P1.
+        share_best: in how many of the replicates, over tiles, this magnitude has the largest P1.
     """
 
     perturbation_magnitude: float
@@ -96,9 +99,9 @@ def practicality_curve(
 ) -> Curve:
     """Gives the curve of one family over the magnitudes that were scored.
 
-    Repeats and detectors are averaged; all magnitudes on the same resampled tiles. Magnitude 0 is
-    the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose EASR
-    is 0 by definition.
+    Repeats and detectors are averaged; all magnitudes on the same tiles and vehicles. Magnitude 0
+    is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose
+    EASR is 0 by definition.
 
     Args:
         tiles: counts of the magnitudes, and of the texture where the family has one.
@@ -117,29 +120,32 @@ def practicality_curve(
             f"Nothing of {family} was scored by {match} under {renderer}; score {family}@0.1, "
             f"{family}@0.2, ..."
         )
-    judged = {magnitude: {name for name, _ in group} for magnitude, group in groups.items()}
+    judged = {magnitude: {key.detector for key, _ in group} for magnitude, group in groups.items()}
     if len({frozenset(names) for names in judged.values()}) > 1:
         raise ConfigurationError(
             f"The magnitudes of {family} were judged by different detectors; score all of them "
             "with the same."
         )
-    shown = np.any([counts[:, 0] > 0 for group in groups.values() for _, counts in group], axis=0)
+    every = [counts for group in groups.values() for _, counts in group]
+    shown = np.any([counts[:, 0] > 0 for counts in every], axis=0)
+    cells = [cell for cell, seen in zip(tiles.cells, shown, strict=True) if seen]
+    sample = Sample.draw(cells, generator=generator)
     stacks = {
-        pm: np.stack([counts[shown, 1:] for _, counts in groups[pm]]) for pm in sorted(groups)
+        pm: Group(
+            np.stack([counts[shown, 1:] for _, counts in groups[pm]]),
+            [repeat_of(key.camouflage) for key, _ in groups[pm]],
+        )
+        for pm in sorted(groups)
     }
-    weights = resample(int(shown.sum()), generator=generator)
-    easr = {
-        pm: mean_interval(stack, overall_attack_success_rate, weights, (-math.inf, 1.0))
-        for pm, stack in stacks.items()
-    }
+    easr = {pm: mean_interval(group, sample) for pm, group in stacks.items()}
     replicates = {
-        pm: overall_attack_success_rate(resampled(stack, weights)).mean(axis=-1)
-        for pm, stack in stacks.items()
+        pm: overall_attack_success_rate(sample.replicates(group.counts)).mean(axis=-1)
+        for pm, group in stacks.items()
     }
     if family == "S-O":
         # Without any change every vehicle is found exactly when it was found before.
         easr[0.0] = Interval(0.0, 0.0, 0.0)
-        replicates[0.0] = np.zeros(len(weights))
+        replicates[0.0] = np.zeros(len(sample.weights))
     magnitudes = sorted(easr)
     p1 = [float(p1_score(np.array(easr[pm].estimate), 1 - pm)) for pm in magnitudes]
     shares = _shares_best(np.stack([p1_score(replicates[pm], 1 - pm) for pm in magnitudes]))
@@ -159,9 +165,9 @@ def practicality_curve(
 
 def _magnitudes(
     tiles: TileCounts, family: str, renderer: str, match: str, detector: str | None
-) -> Mapping[float, list[tuple[str, Int[np.ndarray, "C 4"]]]]:
-    """Gathers by magnitude the detector and counts of every repeat."""
-    groups: dict[float, list[tuple[str, Int[np.ndarray, "C 4"]]]] = {}
+) -> Mapping[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]]:
+    """Gathers by magnitude the counts of every repeat and detector."""
+    groups: dict[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]] = {}
     for key, counts in tiles.series.items():
         if (key.renderer, key.match) != (renderer, match) or detector not in (None, key.detector):
             continue
@@ -169,9 +175,9 @@ def _magnitudes(
         if name.variant:
             continue
         if name.magnitude is not None and name.family == family:
-            groups.setdefault(name.magnitude, []).append((key.detector, counts))
+            groups.setdefault(name.magnitude, []).append((key, counts))
         elif name.family == _texture_of(family):
-            groups.setdefault(0.0, []).append((key.detector, counts))
+            groups.setdefault(0.0, []).append((key, counts))
     return groups
 
 

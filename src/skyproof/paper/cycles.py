@@ -29,7 +29,7 @@ from skyproof.words import detector_name
 
 __all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
 
-_COLUMNS = ("easr", "easr_repeat_min", "easr_repeat_max", "random_easr", "net_easr", "apd")
+_COLUMNS = ("easr", "easr_repeat_min", "easr_repeat_max", "random_", "net_easr", "apd")
 _KINDS: Mapping[str, Callable[[str], bool]] = {
     "textures": lambda name: name.startswith("T-"),
     "shapes": lambda name: name.startswith("S-"),
@@ -235,11 +235,19 @@ def _placebo(tables: Mapping[str, Table]) -> str:
     rows = [row for name in ("textures", "shape_combined") for row in tables[name].rows]
     controlled = [row for row in rows if row["cycles_net_easr_low"] is not None]
     below = [row["attack"] for row in controlled if row["cycles_net_easr_low"] <= 0]
+    single = [row["attack"] for row in controlled if row["cycles_random_draws"] == 1]
     text = (
         f"Placebo on Cycles: in {len(controlled) - len(below)} of {len(controlled)} rows of the "
         "tables above, the interval of the net EASR lies above zero."
     )
-    return text + (f" Not surely better than chance there: {', '.join(below)}." if below else "")
+    if below:
+        text += f" Not surely better than chance there: {', '.join(below)}."
+    if single:
+        text += (
+            " Set against a single draw there, so that nothing is said of others: "
+            f"{', '.join(single)}."
+        )
+    return text
 
 
 def _correlations(table: Table) -> list[Block]:

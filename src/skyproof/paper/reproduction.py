@@ -5,7 +5,7 @@ They stand by attack, each at its best magnitude, beside the paper's numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -59,15 +59,18 @@ class Reproduction:
         """Says what a camouflage asks of those who would make it; None where not measured."""
         return self.results.practicality.get(CamouflageName.read(name))
 
-    def corrected_p(self, name: str) -> float | None:
-        """Finds the largest Holm-corrected p of the detectors; None where one is untested."""
-        tested = []
-        for detector in self.detectors:
-            row = self.row(name, detector)
-            if row is None or row.mcnemar_p_holm is None:
-                return None
-            tested.append(row.mcnemar_p_holm)
-        return max(tested, default=None)
+    def corrected_p(self, name: str) -> dict[str, float | None]:
+        """Finds by test the largest Holm-corrected p of the detectors; None where one is untested.
+
+        The tests are those of `Row`: `control_p_holm` and `no_camouflage_p_holm`.
+        """
+        rows = [self.row(name, detector) for detector in self.detectors]
+        control = [None if row is None else row.control_p_holm for row in rows]
+        unchanged = [None if row is None else row.no_camouflage_p_holm for row in rows]
+        return {
+            "control_p_holm": _largest(control),
+            "no_camouflage_p_holm": _largest(unchanged),
+        }
 
     @cached_property
     def curves(self) -> dict[str, Curve]:
@@ -101,3 +104,8 @@ def point_name(family: str, magnitude: float) -> str:
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]
+
+
+def _largest(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None

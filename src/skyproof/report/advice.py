@@ -89,8 +89,9 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
         sentences.append(
-            "The intervals cover which scenes were drawn. They do not cover another training of "
-            "the detectors, another run of the attack, or other random patterns than those drawn."
+            "The intervals cover which tiles and vehicles were drawn and, where there are several, "
+            "which seeds of the attack and draws of the random control. They do not cover another "
+            "training of the detectors."
         )
         attacked = _attacked(results, every[0][0])
         if attacked:
@@ -111,8 +112,8 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
             )
     if every:
         sentences.append(
-            "McNemar's test treats vehicles as independent; where a tile holds many, trust the "
-            "interval more."
+            "The test against random draws treats tiles as independent, McNemar's against no "
+            "camouflage even vehicles; trust the interval more."
         )
     return sentences
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from skyproof.report.uncertainty import left_out
 from skyproof.results.results import Headline
 from skyproof.results.rows import MEAN, Row
 from skyproof.results.statistics.intervals import Interval
@@ -51,7 +52,7 @@ def answer(headline: Headline) -> list[str]:
         sentences.append(
             alike if least == most else f"Detector by detector it is {least} to {most}."
         )
-    return sentences + _net_sentences(row)
+    return [*sentences, *_net_sentences(row), *left_out(row)]
 
 
 def _net_sentences(row: Row) -> list[str]:

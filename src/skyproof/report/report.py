@@ -29,6 +29,7 @@ from skyproof.report.figures import condition_figure, forest_figure, loss_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
+from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Headline, Results
 from skyproof.results.rows import MAIN_MATCH, Row
@@ -159,6 +160,7 @@ def _write(results: Results, layout: Layout) -> Path:
             standing=standing(results),
             checked=checked_sets(results),
             tables=_tables(results),
+            errors=error_rows(results),
             paper=paper,
             training=_training(results),
             advice=advice(every[0][0]) if every else [],

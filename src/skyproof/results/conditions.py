@@ -1,6 +1,6 @@
 """Success by condition: sun, tilt, heading, body type and weather.
 
-Each rate is the mean over detectors, with its cluster interval.
+Each rate is the mean over detectors and repeats, with its interval.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyproof.results.pairs.outcomes import Outcome
-from skyproof.results.pairs.tiles import cluster_counts
-from skyproof.results.statistics.intervals import Interval, mean_interval, resample
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.pairs.tiles import count_cells
+from skyproof.results.repeats import repeat_of
+from skyproof.results.statistics.contrasts import Group, mean_interval
+from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.sample import Sample
 from skyproof.words import body_name
 
 __all__ = ["Bin", "Panel", "condition_panels"]
@@ -104,10 +106,13 @@ def _heading_label(outcome: Outcome) -> str:
 
 
 def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interval:
-    tiles = {tile: index for index, tile in enumerate(sorted({o.background for o in outcomes}))}
-    detectors = sorted({o.detector for o in outcomes})
-    counts = np.stack(
-        [cluster_counts([o for o in outcomes if o.detector == name], tiles) for name in detectors]
+    cells = sorted({(outcome.background, outcome.vehicle) for outcome in outcomes})
+    row_of = {cell: row for row, cell in enumerate(cells)}
+    series: dict[tuple[str, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
+    group = Group(
+        np.stack([count_cells(each, row_of) for each in series.values()]),
+        [repeat_of(camouflage) for camouflage, _ in series],
     )
-    weights = resample(len(tiles), generator=generator)
-    return mean_interval(counts, overall_attack_success_rate, weights, (-np.inf, 1.0))
+    return mean_interval(group, Sample.draw(cells, generator=generator))

@@ -29,15 +29,15 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
     """
     compared = [folder for folder in folders if ScoreFolder.open(folder).record.renderer]
     read = [(folder, read_tiles(folder / "tiles.parquet")) for folder in compared]
-    names = sorted({tile for _, tiles in read for tile in tiles.tiles})
-    place = {name: index for index, name in enumerate(names)}
+    cells = sorted({cell for _, tiles in read for cell in tiles.cells})
+    place = {cell: index for index, cell in enumerate(cells)}
     series: dict[Series, np.ndarray] = {}
     source: dict[Series, Path] = {}
     shown: dict[str, tuple[Path, np.ndarray]] = {}
     for folder, tiles in read:
-        rows = [place[name] for name in tiles.tiles]
+        rows = [place[cell] for cell in tiles.cells]
         for key, counts in tiles.series.items():
-            spread = np.zeros((len(names), 4), dtype=np.int64)
+            spread = np.zeros((len(cells), 4), dtype=np.int64)
             spread[rows] = counts
             if key in series and not np.array_equal(series[key], spread):
                 raise _contradiction(
@@ -51,7 +51,7 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
                 )
             series.setdefault(key, spread)
             source.setdefault(key, folder)
-    return TileCounts(tuple(names), series), _merge_sets([folder for folder, _ in read])
+    return TileCounts(tuple(cells), series), _merge_sets([folder for folder, _ in read])
 
 
 def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:

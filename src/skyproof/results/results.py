@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
@@ -18,11 +17,13 @@ from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import MAIN_MATCH, MEAN, Row
 from skyproof.results.score_folder import Pair, ScoreFolder
-from skyproof.results.statistics.differences import difference_interval
-from skyproof.results.statistics.intervals import Interval, resample
+from skyproof.results.statistics.contrasts import Group, difference_interval
+from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.sample import Sample
 from skyproof.results.stored import (
     AttackRecord,
     DetectorFacts,
@@ -77,7 +78,7 @@ class Change:
 
     Attributes:
         first, second: fractions.
-        difference: with its interval, paired by camouflage, repeat and tile.
+        difference: with its interval, paired by camouflage, repeat, tile and vehicle.
     """
 
     first: float
@@ -136,7 +137,7 @@ class Results:
             }
             seed = scores[0].record.seed if config.seed is None else config.seed
             generator = numpy_generator(seed)
-            rows += summarise(TileCounts(tiles.tiles, series), sets, generator=generator)
+            rows += summarise(TileCounts(tiles.cells, series), sets, generator=generator)
         return cls(
             folder=folder,
             scores=scores,
@@ -190,9 +191,9 @@ class Results:
         return [source for source in dict.fromkeys([*tiles, *recorded]) if source]
 
     @cached_property
-    def weights(self) -> Int[np.ndarray, "R C"]:
-        """Resampled tiles, for whatever is not in the rows."""
-        return resample(len(self.tiles.tiles), generator=np.random.default_rng(0))
+    def sample(self) -> Sample:
+        """The tiles and vehicles of the test, for whatever is not in the rows."""
+        return Sample.draw(self.tiles.cells, generator=np.random.default_rng(0))
 
     def row(
         self,
@@ -283,37 +284,37 @@ class Results:
             None where nothing is shared, or with `net` no control.
         """
         before, after = self._shared(set(names), detector, first, second)
-        if not len(before):
+        if before is None or after is None:
             return None
         plus = [after]
         minus = [before]
         if net:
             controls = {name.control for name in names}
             random_before, random_after = self._shared(controls, detector, first, second)
-            if not len(random_before):
+            if random_before is None or random_after is None:
                 return None
             plus.append(random_before)
             minus.append(random_after)
             rates = (_easr(before) - _easr(random_before), _easr(after) - _easr(random_after))
         else:
             rates = (_easr(before), _easr(after))
-        return Change(*rates, difference_interval(plus, minus, self.weights))
+        return Change(*rates, difference_interval(plus, minus, self.sample))
 
     def single_easr(self, camouflage: str) -> float | None:
         """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
-        counts = self._counts(camouflage)
-        if counts is None:
+        group = self._group(camouflage)
+        if group is None:
             return None
-        value = _easr(counts)
+        value = _easr(group)
         return None if np.isnan(value) else value
 
     def difference(self, later: str, earlier: str) -> Interval | None:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
-        after = self._counts(later)
-        before = self._counts(earlier)
+        after = self._group(later)
+        before = self._group(earlier)
         if after is None or before is None:
             return None
-        return difference_interval([after], [before], self.weights)
+        return difference_interval([after], [before], self.sample)
 
     @cached_property
     def _single_rows(self) -> list[Row]:
@@ -335,30 +336,32 @@ class Results:
 
     def _shared(
         self, names: set[CamouflageName], detector: str | None, first: str, second: str
-    ) -> tuple[Int[np.ndarray, "S C 3"], Int[np.ndarray, "S C 3"]]:
-        """Gathers pair counts under two renderers of every repeat and detector that both have."""
-        before: list[np.ndarray] = []
-        after: list[np.ndarray] = []
-        for key, counts in self.tiles.series.items():
-            if (key.renderer, key.match) != (first, MAIN_MATCH):
-                continue
-            if detector not in (None, MEAN, key.detector):
-                continue
-            other = self.tiles.series.get(key._replace(renderer=second))
-            if other is not None and CamouflageName.read(key.camouflage).pooled in names:
-                before.append(counts[:, 1:])
-                after.append(other[:, 1:])
-        none = np.zeros((0, len(self.tiles.tiles), 3), dtype=np.int64)
-        return (np.stack(before), np.stack(after)) if before else (none, none)
+    ) -> tuple[Group, Group] | tuple[None, None]:
+        """Gathers under two renderers every repeat and detector that both have; None if none is."""
+        shared = {
+            key: self.tiles.series.get(key._replace(renderer=second))
+            for key in self.tiles.series
+            if (key.renderer, key.match) == (first, MAIN_MATCH)
+            and detector in (None, MEAN, key.detector)
+            and CamouflageName.read(key.camouflage).pooled in names
+        }
+        after = {key: counts[:, 1:] for key, counts in shared.items() if counts is not None}
+        if not after:
+            return None, None
+        before = [self.tiles.series[key][:, 1:] for key in after]
+        repeats = [repeat_of(key.camouflage) for key in after]
+        return Group(np.stack(before), repeats), Group(np.stack(list(after.values())), repeats)
 
-    def _counts(self, camouflage: str) -> Int[np.ndarray, "S C 3"] | None:
+    def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.judges]
         known = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
-        return np.stack(known) if len(known) == len(keys) else None
+        if len(known) < len(keys):
+            return None
+        return Group(np.stack(known), [repeat_of(camouflage)] * len(known))
 
 
-def _easr(counts: Int[np.ndarray, "S C 3"]) -> float:
-    return float(overall_attack_success_rate(counts.sum(axis=1)).mean())
+def _easr(group: Group) -> float:
+    return float(overall_attack_success_rate(group.counts.sum(axis=1)).mean())
 
 
 def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:

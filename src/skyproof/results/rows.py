@@ -37,8 +37,11 @@ class Row:
             one repeat.
         ap_original, ap_adversarial, apd: average precision before and after, and its drop.
         false_alarms_per_km2_original, false_alarms_per_km2_adversarial: at the frozen threshold.
-        mcnemar_p, mcnemar_p_holm: exact McNemar test, and Holm's correction over the table; None
-            for means and controls.
+        control_p, control_p_holm: learnt against every draw of its control on the same vehicles
+            (`control_p`): the largest p, and Holm's correction over the camouflages that this
+            detector judged; None for controls and without one.
+        no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage at all,
+            which a random pattern passes, too; None for means and controls.
     """
 
     camouflage: CamouflageName
@@ -62,11 +65,18 @@ class Row:
     apd: float
     false_alarms_per_km2_original: float
     false_alarms_per_km2_adversarial: float
-    mcnemar_p: float | None = None
-    mcnemar_p_holm: float | None = None
+    control_p: float | None = None
+    control_p_holm: float | None = None
+    no_camouflage_p: float | None = None
+    no_camouflage_p_holm: float | None = None
 
     def json(self) -> dict[str, Any]:
-        """Gives flat JSON values, as `results.json` holds them; undefined ones are None."""
+        """Gives flat JSON values, as `results.json` holds them; undefined ones are None.
+
+        The standard errors by what was drawn (`easr_tile_se`, `easr_vehicle_se`, `easr_repeat_se`,
+        and `random_draw_se` of the net EASR) are None where the interval leaves that out.
+        """
+        errors = self.easr.errors
         net = self.net_easr or Interval(float("nan"), float("nan"), float("nan"))
         values = {
             "camouflage": str(self.camouflage),
@@ -98,7 +108,13 @@ class Row:
             "er_high": self.er.high,
             "random_easr": self.random_easr,
             "random_draws": self.random_draws,
-            "mcnemar_p": self.mcnemar_p,
-            "mcnemar_p_holm": self.mcnemar_p_holm,
+            "easr_tile_se": errors.get("tiles"),
+            "easr_vehicle_se": errors.get("vehicles"),
+            "easr_repeat_se": errors.get("draws" if self.camouflage.random else "seeds"),
+            "random_draw_se": net.errors.get("draws"),
+            "control_p": self.control_p,
+            "control_p_holm": self.control_p_holm,
+            "no_camouflage_p": self.no_camouflage_p,
+            "no_camouflage_p_holm": self.no_camouflage_p_holm,
         }
         return nulls_for_undefined(values)

@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,15 +14,17 @@ from jaxtyping import Float, Int
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.results.pairs.sets import ORIGINAL, SetScore
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.tiles import Cell, Series, TileCounts
+from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import MEAN, Row
-from skyproof.results.statistics.differences import difference_interval
-from skyproof.results.statistics.intervals import holm, mcnemar_p, mean_interval, resample
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
 from skyproof.results.statistics.rates import (
     attack_success_rate,
     enhancement_rate,
     overall_attack_success_rate,
 )
+from skyproof.results.statistics.sample import Sample
 
 __all__ = ["summarise"]
 
@@ -34,13 +37,15 @@ def summarise(
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
     row: the mean over repeats, and over detectors in row "mean" (unweighted; undefined where one
     detector found no vehicle before). Net EASR is a row's EASR minus its random control's. All of
-    it is on the same resampled tiles, so the intervals cover which scenes were drawn, for these
-    very repeats; how the repeats spread is said beside them by `easr_repeat_sd` (sample standard
-    deviation), `easr_repeat_min` and `easr_repeat_max`.
+    it is on the same tiles and vehicles. The intervals cover which of these were drawn and, where
+    there are several, which seeds and draws; how these lie apart is said beside them by
+    `easr_repeat_sd` (sample standard deviation), `easr_repeat_min` and `easr_repeat_max`.
 
-    `mcnemar_p` is the largest over the repeats, and 1 where some lose vehicles on balance and
-    others gain them, so that what it claims holds for every repeat. Holm's correction runs over
-    the detectors' rows of one match criterion, controls excluded.
+    Two things are tested: that learning hides more than every draw of the control (`control_p`),
+    and that there is a change against no camouflage (`no_camouflage_p`). Both are the largest p of
+    the repeats, and 1 where these point both ways, so that what is claimed holds for each. Holm's
+    correction runs over the camouflages of one detector and match criterion; who claims something
+    of every detector takes the largest of theirs, which needs no further correction.
 
     Args:
         tiles: counts of every camouflage, renderer, detector and match.
@@ -58,18 +63,19 @@ def summarise(
                 for key, counts in tiles.series.items()
                 if key.renderer == renderer and key.match == match
             }
-            rows.extend(_Table(here, scores, generator).rows(renderer, match))
+            rows.extend(_Table(tiles.cells, here, scores, generator).rows(renderer, match))
 
-    # Holm's correction needs all p-values of a criterion, so it comes last.
-    for match in MATCHES:
-        tested = [
-            index
-            for index, row in enumerate(rows)
-            if row.match == match and row.mcnemar_p is not None
-        ]
-        corrected = holm([rows[index].mcnemar_p or 0.0 for index in tested])
-        for index, p in zip(tested, corrected, strict=True):
-            rows[index] = replace(rows[index], mcnemar_p_holm=p)
+    # Holm's correction needs all p-values of a family, so it comes last.
+    families: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        families[row.match, row.detector].append(index)
+    for family in families.values():
+        for field in ("control_p", "no_camouflage_p"):
+            tested = [index for index in family if getattr(rows[index], field) is not None]
+            corrected = holm([getattr(rows[index], field) for index in tested])
+            for index, p in zip(tested, corrected, strict=True):
+                change: dict[str, Any] = {f"{field}_holm": p}
+                rows[index] = replace(rows[index], **change)
     return rows
 
 
@@ -78,7 +84,8 @@ class _Table:
 
     def __init__(
         self,
-        series: Mapping[Series, Int[np.ndarray, "C 4"]],
+        cells: Sequence[Cell],
+        series: Mapping[Series, Int[np.ndarray, "N 4"]],
         scores: Mapping[Series, SetScore],
         generator: np.random.Generator,
     ) -> None:
@@ -90,8 +97,9 @@ class _Table:
             (key.camouflage, key.detector): int(counts[:, 0].sum())
             for key, counts in series.items()
         }
+        names = np.array([tile for tile, _ in cells], dtype=object)
         self.tiles = {
-            (key.camouflage, key.detector): int((counts[:, 0] > 0).sum())
+            (key.camouflage, key.detector): len(set(names[counts[:, 0] > 0]))
             for key, counts in series.items()
         }
         self.detectors = _unique(key.detector for key in series)
@@ -99,7 +107,8 @@ class _Table:
         for camouflage in _unique(key.camouflage for key in series):
             self.repeats[CamouflageName.read(camouflage).pooled].append(camouflage)
         self.scores = scores
-        self.weights = resample(int(shown.sum()), generator=generator)
+        known = [cell for cell, seen in zip(cells, shown, strict=True) if seen]
+        self.sample = Sample.draw(known, generator=generator)
 
     def rows(self, renderer: str, match: str) -> list[Row]:
         rows: list[Row] = []
@@ -122,22 +131,23 @@ class _Table:
         first = (members[0], detectors[0])
 
         # Rates of the camouflage itself, and how far its repeats lie apart.
-        counts = self._stack(members, detectors)
-        of_repeats = overall_attack_success_rate(counts.sum(axis=1)).reshape(len(members), -1)
+        group = self._group(members, detectors)
+        totals = group.counts.sum(axis=1)
+        of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1)
         spread = of_repeats.mean(axis=1)
         several = len(spread) > 1
 
         # What its random control does on the same tiles.
         control = [] if name.random else self.repeats.get(name.control, [])
         control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
-        random = self._stack(control, detectors) if control else None
+        random = self._group(control, detectors) if control else None
 
         # Average precision, and what else the row needs.
         ap_original = self._mean([ORIGINAL], detectors, renderer, match, "average_precision")
         ap_adversarial = self._mean(members, detectors, renderer, match, "average_precision")
         alarms = "false_alarms_per_km2"
-        weights = self.weights
-        tested = label != MEAN and not name.random
+        sample = self.sample
+        untested = label == MEAN or name.random
         return Row(
             camouflage=name,
             renderer=renderer,
@@ -146,10 +156,10 @@ class _Table:
             vehicles=self.vehicles[first],
             clusters=self.tiles[first],
             repeats=len(members),
-            easr=mean_interval(counts, overall_attack_success_rate, weights, (-math.inf, 1.0)),
-            asr=mean_interval(counts, attack_success_rate, weights, (0.0, 1.0)),
-            er=mean_interval(counts, enhancement_rate, weights, (0.0, math.inf)),
-            net_easr=None if random is None else difference_interval([counts], [random], weights),
+            easr=mean_interval(group, sample),
+            asr=mean_interval(group, sample, rate=attack_success_rate, limits=(0.0, 1.0)),
+            er=mean_interval(group, sample, rate=enhancement_rate, limits=(0.0, math.inf)),
+            net_easr=None if random is None else difference_interval([group], [random], sample),
             random_easr=None if random is None else _mean_easr(random),
             random_draws=len(control),
             easr_repeat_sd=float(spread.std(ddof=1)) if several else math.nan,
@@ -164,13 +174,37 @@ class _Table:
             false_alarms_per_km2_adversarial=self._mean(
                 members, detectors, renderer, match, alarms
             ),
-            mcnemar_p=_largest_p(counts.sum(axis=1)) if tested else None,
+            control_p=None if random is None else self._control_p(members, control, detectors),
+            no_camouflage_p=None if untested else unchanged_p(totals),
         )
 
-    def _stack(self, camouflages: list[str], detectors: list[str]) -> Int[np.ndarray, "S C 3"]:
-        return np.stack(
-            [self.counts[camouflage, d] for camouflage in camouflages for d in detectors]
+    def _group(self, camouflages: list[str], detectors: list[str]) -> Group:
+        series = [(camouflage, d) for camouflage in camouflages for d in detectors]
+        repeats = [repeat_of(camouflage) for camouflage, _ in series]
+        return Group(np.stack([self.counts[each] for each in series]), repeats)
+
+    def _control_p(
+        self, members: list[str], control: list[str], detectors: list[str]
+    ) -> float | None:
+        """Tests learnt against drawn; None where a detector found no vehicle before."""
+        found = [int(self.counts[members[0], d][:, :2].sum()) for d in detectors]
+        if not all(found):
+            return None
+        learnt, drawn = (
+            np.stack([self._hidden(camouflage, detectors, found) for camouflage in camouflages])
+            for camouflages in (members, control)
         )
+        return control_p(learnt, drawn)
+
+    def _hidden(
+        self, camouflage: str, detectors: list[str], found: list[int]
+    ) -> Float[np.ndarray, " C"]:
+        """Gives lost minus gained per tile, over what each detector found before."""
+        tiles = self.sample.by_tile(np.stack([self.counts[camouflage, d] for d in detectors]))
+        hidden: Float[np.ndarray, " C"] = (
+            (tiles[..., 1] - tiles[..., 2]) / np.array(found)[:, None]
+        ).sum(axis=0)
+        return hidden
 
     def _mean(
         self, camouflages: list[str], detectors: list[str], renderer: str, match: str, field: str
@@ -185,17 +219,9 @@ class _Table:
         return float(np.mean(values))
 
 
-def _mean_easr(counts: Int[np.ndarray, "S C 3"]) -> float:
-    rates: Float[np.ndarray, " S"] = overall_attack_success_rate(counts.sum(axis=1))
+def _mean_easr(group: Group) -> float:
+    rates: Float[np.ndarray, " S"] = overall_attack_success_rate(group.counts.sum(axis=1))
     return float(rates.mean())
-
-
-def _largest_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
-    """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways."""
-    balance = totals[:, 1] - totals[:, 2]
-    if balance.min() < 0 < balance.max():
-        return 1.0
-    return max(mcnemar_p(int(lost), int(gained)) for _, lost, gained in totals)
 
 
 def _unique(values: Iterable[str]) -> list[str]:

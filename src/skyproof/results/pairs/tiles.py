@@ -1,4 +1,4 @@
-"""Counts per background tile.
+"""Counts per background tile and vehicle of the fleet.
 
 They are all that success rates and their intervals need of any number of vehicles.
 """
@@ -22,9 +22,20 @@ from skyproof.ranges import Name
 from skyproof.results.pairs.outcomes import Match, Outcome
 from skyproof.results.pairs.parquet import REMEDY, read_table
 
-__all__ = ["Series", "TileCounts", "cluster_counts", "count_tiles", "read_tiles", "write_tiles"]
+__all__ = [
+    "Cell",
+    "Series",
+    "TileCounts",
+    "count_cells",
+    "count_tiles",
+    "read_tiles",
+    "write_tiles",
+]
 
-_COUNTS = ("vehicles", "both", "lost", "gained")
+Cell = tuple[str, str]
+"""A background tile, and a vehicle of the fleet that stands on it once or more."""
+
+_COUNTS = ("in_sight", "both", "lost", "gained")
 
 
 class Series(NamedTuple):
@@ -39,10 +50,10 @@ class Series(NamedTuple):
     match: str
 
 
-_NAMES = (*Series._fields, "background")
+_NAMES = (*Series._fields, "background", "vehicle")
 _Vehicles = Annotated[int, Meta(ge=0, le=10**9)]
 _HINTS = {**dict.fromkeys(_NAMES, Name), "match": Match, **dict.fromkeys(_COUNTS, _Vehicles)}
-_MOST_TILES = 50_000
+_MOST_CELLS = 500_000
 _MOST_COUNTS = 30_000_000
 _SCHEMA = pa.schema(
     [(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS]
@@ -51,69 +62,74 @@ _SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class TileCounts:
-    """Vehicles per series and background tile.
+    """Vehicles per series, background tile and vehicle of the fleet.
 
     Attributes:
-        tiles: names of the C background tiles.
-        series: per series `[C, 4]`: vehicles in sight, detected in both images, lost (in the
+        cells: the N pairs of tile and vehicle, in order.
+        series: per series `[N, 4]`: vehicles in sight, detected in both images, lost (in the
             original only), gained (in the adversarial only). Vehicles missed in both count in the
             first column alone.
     """
 
-    tiles: tuple[str, ...]
-    series: Mapping[Series, Int[np.ndarray, "C 4"]]
+    cells: tuple[Cell, ...]
+    series: Mapping[Series, Int[np.ndarray, "N 4"]]
 
 
 def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
-    """Counts outcomes per series and tile; series keep the order in which they first occur."""
-    counted: dict[Series, dict[str, list[int]]] = {}
+    """Counts outcomes per series, tile and vehicle; series keep the order of their first outcome.
+
+    The vehicles of one fleet are told apart by their names.
+    """
+    counted: dict[Series, dict[Cell, list[int]]] = {}
     for outcome in outcomes:
         key = Series(outcome.camouflage, outcome.renderer, outcome.detector, outcome.match)
-        counts = counted.setdefault(key, {}).setdefault(outcome.background, [0, 0, 0, 0])
+        cell = (outcome.background, outcome.vehicle)
+        counts = counted.setdefault(key, {}).setdefault(cell, [0, 0, 0, 0])
         counts[0] += 1
         column = _column(outcome)
         if column is not None:
             counts[1 + column] += 1
-    tiles = sorted({tile for found in counted.values() for tile in found})
+    cells = sorted({cell for found in counted.values() for cell in found})
     blank = [0, 0, 0, 0]
     return TileCounts(
-        tuple(tiles),
+        tuple(cells),
         {
-            key: np.array([found.get(tile, blank) for tile in tiles])
+            key: np.array([found.get(cell, blank) for cell in cells])
             for key, found in counted.items()
         },
     )
 
 
-def cluster_counts(
-    outcomes: Sequence[Outcome], clusters: Mapping[str, int]
-) -> Int[np.ndarray, "C 3"]:
-    """Counts the pairs (both, lost, gained) per background tile.
+def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[np.ndarray, "N 3"]:
+    """Counts the pairs (both, lost, gained) per tile and vehicle.
 
-    `clusters` maps each tile to its row.
+    `cells` maps each tile and vehicle to its row.
     """
-    counts = np.zeros((len(clusters), 3), dtype=np.int64)
+    counts = np.zeros((len(cells), 3), dtype=np.int64)
     for outcome in outcomes:
         column = _column(outcome)
         if column is not None:
-            counts[clusters[outcome.background], column] += 1
+            counts[cells[outcome.background, outcome.vehicle], column] += 1
     return counts
 
 
 def write_tiles(path: Path, tiles: TileCounts) -> None:
-    """Writes one row per series and tile that shows vehicles, as Parquet, whole or not at all."""
+    """Writes one row per series, tile and vehicle in sight, as Parquet, whole or not at all."""
     stacked = (
         np.stack(list(tiles.series.values()))
         if tiles.series
-        else np.zeros((0, len(tiles.tiles), 4), np.int64)
+        else np.zeros((0, len(tiles.cells), 4), np.int64)
     )
-    which, tile = np.nonzero(stacked[..., 0])
+    which, cell = np.nonzero(stacked[..., 0])
     names = [
         pa.array([key[field] for key in tiles.series], pa.string()).take(pa.array(which))
         for field in range(4)
     ]
-    names.append(pa.array(tiles.tiles, pa.string()).take(pa.array(tile)))
-    counts = [pa.array(column, pa.int64()) for column in stacked[which, tile].T]
+    names += [
+        pa.array([each[part] for each in tiles.cells], pa.string()).take(pa.array(cell))
+        for part in range(2)
+    ]
+    counts = [pa.array(column, pa.int64()) for column in stacked[which, cell].T]
     with write_beside(path) as temporary:
         pq.write_table(pa.Table.from_arrays([*names, *counts], schema=_SCHEMA), temporary)
 
@@ -132,22 +148,24 @@ def read_tiles(path: Path) -> TileCounts:
         np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True
     )
     which = which.reshape(-1)
-    tiles = sorted(names[4])
-    if len(tiles) > _MOST_TILES or len(tiles) * len(keys) > _MOST_COUNTS:
+    pairs, place = np.unique(np.stack(codes[4:], axis=1), axis=0, return_inverse=True)
+    found = [(names[4][tile], names[5][vehicle]) for tile, vehicle in pairs]
+    cells = sorted(found)
+    if len(cells) > _MOST_CELLS or len(cells) * len(keys) > _MOST_COUNTS:
         raise StoredFileError(
-            f"{path} counts {len(keys):,} series on {len(tiles):,} tiles, more than the "
-            f"{_MOST_COUNTS:,} counts on {_MOST_TILES:,} tiles that are read; score fewer at once."
+            f"{path} counts {len(keys):,} series of {len(cells):,} vehicles on tiles, more than "
+            f"the {_MOST_COUNTS:,} counts of {_MOST_CELLS:,} that are read; score fewer at once."
         )
-    index_of = {name: index for index, name in enumerate(tiles)}
-    place = np.array([index_of[name] for name in names[4]], dtype=np.int64)[codes[4]]
-    repeated = len(np.unique(which * len(tiles) + place)) < len(which)
+    row_of = {cell: row for row, cell in enumerate(cells)}
+    rows = np.array([row_of[cell] for cell in found], dtype=np.int64)[place.reshape(-1)]
+    repeated = len(np.unique(which * len(cells) + rows)) < len(which)
     if repeated or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
         raise StoredFileError(f"{path} holds counts that contradict each other; {REMEDY}.")
-    dense = np.zeros((len(keys), len(tiles), 4), dtype=np.int64)
-    dense[which, place] = counts
+    dense = np.zeros((len(keys), len(cells), 4), dtype=np.int64)
+    dense[which, rows] = counts
     order = np.argsort(first)
     named = [Series(*(names[field][code] for field, code in enumerate(keys[row]))) for row in order]
-    return TileCounts(tuple(tiles), dict(zip(named, dense[order], strict=True)))
+    return TileCounts(tuple(cells), dict(zip(named, dense[order], strict=True)))
 
 
 def _column(outcome: Outcome) -> int | None:

@@ -1,0 +1,62 @@
+"""What the intervals are made of, and what they say nothing of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skyproof.results.results import Headline, Results
+from skyproof.results.rows import Row
+
+__all__ = ["ErrorRow", "error_rows", "left_out"]
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """The standard errors of one camouflage's quoted rates, as fractions.
+
+    Attributes:
+        camouflage, renderer: which it is.
+        tiles, vehicles, repeats: of its EASR, by what was drawn; None where that is left out.
+        draws: of its net EASR, by the draws of the control; None where these are left out.
+    """
+
+    camouflage: str
+    renderer: str
+    tiles: float | None
+    vehicles: float | None
+    repeats: float | None
+    draws: float | None
+
+
+def error_rows(results: Results) -> list[ErrorRow]:
+    """Gives one row per camouflage, of the mean over detectors or of the only one."""
+    return [_error_row(headline) for headline in results.headlines()]
+
+
+def left_out(row: Row) -> list[str]:
+    """Says in a sentence each what the intervals of a row do not cover though it could differ."""
+    sentences = []
+    if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:
+        sentences.append("One vehicle was tested: the interval says nothing of others.")
+    if row.repeats == 1:
+        sentences.append(
+            "One attack was run: the interval says nothing of what other seeds would have learnt."
+        )
+    if row.net_easr is not None and row.random_draws == 1:
+        sentences.append(
+            "One random pattern was drawn: the net interval says nothing of other draws."
+        )
+    return sentences
+
+
+def _error_row(headline: Headline) -> ErrorRow:
+    errors = headline.row.easr.errors
+    net = headline.row.net_easr
+    return ErrorRow(
+        str(headline.camouflage),
+        headline.renderer,
+        errors.get("tiles"),
+        errors.get("vehicles"),
+        errors.get("seeds"),
+        None if net is None else net.errors.get("draws"),
+    )

@@ -1,0 +1,192 @@
+"""Means of success rates over series, and how far such means lie apart, with their intervals.
+
+This is the one way by which the interval of any mean or difference is found: of detectors and
+repeats, of what learning adds to a random control, of one renderer against another, of a later step
+of an attack against an earlier one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int, Num
+
+from skyproof.results.statistics.intervals import (
+    Interval,
+    LeftOut,
+    bootstrap_interval,
+    is_unanimous,
+    resampled,
+)
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.repeats import Repeat, spread_of_repeats
+from skyproof.results.statistics.sample import Sample
+
+__all__ = ["Group", "difference_interval", "mean_interval"]
+
+Rate = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Series whose mean rate is wanted.
+
+    Attributes:
+        counts: `[S, N, 3]` (both, lost, gained) per series and cell of the sample.
+        repeats: of each series; empty where they are taken as given.
+    """
+
+    counts: Int[np.ndarray, "S N 3"]
+    repeats: Sequence[Repeat] = ()
+
+
+def mean_interval(
+    group: Group,
+    sample: Sample,
+    *,
+    rate: Rate = overall_attack_success_rate,
+    limits: tuple[float, float] = (-math.inf, 1.0),
+) -> Interval:
+    """Gives the interval of a rate's mean over series, no surer than they are.
+
+    It covers which tiles and vehicles were drawn and, where there are several, which seeds or draws
+    (`spread_of_repeats`).
+
+    Args:
+        group: the series.
+        sample: what their counts are crossed by.
+        rate: takes summed counts `[..., S, 3]`, gives `[..., S]`; nan where undefined.
+        limits: the values that the rate can take.
+    """
+    values = _Values.of(group.counts, sample, rate)
+    series = len(group.counts)
+    return _with_repeats(
+        values.mean(limits), values.points, np.full(series, 1 / series), group.repeats, limits
+    )
+
+
+def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: Sample) -> Interval:
+    """Gives the sum of some groups' mean EASRs minus that of others, paired by tile and vehicle.
+
+    Series of the same repeat in several groups are paired by it, too.
+
+    Resampling sees no spread in a series where every tile agrees, such as an attack that hides
+    every vehicle. Where a group has such a series, the groups' own exact limits enter by the
+    square-and-add rule for differences of independent rates (MOVER; Zou and Donner 2008), and the
+    farther limits count.
+
+    Args:
+        plus, minus: groups of series; a group's EASR is the unweighted mean over its series.
+        sample: what their counts are crossed by.
+    """
+    groups = [*plus, *minus]
+    each = [_Values.of(group.counts, sample, overall_attack_success_rate) for group in groups]
+    factors = np.concatenate(
+        [
+            np.full(len(values.points), (1 if place < len(plus) else -1) / len(values.points))
+            for place, values in enumerate(each)
+        ]
+    )
+    limits = (-math.inf, math.inf)
+    together = _Values.joined(each)
+    whole = together.interval(factors, limits)
+    parts = [values.mean((-math.inf, 1.0)) for values in each]
+    below = [part.estimate - part.low for part in parts]
+    above = [part.high - part.estimate for part in parts]
+    count = len(plus)
+    lower = math.hypot(*below[:count], *above[count:])
+    upper = math.hypot(*above[:count], *below[count:])
+    if any(part.unanimous for part in parts) and not math.isnan(lower + upper):
+        low = min(whole.low, whole.estimate - lower)
+        high = max(whole.high, whole.estimate + upper)
+        whole = replace(whole, low=low, high=high, unanimous=True)
+    repeats = [repeat for group in groups for repeat in group.repeats]
+    return _with_repeats(whole, together.points, factors, repeats, limits)
+
+
+@dataclass(frozen=True)
+class _Values:
+    """A rate of every series: as it is, in the replicates, and with parts left out."""
+
+    points: Float[np.ndarray, " S"]
+    replicates: Float[np.ndarray, "R S"]
+    tiles: Float[np.ndarray, "C S"]
+    vehicles: Float[np.ndarray, "V S"]
+    cells: Float[np.ndarray, "N S"]
+
+    @classmethod
+    def of(cls, counts: Int[np.ndarray, "S N 3"], sample: Sample, rate: Rate) -> _Values:
+        tiles = sample.by_tile(counts)
+        total = tiles.sum(axis=1)
+
+        def without(parts: Num[np.ndarray, "S G 3"]) -> Float[np.ndarray, "G S"]:
+            return rate(total - parts.transpose(1, 0, 2))
+
+        return cls(
+            rate(total),
+            rate(resampled(tiles, sample.weights)),
+            without(tiles),
+            without(sample.by_vehicle(counts)),
+            without(counts),
+        )
+
+    @classmethod
+    def joined(cls, each: Sequence[_Values]) -> _Values:
+        """The series of all of them."""
+        return cls(
+            np.concatenate([values.points for values in each]),
+            *(
+                np.concatenate([getattr(values, name) for values in each], axis=1)
+                for name in ("replicates", "tiles", "vehicles", "cells")
+            ),
+        )
+
+    def interval(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
+        """Gives the interval of the sum of the rates, each multiplied by its factor."""
+        return bootstrap_interval(
+            float(self.points @ factors),
+            self.replicates @ factors,
+            self.tiles @ factors,
+            limits,
+            LeftOut(self.vehicles @ factors, self.cells @ factors),
+        )
+
+    def mean(self, limits: tuple[float, float]) -> Interval:
+        """Gives the interval of the mean, no surer than the series are.
+
+        Where every tile agrees in some series but not in all, resampling sees only the others'
+        spread. Then the mean of the series' own margins counts, as if they all erred together: they
+        stand on the same tiles.
+        """
+        series = len(self.points)
+        whole = self.interval(np.full(series, 1 / series), limits)
+        if whole.unanimous or not any(is_unanimous(column) for column in self.replicates.T):
+            return whole
+        parts = [self.interval(own, limits) for own in np.eye(series)]
+        below = float(np.mean([part.estimate - part.low for part in parts]))
+        above = float(np.mean([part.high - part.estimate for part in parts]))
+        low = max(min(whole.low, whole.estimate - below), limits[0])
+        high = min(max(whole.high, whole.estimate + above), limits[1])
+        return replace(whole, low=low, high=high, unanimous=True)
+
+
+def _with_repeats(
+    whole: Interval,
+    values: Float[np.ndarray, " S"],
+    factors: Float[np.ndarray, " S"],
+    repeats: Sequence[Repeat],
+    limits: tuple[float, float],
+) -> Interval:
+    """Adds what repeats leave open: half-widths are squared and added."""
+    if math.isnan(whole.low):
+        return whole
+    spread = spread_of_repeats(values, factors, repeats)
+    below = math.hypot(whole.estimate - whole.low, spread.below)
+    above = math.hypot(whole.high - whole.estimate, spread.above)
+    errors = {name: math.sqrt(variance) for name, variance in spread.variances.items()}
+    low = max(whole.estimate - below, limits[0])
+    high = min(whole.estimate + above, limits[1])
+    return replace(whole, low=low, high=high, errors=whole.errors | errors)

@@ -1,0 +1,222 @@
+"""Means and differences of success rates are compared with cases worked out by hand.
+
+Simulations say how often the interval holds the truth.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.intervals import cluster_interval
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, Repeat
+from skyproof.results.statistics.sample import Sample
+
+TILES, VEHICLES = 40, 6
+MARGIN = 1 - 0.025 ** (1 / TILES)
+
+
+def stack(*lost, repeats=()):
+    """Pair counts of series: of `VEHICLES` found before on every tile, so many are lost."""
+    rows = [np.broadcast_to(each, TILES) for each in lost]
+    counts = np.array([np.stack([VEHICLES - row, row, 0 * row], axis=1) for row in rows])
+    return Group(counts, repeats)
+
+
+def tiles_alone(rng, replicates):
+    """The sample of a single vehicle on every tile."""
+    cells = [(f"tile-{tile:02d}", "car") for tile in range(TILES)]
+    return Sample.draw(cells, generator=rng, replicates=replicates)
+
+
+@pytest.fixture
+def sample(rng):
+    return tiles_alone(rng, 1000)
+
+
+def test_tiles_that_all_agree_leave_the_exact_margins(sample):
+    found = difference_interval([stack(6, 3)], [stack(3)], sample)
+    assert found.estimate == pytest.approx(0.25)
+    # 0.75 and 0.5, each give or take the margin, by the square-and-add rule.
+    margin = math.hypot(MARGIN, MARGIN)
+    assert (found.low, found.high) == (pytest.approx(0.25 - margin), pytest.approx(0.25 + margin))
+
+
+def test_paired_by_tile(sample, rng):
+    lost = rng.integers(0, 5, TILES)
+    # One more on every tile: a sixth, for certain as far as resampling sees.
+    found = difference_interval([stack(lost + 1)], [stack(lost)], sample)
+    assert found.estimate == pytest.approx(1 / 6)
+    assert found.high - found.low == pytest.approx(2 * MARGIN)
+
+
+def test_without_unanimous_series_it_is_the_plain_interval(sample, rng):
+    own = stack(rng.integers(2, 6, TILES))
+    other = stack(rng.integers(0, 4, TILES))
+
+    def minus(counts):
+        easr = overall_attack_success_rate(counts)
+        return easr[..., 0] - easr[..., 1]
+
+    plain = cluster_interval(np.concatenate([own.counts, other.counts]), minus, sample.weights)
+    found = difference_interval([own], [other], sample)
+    assert (found.low, found.high) == (pytest.approx(plain.low), pytest.approx(plain.high))
+    assert not found.unanimous
+
+
+def test_a_unanimous_group_enters_with_its_exact_limits(sample, rng):
+    own = stack(rng.integers(0, 4, TILES))
+    hidden = stack(6)  # every vehicle, so its true rate can only be lower
+    part = mean_interval(own, sample)
+    found = difference_interval([own], [hidden], sample)
+    assert found.unanimous
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(part.high - part.estimate, MARGIN)
+    )
+    assert found.low == pytest.approx(found.estimate - (part.estimate - part.low), abs=0.01)
+
+
+def test_a_difference_of_differences(sample, rng):
+    """What is 0.5 above its control here and 0.2 above it there lost 0.3, of whatever is shared."""
+    lost = rng.integers(0, 3, TILES)
+    found = difference_interval(
+        [stack(lost + 1), stack(lost)], [stack(lost + 3), stack(lost)], sample
+    )
+    assert found.estimate == pytest.approx(-2 / 6)
+    # The tiles' differences are the same everywhere, as far as resampling sees.
+    assert found.high - found.low == pytest.approx(2 * MARGIN)
+
+
+def test_undefined_without_vehicles(sample):
+    nothing = Group(np.zeros((1, TILES, 3), dtype=np.int64))
+    found = difference_interval([nothing], [stack(3)], sample)
+    assert math.isnan(found.estimate)
+    assert math.isnan(found.low)
+
+
+@pytest.mark.parametrize(
+    ("own", "other"), [((0.7, 0.5), (0.9, 0.6)), ((0.7, 0.6, 0.5), (0.999, 0.998, 0.8))]
+)
+def test_holds_the_truth(own, other, rng):
+    """Simulated tiles are of unlike difficulty, the same for both.
+
+    A share of 0.95 is meant; 0.92 allows for 200 runs.
+    """
+    grid = np.linspace(-5, 5, 1001)
+    density = np.exp(-(grid**2) / 2)
+    density /= density.sum()
+
+    def chance(rate, difficulty):
+        return 1 / (1 + np.exp(-(math.log(rate / (1 - rate)) + 0.8 * difficulty)))
+
+    def expected(rates):
+        return np.mean([(density * chance(rate, grid)).sum() for rate in rates])
+
+    truth, held, runs = expected(own) - expected(other), 0, 200
+    for _ in range(runs):
+        difficulty = rng.normal(size=TILES)
+        one, two = (
+            stack(*(rng.binomial(VEHICLES, chance(rate, difficulty)) for rate in rates))
+            for rates in (own, other)
+        )
+        found = difference_interval([one], [two], tiles_alone(rng, 500))
+        held += found.low <= truth <= found.high
+    assert held / runs >= 0.92
+
+
+def labels(of, kind, count, detectors=1):
+    return [Repeat(of, str(number), kind) for number in range(count) for _ in range(detectors)]
+
+
+def test_repeats_by_hand(sample, rng):
+    lost = rng.integers(1, 4, TILES)
+    alone = mean_interval(stack(lost, lost, lost + 1, lost + 1, lost + 2, lost + 2), sample)
+    seeds = stack(
+        *(lost, lost, lost + 1, lost + 1, lost + 2, lost + 2), repeats=labels("T-U", SEEDS, 3, 2)
+    )
+    found = mean_interval(seeds, sample)
+    # Rates a sixth apart, and one that was expected 0.07 off: three of them, three degrees.
+    variance = (0.07**2 + 2 / 36) / 9
+    assert found.errors == alone.errors | {"seeds": pytest.approx(variance**0.5)}
+    margin = 3.182446 * variance**0.5
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(alone.high - alone.estimate, margin)
+    )
+    assert found.estimate - found.low == pytest.approx(
+        math.hypot(alone.estimate - alone.low, margin)
+    )
+
+
+def test_a_single_repeat_is_about_itself(sample, rng):
+    lost = rng.integers(1, 4, TILES)
+    assert mean_interval(stack(lost, repeats=labels("T-U", SEEDS, 1)), sample) == mean_interval(
+        stack(lost), sample
+    )
+
+
+def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
+    lost = rng.integers(2, 4, TILES)
+    own = stack(lost + 1, lost + 2, lost + 3, repeats=labels("T-U", SEEDS, 3))
+    other = stack(lost, lost - 2, repeats=labels("R-U", DRAWS, 2))
+    plain = difference_interval([Group(own.counts)], [Group(other.counts)], sample)
+    found = difference_interval([own], [other], sample)
+    seeds = (0.07**2 + 2 / 36) / 9
+    draws = (0.5**2 + 2 / 36) / 4
+    assert found.errors["seeds"] == pytest.approx(seeds**0.5)
+    assert found.errors["draws"] == pytest.approx(draws**0.5)
+    # Two draws say nothing at all: the control's mean may be anything from 0 to 1, and that of the
+    # attack, by 0.43 either way, at most 1.
+    drawn = (lost.mean() - 1) / 6
+    learnt = (lost.mean() + 2) / 6
+    assert 4.302653 * draws**0.5 > 1
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(plain.high - plain.estimate, 1 - learnt, drawn)
+    )
+    assert found.estimate - found.low == pytest.approx(
+        math.hypot(plain.estimate - plain.low, 3.182446 * seeds**0.5, 1 - drawn)
+    )
+
+
+def test_what_repeats_share_is_paired(sample, rng):
+    """Two renderers that show the same seeds differ by as much for each: the seeds add little."""
+    lost = rng.integers(1, 3, TILES)
+    seeds = labels("T-U", SEEDS, 3)
+    first = stack(lost, lost + 1, lost + 3, repeats=seeds)
+    second = stack(lost + 1, lost + 2, lost + 4, repeats=seeds)
+    paired = difference_interval([second], [first], sample)
+    assert paired.errors["seeds"] == pytest.approx(0.07 / 3)
+    draws = labels("R-U", DRAWS, 3)
+    first, second = (Group(each.counts, draws) for each in (first, second))
+    found = difference_interval([second], [first], sample)
+    assert found.errors["draws"] == paired.errors["seeds"]
+    first, second = (Group(each.counts, seeds) for each in (first, second))
+    # The same shuffled is not the same.
+    other = stack(lost + 4, lost + 2, lost + 1, repeats=seeds)
+    assert difference_interval([other], [first], sample).errors["seeds"] > 0.1
+
+
+def test_vehicles_that_fare_alike_on_every_tile_widen_the_interval(rng):
+    """Of eight vehicles on 40 tiles four are always lost: eight observations, not 320."""
+    cells = [(f"tile-{tile:02d}", f"car-{car}") for tile in range(TILES) for car in range(8)]
+    sample = Sample.draw(cells, generator=rng)
+    lost = sample.vehicle % 2
+    # Tiles differ a little, too.
+    lost[(sample.tile % 5 == 0) & (sample.vehicle == 0)] = 1
+    counts = np.stack([1 - lost, lost, 0 * lost], axis=1)[None]
+    found = mean_interval(Group(counts), sample)
+    assert found.errors["vehicles"] == pytest.approx((0.25 / 7) ** 0.5, rel=0.1)
+    assert found.errors["tiles"] < 0.01
+    # Student's quantile of 7 degrees for a mean of 8 observations is 0.45; those of rates are less.
+    assert 0.35 < found.high - found.estimate < 0.47
+    # Against another camouflage that loses the same vehicles they play no part.
+    same = difference_interval([Group(counts)], [Group(counts)], sample)
+    assert same.errors["vehicles"] == pytest.approx(0)
+
+
+def test_where_all_agree_the_fewer_of_tiles_and_vehicles_count(rng):
+    cells = [(f"tile-{tile:02d}", f"car-{car}") for tile in range(TILES) for car in range(8)]
+    sample = Sample.draw(cells, generator=rng)
+    found = mean_interval(Group(np.tile([0, 1, 0], (1, len(cells), 1))), sample)
+    assert (found.low, found.high) == (pytest.approx(0.025 ** (1 / 8)), 1.0)
