@@ -1,4 +1,4 @@
-"""Controls that are chosen without learning: plain paints, the best of many draws, random search."""
+"""Controls that are chosen unlearnt: plain paints, the best of many draws, random search."""
 
 from __future__ import annotations
 

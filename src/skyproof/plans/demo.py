@@ -91,7 +91,7 @@ class DemoSizes(WorldSizes):
 
     image_px: Annotated[int, Meta(ge=96, le=16_384)] = 160
     training_vehicles: Count = 5
-    random_draws: Annotated[int, Meta(ge=0, le=100)] = 3
+    random_draws: Annotated[int, Meta(ge=0, le=100)] = 10
     check_scenes: WholeNumber | None = None
 
     def without_training(self) -> DemoSizes:
