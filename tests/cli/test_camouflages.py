@@ -168,6 +168,9 @@ def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> 
         ("T-Lc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
         ("C-Pix-seq@0.2", [], ["T-Pix", "--texture"]),
         ("T-Invisible", [], ["Unknown texture constraints"]),
+        ("R-PixFc_plain", [], ["only R-U_plain", "R-Ma_plain"]),
+        ("R-S-O@0.2_plain", [], ["only R-U_plain", "R-Ma_plain"]),
+        ("R-U_best", ["--draws", 1], ["draws expects a whole number from 2 up to 100, got 1"]),
         ("T-U", ["--conditions", "hail"], ["hail", "overcast"]),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
@@ -191,9 +194,29 @@ def test_what_is_missing_is_asked_for(finished: Path, tmp_path: Path, skyproof: 
     out = tmp_path / "made"
     skyproof("attack", "R-Fc", "--out", out).refused("--palette or --backgrounds")
     skyproof("attack", "T-U", "--out", out).refused("T-U is learnt", "--detectors", "--fleet")
+    skyproof("attack", "R-U_plain", "--out", out).refused("R-U_plain", "--detectors", "--fleet")
     # Everything is read before anything is made.
     skyproof("attack", "R-U", "T-LcFc", "--out", out).refused("Lc and Fc exclude each other")
     assert not out.exists()
+
+
+def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> None:
+    made = tmp_path / "camouflages"
+    names = ["R-Ma_plain", "R-PixFc_best", "R-PixFc_search"]
+    answer = attack(names, "--draws", 3)
+    assert answer.code == 0, answer.err
+    records = {
+        name: json.loads((made / name / "camouflage.json").read_text())["record"] for name in names
+    }
+    paints = records["R-Ma_plain"]["chosen"]
+    assert len(paints["of"]) == len(paints["hidden"]) == 27
+    best = records["R-PixFc_best"]["chosen"]
+    assert best["of"] == ["R-PixFc-0", "R-PixFc-1", "R-PixFc-2"]
+    assert set(records["R-PixFc_search"]) >= {"attack", "weights", "discretisation"}
+    assert "sign_test" not in records["R-PixFc_search"]
+    before = bytes_of(made)
+    assert attack(names, "--draws", 3).code == 0
+    assert bytes_of(made) == before
 
 
 def test_finished_camouflages_are_kept_and_others_added(

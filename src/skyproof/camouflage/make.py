@@ -8,7 +8,6 @@ from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, plain_paint
@@ -80,10 +79,11 @@ def make_candidates(
         palette, settings: as of `make_camouflage`.
 
     Raises:
-        ConfigurationError: no such control, or a plain paint of a shape.
+        ConfigurationError: no such control.
     """
     if name.choice == "plain":
-        return _plain(name)
+        masked = name.constraints is not None and name.constraints.masked
+        return [plain_paint(colour, masked=masked) for colour in LATTICE]
     if name.choice != "best":
         raise ConfigurationError(f"{name} names no control that is chosen from others.")
     made = []
@@ -92,19 +92,6 @@ def make_candidates(
         generator = generator_of(seed, "control", str(drawn))
         made.append(make_camouflage(drawn, generator=generator, palette=palette, settings=settings))
     return made
-
-
-def _plain(name: CamouflageName) -> list[Camouflage]:
-    if name.kind != "texture" or name.constraints not in (
-        TextureConstraints(),
-        TextureConstraints(masked=True),
-    ):
-        raise ConfigurationError(
-            f"{name} asks for the best plain paint, which only R-U_plain (all over) and R-Ma_plain "
-            "(on painted parts) have."
-        )
-    masked = name.constraints is not None and name.constraints.masked
-    return [plain_paint(colour, masked=masked) for colour in LATTICE]
 
 
 def _finished(texture: Camouflage | None, name: CamouflageName) -> UniversalTexture:

@@ -20,6 +20,7 @@ what a random search finds."""
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
 
+_PLAIN = (TextureConstraints(), TextureConstraints(masked=True))
 _WHOLE = re.compile(r"(?P<base>[^_]*?)(?:_(?P<variant>.*?))?(?:-(?P<repeat>\d+))?", re.DOTALL)
 _TEXTURE = re.compile(r"(?P<kind>[TR])-(?P<constraints>[A-Za-z]+)")
 _SHAPE = re.compile(r"(?P<random>R-)?S-O@(?P<magnitude>[-+.\w]+)")
@@ -93,6 +94,11 @@ class CamouflageName:
                 "R-S-O@0.4 or R-C-Fc@0.2."
             )
         name = replace(name, variant=variant, repeat=repeat)
+        if name.choice == "plain" and name.constraints not in _PLAIN:
+            raise ConfigurationError(
+                f"{text[:200]} asks for the best plain paint, which only R-U_plain (all over) and "
+                "R-Ma_plain (on painted parts) have."
+            )
         # It becomes a folder's.
         if not is_name(text) or not is_name(str(name)):
             raise ConfigurationError(

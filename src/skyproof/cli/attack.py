@@ -74,7 +74,7 @@ class Attack:
     image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
     conditions: tuple[str, ...] = ("clear",)
     places: Places = "uniform"
-    draws: Annotated[int, Meta(ge=2, le=1000)] = 32
+    draws: Annotated[int, Meta(ge=2, le=100)] = 32
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
@@ -103,10 +103,11 @@ class Attack:
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _check_scenes(self, name: CamouflageName) -> None:
-        """Refuses options that no camouflage can be learnt with."""
+        """Refuses options that no camouflage can be learnt or chosen with."""
         if not self.detectors or self.backgrounds is None or self.fleet is None:
             raise ConfigurationError(
-                f"{name} is learnt; give --detectors, --backgrounds and --fleet."
+                f"{name} is learnt from detectors, or chosen by them; give --detectors, "
+                "--backgrounds and --fleet."
             )
         SceneSettings(vehicles_maximum=1, conditions=self.conditions)
 
