@@ -135,9 +135,12 @@ def _take_steps(
         loop.facts["weights"] = balanced_weights(_measure(None, detectors, world, settings))
     weights: dict[str, float] = loop.facts["weights"]
 
-    take = _search if camouflage.name.choice == "search" else _learn
+    searched = camouflage.name.choice == "search"
     for step in loop:
-        losses, images = take(camouflage, detectors, world, settings, loop)
+        if searched:
+            losses, images = search_step(camouflage, detectors, weights, world, settings, step)
+        else:
+            losses, images = _learn(camouflage, detectors, world, settings, loop)
         total = sum(weights[name] * loss for name, loss in losses.items())
         loop.report({"step": step, "loss": total, "losses": losses, "weights": weights})
         if step % settings.preview_every == 0 or step in (1, settings.steps):
@@ -179,18 +182,6 @@ def _learn(
     descend(camouflage, cast(torch.optim.Adam, loop.parts["optimiser"]), images, gradient)
     cast(LambdaLR, loop.parts["schedule"]).step()
     return losses, images
-
-
-def _search(
-    camouflage: Camouflage,
-    detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
-    settings: AttackSettings,
-    loop: Loop,
-) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
-    """Takes the loop's step at random; returns the losses after it, and their images."""
-    weights: dict[str, float] = loop.facts["weights"]
-    return search_step(camouflage, detectors, weights, world, settings, loop.step)
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:

@@ -16,7 +16,7 @@ from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.randomness import generator_of
 
-__all__ = ["make_camouflage", "make_candidates"]
+__all__ = ["draw_control", "make_camouflage", "make_candidates"]
 
 
 def make_camouflage(
@@ -61,6 +61,24 @@ def make_camouflage(
     return made
 
 
+def draw_control(
+    name: CamouflageName,
+    *,
+    seed: int,
+    palette: Float[Tensor, "K 3"] | None = None,
+    settings: CamouflageSettings | None = None,
+) -> Camouflage:
+    """Draws a random control, such as "R-PixFc-3"; name and seed decide it.
+
+    Args:
+        name: of a random control, with its repeat.
+        seed: of the run.
+        palette, settings: as of `make_camouflage`.
+    """
+    generator = generator_of(seed, "control", str(name))
+    return make_camouflage(name, generator=generator, palette=palette, settings=settings)
+
+
 def make_candidates(
     name: CamouflageName,
     draws: int,
@@ -86,12 +104,8 @@ def make_candidates(
         return [plain_paint(colour, masked=masked) for colour in LATTICE]
     if name.choice != "best":
         raise ConfigurationError(f"{name} names no control that is chosen from others.")
-    made = []
-    for draw in range(draws):
-        drawn = name.base.with_repeat(draw)
-        generator = generator_of(seed, "control", str(drawn))
-        made.append(make_camouflage(drawn, generator=generator, palette=palette, settings=settings))
-    return made
+    names = [name.base.with_repeat(draw) for draw in range(draws)]
+    return [draw_control(each, seed=seed, palette=palette, settings=settings) for each in names]
 
 
 def _finished(texture: Camouflage | None, name: CamouflageName) -> UniversalTexture:

@@ -134,27 +134,15 @@ class Attack:
 
     def _draw(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Random draws of camouflages, which are not learnt (section 5.4)."""
-        from skyproof.camouflage.folder import save_camouflage
-        from skyproof.camouflage.make import make_camouflage
-        from skyproof.files import finished_folder
-        from skyproof.randomness import generator_of
+        from skyproof.camouflage.make import draw_control
 
         seed = self.settings.seed
         for name in names:
             folder = self.out / str(name)
             if (folder / "camouflage.json").exists():
                 continue
-            control = make_camouflage(
-                name,
-                generator=generator_of(seed, "control", str(name)),
-                palette=palette,
-                settings=self.camouflage,
-            )
-            # Snakemake makes the folder of a file that a step is to leave; only an empty one goes.
-            with suppress(OSError):
-                folder.rmdir()
-            with finished_folder(folder) as partial:
-                save_camouflage(partial, control, {"seed": seed})
+            control = draw_control(name, seed=seed, palette=palette, settings=self.camouflage)
+            _store(folder, control, {"seed": seed})
 
     def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
@@ -189,9 +177,7 @@ class Attack:
         device: torch.device,
     ) -> None:
         from skyproof.attacks.search import choose
-        from skyproof.camouflage.folder import save_camouflage
         from skyproof.camouflage.make import make_candidates
-        from skyproof.files import finished_folder
 
         folder = self.out / str(name)
         if (folder / "camouflage.json").exists():
@@ -220,10 +206,7 @@ class Attack:
             }
         }
         chosen.camouflage.name = name
-        with suppress(OSError):
-            folder.rmdir()
-        with finished_folder(folder) as partial:
-            save_camouflage(partial, chosen.camouflage, record)
+        _store(folder, chosen.camouflage, record)
 
     def _attack(
         self,
@@ -266,3 +249,15 @@ class Attack:
                 record=signs,
                 on_step=show,
             )
+
+
+def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:
+    """Writes a camouflage's folder, whole or not at all."""
+    from skyproof.camouflage.folder import save_camouflage
+    from skyproof.files import finished_folder
+
+    # Snakemake makes the folder of a file that a step is to leave; only an empty one goes.
+    with suppress(OSError):
+        folder.rmdir()
+    with finished_folder(folder) as partial:
+        save_camouflage(partial, camouflage, record)
