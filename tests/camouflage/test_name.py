@@ -26,6 +26,8 @@ KNOWN = [
         False,
     ),
     ("R-C-Fc@0.2", "combination", FIXED, 0.2, None, True),
+    ("R-C-Fc-seq@0.2-3", "combination", FIXED, 0.2, "seq", True),
+    ("R-S-O@0.4_plain", "shape", None, 0.4, None, True),
 ]
 
 
@@ -146,3 +148,26 @@ def test_variants_and_repeats_are_added_in_their_places():
     )
     assert str(name.with_repeat(3)) == "T-U-3"
     assert CamouflageName.parse("C-Fc-par@0.2-1").family == "C-Fc-par"
+
+
+@pytest.mark.parametrize(
+    ("learnt", "controls"),
+    [
+        ("T-U", ["R-U_plain", "R-U_best", "R-U_search"]),
+        ("T-PixFcMa_on_yolov5-2", ["R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"]),
+        ("S-O@0.4-1", ["R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"]),
+        ("C-Lc-par@0.2", ["R-C-U@0.2_plain", "R-C-Lc@0.2_best", "R-C-Lc@0.2_search"]),
+    ],
+)
+def test_what_a_sceptic_sets_beside_a_learnt_one(learnt, controls):
+    name = CamouflageName.parse(learnt)
+    assert [str(control) for control in name.unlearnt] == controls
+    assert all(CamouflageName.parse(text).choice for text in controls)
+
+
+def test_a_combination_has_its_own_texture_under_random_shapes():
+    assert str(CamouflageName.parse("C-Fc-par@0.2-1").drawn_shape) == "R-C-Fc-par@0.2"
+    assert CamouflageName.parse("T-Fc").drawn_shape is None
+    assert CamouflageName.parse("R-C-Fc-seq@0.2").drawn_shape is None
+    with pytest.raises(ConfigurationError, match=r"only R-C-Fc@0.2_best is chosen"):
+        CamouflageName.parse("R-C-Fc-seq@0.2_best")

@@ -168,8 +168,9 @@ def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> 
         ("T-Lc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
         ("C-Pix-seq@0.2", [], ["T-Pix", "--texture"]),
         ("T-Invisible", [], ["Unknown texture constraints"]),
-        ("R-PixFc_plain", [], ["only R-U_plain", "R-Ma_plain"]),
-        ("R-S-O@0.2_plain", [], ["only R-U_plain", "R-Ma_plain"]),
+        ("R-PixFc_plain", [], ["only U (all over) and Ma", "R-Ma_plain"]),
+        ("R-C-Fc@0.2_plain", [], ["only U (all over) and Ma", "R-C-Ma@0.2_plain"]),
+        ("R-C-Fc-seq@0.2", [], ["T-Fc", "--texture"]),
         ("R-U_best", ["--draws", 1], ["draws expects a whole number from 2 up to 100, got 1"]),
         ("T-U", ["--conditions", "hail"], ["hail", "overcast"]),
     ],
@@ -217,6 +218,41 @@ def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> No
     before = bytes_of(made)
     assert attack(names, "--draws", 3).code == 0
     assert bytes_of(made) == before
+
+
+def test_shapes_have_their_controls_too(tmp_path: Path, attack) -> None:
+    from skyproof.camouflage.combination import Combination
+    from skyproof.camouflage.displacement import DisplacementMap
+    from skyproof.camouflage.folder import load_camouflage
+
+    made = tmp_path / "camouflages"
+    answer = attack(["R-S-O@0.4_plain", "R-C-Ma@0.4_plain", "R-Ma-0", "T-Ma"])
+    assert answer.code == 0, answer.err
+    even = load_camouflage(made / "R-S-O@0.4_plain")
+    assert isinstance(even, DisplacementMap)
+    assert even.magnitude == 0.4
+    assert (even.map() == 1).all()
+    painted = load_camouflage(made / "R-C-Ma@0.4_plain")
+    assert isinstance(painted, Combination)
+    assert (painted.shape.map() == 1).all()
+    assert painted.texture.bytes().flatten(1).unique(dim=1).shape[1] == 1
+    chosen = json.loads((made / "R-C-Ma@0.4_plain/camouflage.json").read_text())["record"]
+    assert len(chosen["chosen"]["of"]) == 27
+    # A random shape on the texture of an attack, from its folder or from a combination's.
+    texture = made / "T-Ma"
+    assert attack("C-Ma-seq@0.4", "--texture", texture).code == 0
+    for folder in (texture, made / "C-Ma-seq@0.4"):
+        name = "R-C-Ma-seq@0.4-0" if folder == texture else "R-C-Ma-seq@0.4-1"
+        answer = attack(name, "--texture", folder)
+        assert answer.code == 0, answer.err
+        drawn = load_camouflage(made / name)
+        assert isinstance(drawn, Combination)
+        learnt = load_camouflage(texture)
+        assert (drawn.texture.bytes() == learnt.bytes()).all()
+        reach = drawn.shape.map()
+        assert 0.2 < reach.std() < 0.35  # uniform in [0, 1] has 0.29
+    first = load_camouflage(made / "R-C-Ma-seq@0.4-0").shape.map()
+    assert (first != reach).any()
 
 
 def test_finished_camouflages_are_kept_and_others_added(

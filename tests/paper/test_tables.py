@@ -376,7 +376,8 @@ def test_what_is_tested_counts_each_camouflage_once(folder):
     assert table(folder, "shape_combined")["C-U-seq"]["pm_star"] == "0"
     # T-U, T-Fc, S-O@0.4 and C-Fc-seq@0.2; one draw each but for T-U, whose two leave it open.
     assert "for 2 of 4 distinct camouflages above" in tests
-    assert "Not surely better than chance: T-U, T-Fc." in tests
+    assert "Not surely more than an average random draw: T-U, T-Fc." in tests
+    assert "chosen and not learnt" not in tests
     assert "a single draw, so that nothing is said of others: T-Fc, S-O@0.4, C-Fc-seq@0.2." in tests
     assert "for every repeat and every draw, for 4 of 4." in tests
     assert "(McNemar’s exact test, corrected alike): 4 of 4." in tests
@@ -384,3 +385,23 @@ def test_what_is_tested_counts_each_camouflage_once(folder):
     # All 20 tiles lose more to T-U: twice 2^-20 is below what 10,000 swaps can show, times rows.
     assert float(row["control_p_holm"]) < 0.01
     assert float(row["no_camouflage_p_holm"]) < 1e-4
+
+
+def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
+    write_scores(
+        folder / "scores" / "002",
+        {"R-U_plain": 0.2, "R-U_best": 0.8, "R-C-Fc-seq@0.2-0": 0.2},
+    )
+    page = write_reproduction(folder).read_text()
+    row = table(folder, "textures")["T-U"]
+    assert row["unlearnt_control"] == "R-U_best"
+    close(row["unlearnt_easr"], 80)
+    close(row["net_unlearnt_easr"], 10)
+    assert float(row["net_unlearnt_easr_low"]) < 0
+    tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
+    assert "Of 1, 0 surely hide more than every control that was chosen and not learnt." in tests
+    assert "Not surely due to learning: T-U." in tests
+    shapes = table(folder, "shape_combined")["C-Fc-seq"]
+    close(shapes["drawn_shape_easr"], 20)
+    close(shapes["net_drawn_shape_easr"], 60)
+    assert "What a learnt shape adds to the texture under it:" in page

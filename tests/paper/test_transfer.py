@@ -8,7 +8,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.paper import transfer
 from skyproof.results.statistics.intervals import Interval
-from tests.results.rows import made_row
+from tests.results.rows import beside, made_row
 
 read = CamouflageName.read
 
@@ -16,7 +16,7 @@ read = CamouflageName.read
 def row(camouflage, detector, easr, match="centre_1m"):
     net = Interval(easr - 0.2, math.nan, math.nan)
     rate = Interval(easr, easr - 0.1, easr + 0.1)
-    return made_row(camouflage, detector, easr=rate, net_easr=net, match=match)
+    return made_row(camouflage, detector, easr=rate, random=beside("R-U", 0.2, net), match=match)
 
 
 ROWS = [

@@ -8,13 +8,22 @@ from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
 from skyproof.cli.ground import Ground
 from skyproof.cli.reference import Reference
+from skyproof.cli.score import Score
 from skyproof.cli.vehicles import Vehicles
 from skyproof.layout import Layout
 from skyproof.plans.demo import Demo, DemoSizes, demo_plan
 
 RUN = Path("run")
 WORLD = ["ground/ground", "vehicles/fleets"]
-JUDGED = ["attack/T-U", "attack/T-PixFcMa", "control/random", "score/test", "report/report"]
+CHOSEN = [
+    *("R-U_plain", "R-U_best", "R-U_search"),
+    *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"),
+]
+JUDGED = [
+    *("attack/T-U", "attack/T-PixFcMa"),
+    *(f"choose/{name}" for name in CHOSEN),
+    *("control/random", "score/test", "report/report"),
+]
 
 
 def commands(demo, kind):
@@ -34,6 +43,19 @@ def test_without_training_only_the_test_images_are_drawn():
     copied = commands(demo, Reference)
     assert [command.detectors for command in copied] == [("retinanet",), ("faster_rcnn",)]
     assert {(command.out, command.check) for command in copied} == {(RUN / "detectors", True)}
+
+
+def test_controls_are_chosen_where_there_are_any():
+    demo = Demo(out=RUN)
+    searched = next(c for c in commands(demo, Attack) if c.names == ("R-PixFcMa_search",))
+    assert searched.settings == next(
+        command.settings for command in commands(demo, Attack) if command.names == ("T-PixFcMa",)
+    )
+    (score,) = commands(demo, Score)
+    scored = [folder.name for folder in score.camouflages]
+    assert scored[:8] == ["T-U", "T-PixFcMa", *CHOSEN]
+    none = Demo(out=RUN, sizes=DemoSizes(random_draws=0))
+    assert [c.names for c in commands(none, Attack)] == [("T-U",), ("T-PixFcMa",)]
 
 
 def test_with_training_everything_is_made():
@@ -84,6 +106,6 @@ def test_reference_detectors_are_attacked_in_small_images(image_px, attack_px):
         for command in commands(Demo(out=RUN, sizes=sizes), Attack)
         if command.detectors
     ]
-    assert learnt == [attack_px] * 2
+    assert learnt == [attack_px] * 8
     trained = commands(Demo(out=RUN, sizes=sizes, train=True), Attack)
     assert trained[0].image_px == image_px

@@ -85,6 +85,39 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     }
 
 
+def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
+    none = jobs()
+    assert (none.chosen, none.shapes) == ({}, {})
+    more = {"textures": ["Fc"], "repeats": 2, "draws": 5, "best_of": 7}
+    own = jobs(**more, detectors=["retinanet", "faster_rcnn"], transfer=["T-Fc"])
+    # One of each for all repeats, and none for attacks on some detectors alone.
+    assert list(own.chosen) == [
+        *("R-U_plain", "R-Fc_best", "R-Fc_search"),
+        *("R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"),
+        *("R-C-U@0.4_plain", "R-C-Fc@0.4_best", "R-C-Fc@0.4_search"),
+    ]
+    # As many steps as texture and shape of the sequential attack together, more than the parallel.
+    steps = {name: job.settings.steps for name, job in own.chosen.items()}
+    assert steps["R-Fc_search"] == 8
+    assert steps["R-C-Fc@0.4_search"] == 8 + 2
+    assert {job.best_of for job in own.chosen.values()} == {7}
+    assert {job.detectors for job in own.chosen.values()} == {("retinanet", "faster_rcnn")}
+    assert own.shapes == {
+        "T-Fc-0": ["R-C-Fc-seq@0.4-0", "R-C-Fc-seq@0.4-2", "R-C-Fc-seq@0.4-4"],
+        "C-Fc-par@0.4-0": ["R-C-Fc-par@0.4-0", "R-C-Fc-par@0.4-2", "R-C-Fc-par@0.4-4"],
+        "T-Fc-1": ["R-C-Fc-seq@0.4-1", "R-C-Fc-seq@0.4-3"],
+        "C-Fc-par@0.4-1": ["R-C-Fc-par@0.4-1", "R-C-Fc-par@0.4-3"],
+    }
+    scored = {folder for batch in own.batches.values() for folder in batch}
+    assert {*own.chosen, *own.shapes["T-Fc-0"]} <= scored
+    plan = reproduction_plan(Preset.parse({**TINY, **more}), Path("run"))
+    drawn = next(step for step in plan.steps if step.id == "control/shapes-T-Fc-1")
+    assert drawn.command.texture == Path("run/camouflages/T-Fc-1")
+    assert Path("run/camouflages/T-Fc-1/camouflage.json") in drawn.inputs
+    (best,) = (step for step in plan.steps if step.id == "choose/R-Fc_best")
+    assert best.command.draws == 7
+
+
 def test_repeats_seeds_transfer_and_masked():
     wide = jobs(
         seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],

@@ -24,7 +24,7 @@ from skyproof.results.results import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, number, percent, probability
 from tests.report.fabricate import fabricate
-from tests.results.rows import made_row
+from tests.results.rows import beside, made_row
 
 
 @pytest.fixture(scope="module")
@@ -222,15 +222,17 @@ def test_missing_checks_are_said(run_folder):
     assert "The detectors were not checked on clean images." in page
 
 
-def headline(easr, net=None, random=None):
-    row = made_row("T-U", "retinanet", easr=easr, net_easr=net, random_easr=random)
+def headline(easr, net=None, random=None, name="T-U", **given):
+    beside_random = None if net is None else beside("R-U", random, net)
+    row = made_row(name, "retinanet", easr=easr, random=beside_random, **given)
     return Headline(row.camouflage, "torch", row, [row], {})
 
 
 def test_an_answer_without_control_or_without_a_rate():
     nan = float("nan")
-    (*_, without, _) = answer(headline(Interval(0.5, 0.4, 0.6)))
+    (_, without, unchosen, _) = answer(headline(Interval(0.5, 0.4, 0.6)))
     assert "No random control was run" in without
+    assert "it is not known what is due to learning" in unchosen
     (only,) = answer(headline(Interval(nan, nan, nan)))
     assert "The success rate is undefined" in only
 
@@ -243,7 +245,7 @@ def test_an_answer_says_what_its_intervals_leave_out():
     assert "the net interval says nothing of other draws" in single
     several = dataclasses.replace(easr, errors={"tiles": 0.05, "vehicles": 0.0})
     one = headline(several, net, 0.2)
-    row = dataclasses.replace(one.row, repeats=3, random_draws=30)
+    row = dataclasses.replace(one.row, repeats=3, random=beside("R-U", 0.2, net, draws=30))
     assert "nothing" not in " ".join(answer(dataclasses.replace(one, row=row)))
 
 
@@ -264,8 +266,47 @@ def test_what_the_intervals_are_made_of(fabricated, page):
 
 def test_a_net_rate_that_could_be_zero_is_not_called_success():
     text = " ".join(answer(headline(Interval(0.5, 0.4, 0.6), Interval(0.3, -0.02, 0.5), 0.2)))
-    assert "cannot be told from zero" in text
-    assert "is due to optimisation" not in text
+    assert "It cannot be told from an average random pattern of the same kind, which" in text
+    assert "due to learning." not in text.replace("what is due to learning.", "")
+
+
+def test_an_answer_says_what_is_hidden_more_than_average_and_more_than_unlearnt():
+    found = beside("R-PixMa_search", 0.3, Interval(0.2, 0.05, 0.3))
+    hidden, average, best, *_ = answer(
+        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, unlearnt=found)
+    )
+    assert "hides 50 % (95 % interval 40 to 60 %)" in hidden
+    assert average == (
+        "It hides 45 points more (95 % interval 30 to 50) than an average random pattern of "
+        "the same kind, which hides 5 %."
+    )
+    assert best == (
+        "It hides 20 points more (95 % interval 5 to 30) than the best control that was "
+        "chosen and not learnt, found by a random search with as many images, which hides "
+        "30 %. That is due to learning."
+    )
+    as_good = beside("R-Ma_plain", 0.45, Interval(0.05, -0.02, 0.1))
+    _, average, best, *_ = answer(
+        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, unlearnt=as_good)
+    )
+    assert "more" in average
+    assert "cannot be told from the best control" in best
+    assert "the best plain paint, which hides 45" in best
+    assert "due to learning" not in best
+    worse = beside("R-U_best", 0.7, Interval(-0.2, -0.3, -0.1))
+    *_, best, _ = answer(headline(Interval(0.5, 0.4, 0.6), unlearnt=worse))
+    assert "It hides fewer than" in best
+    assert "the best of many random draws" in best
+
+
+def test_an_answer_says_what_the_shape_of_a_combination_adds():
+    same = beside("R-C-Fc-seq@0.2", 0.4, Interval(0.1, 0.04, 0.2))
+    even = beside("R-C-U@0.2_plain", 0.1, Interval(0.4, 0.3, 0.5))
+    text = answer(
+        headline(Interval(0.5, 0.4, 0.6), name="C-Fc-seq@0.2", drawn_shape=same, unlearnt=even)
+    )
+    assert "10 points more (95 % interval 4 to 20) than its own texture under" in text[2]
+    assert "the best plain paint and every vertex out, which hides 10" in text[3]
 
 
 def test_nothing_scored_is_said(tmp_path):

@@ -1,11 +1,15 @@
 """A row of results where only what a test is about is given."""
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.rows import Row
+from skyproof.results.rows import Contrast, Row
 from skyproof.results.statistics.intervals import Interval
 
 NAN = float("nan")
 UNKNOWN = Interval(NAN, NAN, NAN)
+
+
+def beside(control, easr, net, draws=1):
+    return Contrast(CamouflageName.read(control), easr, draws, net)
 
 
 def made_row(camouflage, detector, **given):
@@ -22,7 +26,7 @@ def made_row(camouflage, detector, **given):
         ],
         NAN,
     )
-    values |= dict.fromkeys(("vehicles", "clusters", "repeats", "random_draws"), 1)
+    values |= dict.fromkeys(("vehicles", "clusters", "repeats"), 1)
     values |= dict.fromkeys(("easr", "asr", "er"), UNKNOWN)
-    values |= {"renderer": "torch", "match": "centre_1m", "net_easr": None, "random_easr": None}
+    values |= {"renderer": "torch", "match": "centre_1m"}
     return Row(CamouflageName.read(camouflage), detector=detector, **{**values, **given})

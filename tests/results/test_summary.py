@@ -140,6 +140,64 @@ def test_two_questions_are_tested(rows):
     assert rows["T-U", "retinanet", "iou_50"]["control_p"] is None
 
 
+def test_the_strongest_unlearnt_control_counts_and_the_lowest_limit(rng):
+    # Of 20 vehicles, two on each tile; the paint hides whole tiles, the search one of two.
+    hidden = {
+        "T-Ma": range(16),
+        "R-Ma-0": [],
+        "R-Ma_plain": range(10),
+        "R-Ma_search": range(0, 16, 2),
+        "R-Pix_best": range(20),
+    }
+    found = [
+        outcome
+        for name, lost in hidden.items()
+        for outcome in outcomes(name, "a", [(1, 0 if i in lost else 1) for i in range(20)])
+    ]
+    made = summary.summarise(count_tiles(found), [], generator=rng)
+    row = {str(row.camouflage): row for row in made}["T-Ma"]
+    assert (str(row.unlearnt.control), row.unlearnt.easr) == ("R-Ma_plain", 0.5)
+    assert row.unlearnt.net.estimate == pytest.approx(0.3)
+    # Against the search it hides more, but as surely: a vehicle on each of eight tiles.
+    alone = {
+        control: next(
+            row.unlearnt
+            for row in summary.summarise(
+                count_tiles([one for one in found if one.camouflage in ("T-Ma", control)]),
+                [],
+                generator=np.random.default_rng(1),
+            )
+            if str(row.camouflage) == "T-Ma"
+        )
+        for control in ("R-Ma_plain", "R-Ma_search")
+    }
+    lowest = min(each.net.low for each in alone.values())
+    assert row.unlearnt.net.low == pytest.approx(lowest, abs=0.02)
+    # Six vehicles on three tiles: of eight swaps, two are as uneven; of two to the eighth, two.
+    assert alone["R-Ma_plain"].p == 2 / 2**3
+    assert alone["R-Ma_search"].p == 2 / 2**8
+    assert row.unlearnt.p == 2 / 2**3
+    assert row.random.p == 2 / 2**8
+    # What belongs to other constraints is no control of this one, and controls have none.
+    others = [one for one in made if str(one.camouflage) != "T-Ma"]
+    assert all(one.unlearnt is None and one.random is None for one in others)
+
+
+def test_a_combination_stands_beside_its_texture_under_random_shapes(rng):
+    hidden = {"C-Fc-seq@0.2-0": 15, "R-C-Fc-seq@0.2-0": 8, "R-C-Fc-seq@0.2-1": 10, "R-C-Fc@0.2": 2}
+    found = [
+        outcome
+        for name, count in hidden.items()
+        for outcome in outcomes(name, "a", [(1, 0)] * count + [(1, 1)] * (20 - count))
+    ]
+    rows = {row["camouflage"]: row for row in summarise(count_tiles(found), [], generator=rng)}
+    row = rows["C-Fc-seq@0.2"]
+    assert row["drawn_shape_easr"] == pytest.approx(9 / 20)
+    assert row["net_drawn_shape_easr"] == pytest.approx(6 / 20)
+    assert row["random_easr"] == pytest.approx(2 / 20)
+    assert row["unlearnt_control"] is row["net_unlearnt_easr"] is None
+
+
 def test_holm_runs_over_the_camouflages_of_one_detector(rng):
     lost = {"T-U": 14, "T-Pix": 9, "R-U-0": 2, "R-Pix-0": 1}
     found = [

@@ -16,7 +16,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
 
-__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "sample_map"]
+__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "even_shape", "sample_map"]
 
 DISPLACEMENT_SIZE = 64
 
@@ -124,6 +124,19 @@ class DisplacementMap(Camouflage):
         if self.frozen_parts:
             distance = distance.masked_fill(_frozen(vehicles), 0.0)
         return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
+
+
+def even_shape(name: CamouflageName) -> DisplacementMap:
+    """Returns the shape that asks for no learning: every vertex out as far as it may.
+
+    Args:
+        name: of a shape or a combination; it says how far that is.
+    """
+    shape = DisplacementMap(name)
+    with torch.no_grad():
+        shape.reach.fill_(1.0)
+    shape.finalise()
+    return shape.requires_grad_(False)
 
 
 def sample_map(values: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
-from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.displacement import DisplacementMap, even_shape
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, plain_paint
 from skyproof.camouflage.settings import CamouflageSettings
@@ -34,7 +34,8 @@ def make_camouflage(
             at its end change nothing.
         generator: on the CPU; textures, and the shapes of random controls, are drawn from it.
         palette: `[K, 3]` sRGB in [0, 1]; fixed colours (Fc) expect one, others do without.
-        texture: a finished texture; a sequential combination expects one to put its shape on.
+        texture: a finished texture, or a combination that has one; a sequential combination expects
+            it to put its shape on, and so does a random shape on an attack's own texture.
         settings: what the name leaves open; the defaults where not given.
 
     Raises:
@@ -47,8 +48,8 @@ def make_camouflage(
             f"{name} names no camouflage that can be made; see skyproof attack --help."
         )
     made: Camouflage
-    if name.order == "seq":
-        made = Combination(name, _finished(texture, name), DisplacementMap(name))
+    if name.order == "seq" or (name.order == "par" and name.random):
+        made = Combination(name, _finished(texture, name), _shape(name, generator))
     elif name.kind == "shape":
         made = _shape(name, generator)
     else:
@@ -66,6 +67,7 @@ def draw_control(
     *,
     seed: int,
     palette: Float[Tensor, "K 3"] | None = None,
+    texture: Camouflage | None = None,
     settings: CamouflageSettings | None = None,
 ) -> Camouflage:
     """Draws a random control, such as "R-PixFc-3"; name and seed decide it.
@@ -73,10 +75,12 @@ def draw_control(
     Args:
         name: of a random control, with its repeat.
         seed: of the run.
-        palette, settings: as of `make_camouflage`.
+        palette, texture, settings: as of `make_camouflage`.
     """
     generator = generator_of(seed, "control", str(name))
-    return make_camouflage(name, generator=generator, palette=palette, settings=settings)
+    return make_camouflage(
+        name, generator=generator, palette=palette, texture=texture, settings=settings
+    )
 
 
 def make_candidates(
@@ -90,8 +94,9 @@ def make_candidates(
     """Makes what a control is chosen from.
 
     Args:
-        name: of the control: "R-Ma_plain", 27 plain paints under its mask; "R-PixFc_best", the
-            first so many draws of R-PixFc.
+        name: of the control: "R-Ma_plain", 27 plain paints under its mask; "R-S-O@0.4_plain", every
+            vertex out as far as it may, under the vehicle's own paint; "R-C-Ma@0.2_plain", both;
+            "R-PixFc_best", the first so many draws of R-PixFc.
         draws: how many draws.
         seed: decides them, as of the draws by themselves.
         palette, settings: as of `make_camouflage`.
@@ -100,16 +105,27 @@ def make_candidates(
         ConfigurationError: no such control.
     """
     if name.choice == "plain":
-        masked = name.constraints is not None and name.constraints.masked
-        return [plain_paint(colour, masked=masked) for colour in LATTICE]
+        return _plain(name)
     if name.choice != "best":
         raise ConfigurationError(f"{name} names no control that is chosen from others.")
     names = [name.base.with_repeat(draw) for draw in range(draws)]
     return [draw_control(each, seed=seed, palette=palette, settings=settings) for each in names]
 
 
+def _plain(name: CamouflageName) -> list[Camouflage]:
+    """Every plain paint under the name's mask, every vertex out, or both."""
+    if name.constraints is None:
+        return [even_shape(name)]
+    paints = [plain_paint(colour, masked=name.constraints.masked) for colour in LATTICE]
+    if name.kind == "texture":
+        return list(paints)
+    return [Combination(paint.name, paint, even_shape(name)) for paint in paints]
+
+
 def _finished(texture: Camouflage | None, name: CamouflageName) -> UniversalTexture:
     constraints = name.constraints
+    if isinstance(texture, Combination):
+        texture = texture.texture
     if isinstance(texture, UniversalTexture) and texture.constraints == constraints:
         return texture
     wanted = CamouflageName("texture", constraints)

@@ -14,18 +14,20 @@ __all__ = ["CHOICES", "CamouflageName", "Choice", "Order"]
 
 Choice = Literal["plain", "best", "search"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
-"""How a control is chosen without learning: the best plain paint, the best of many random draws, or
-what a random search finds."""
+"""How a control is chosen without learning: the best plain one (of 27 paints, a shape being out as
+far as it may), the best of many random draws, or what a random search finds."""
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
 
-_PLAIN = (TextureConstraints(), TextureConstraints(masked=True))
+_PLAIN = (None, TextureConstraints(), TextureConstraints(masked=True))
 _WHOLE = re.compile(r"(?P<base>[^_]*?)(?:_(?P<variant>.*?))?(?:-(?P<repeat>\d+))?", re.DOTALL)
 _TEXTURE = re.compile(r"(?P<kind>[TR])-(?P<constraints>[A-Za-z]+)")
 _SHAPE = re.compile(r"(?P<random>R-)?S-O@(?P<magnitude>[-+.\w]+)")
 _LEARNT = re.compile(r"C-(?P<constraints>[A-Za-z]+)-(?P<order>seq|par)@(?P<magnitude>[-+.\w]+)")
-_DRAWN = re.compile(r"R-C-(?P<constraints>[A-Za-z]+)@(?P<magnitude>[-+.\w]+)")
+_DRAWN = re.compile(
+    r"R-C-(?P<constraints>[A-Za-z]+?)(?:-(?P<order>seq|par))?@(?P<magnitude>[-+.\w]+)"
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class CamouflageName:
         constraints: those of the texture; None where vehicles keep their own paint.
         magnitude: the shape's perturbation magnitude PM in [0, 1]; None where the shape stays.
         order: whether a combined attack works in sequence or in parallel; None for its random
-            control.
+            control, unless that is the attack's own texture under a random shape
+            ("R-C-Fc-seq@0.2").
         random: whether it is a random control, drawn and not learnt.
         variant: what stands after the first "_": "on_retinanet", "step10", "relaxed"; empty for
             none.
@@ -81,12 +84,13 @@ class CamouflageName:
             name = cls("shape", magnitude=magnitude, random=bool(match["random"]))
         elif match := _LEARNT.fullmatch(base):
             constraints = TextureConstraints.parse(match["constraints"])
-            order: Order = "seq" if match["order"] == "seq" else "par"
+            order = cast("Order | None", match["order"])
             name = cls("combination", constraints, _magnitude(match["magnitude"]), order)
         elif match := _DRAWN.fullmatch(base):
             constraints = TextureConstraints.parse(match["constraints"])
             magnitude = _magnitude(match["magnitude"])
-            name = cls("combination", constraints, magnitude, random=True)
+            order = cast("Order | None", match["order"])
+            name = cls("combination", constraints, magnitude, order, random=True)
         else:
             raise ConfigurationError(
                 f"{text[:200]!r} names no camouflage; expected for instance T-U, T-PixFcMa, "
@@ -96,8 +100,13 @@ class CamouflageName:
         name = replace(name, variant=variant, repeat=repeat)
         if name.choice == "plain" and name.constraints not in _PLAIN:
             raise ConfigurationError(
-                f"{text[:200]} asks for the best plain paint, which only R-U_plain (all over) and "
-                "R-Ma_plain (on painted parts) have."
+                f"{text[:200]} asks for the best plain paint, which only U (all over) and Ma (on "
+                "painted parts) have, as in R-U_plain, R-Ma_plain or R-C-Ma@0.2_plain."
+            )
+        if name.choice is not None and name.order is not None:
+            raise ConfigurationError(
+                f"{text[:200]} asks for a choice among draws of a shape on one texture; only "
+                f"{replace(name, order=None)} is chosen."
             )
         # It becomes a folder's.
         if not is_name(text) or not is_name(str(name)):
@@ -184,6 +193,33 @@ class CamouflageName:
             rest = self.label.partition("-")[2]
             return CamouflageName.read(f"R-{rest}")
         return replace(self.base, random=True, order=None)
+
+    @property
+    def unlearnt(self) -> tuple[CamouflageName, ...]:
+        """The controls that are chosen and not learnt, which a sceptic sets beside it.
+
+        They are the best plain one under the same mask, the best of many draws, and what a random
+        search finds: "T-PixMa" to "R-Ma_plain", "R-PixMa_best" and "R-PixMa_search".
+        """
+        drawn = self.control
+        plain = drawn
+        if drawn.constraints is not None:
+            plain = replace(drawn, constraints=TextureConstraints(masked=drawn.constraints.masked))
+        return (
+            plain.with_variant("plain"),
+            drawn.with_variant("best"),
+            drawn.with_variant("search"),
+        )
+
+    @property
+    def drawn_shape(self) -> CamouflageName | None:
+        """Of a learnt combination, the control with its own texture under a random shape.
+
+        "C-Fc-seq@0.2" to "R-C-Fc-seq@0.2"; None where texture and shape are not learnt together.
+        """
+        if self.order is None or self.random:
+            return None
+        return replace(self.base, random=True)
 
 
 def _parts(text: str) -> tuple[str, str, str]:

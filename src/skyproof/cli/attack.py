@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from skyproof.detectors.detector import TrainableDetector
     from skyproof.detectors.loaded import LoadedDetector
 
-__all__ = ["Attack"]
+__all__ = ["BEST_OF", "Attack"]
+
+BEST_OF = 32
+"""Of how many random draws the best is taken, where it is not said."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,9 @@ class Attack:
     R-C-Fc@0.2 are their random controls, drawn and not learnt. R-Ma_plain is the best of 27 plain
     paints on painted parts (R-U_plain: all over), R-PixFcMa_best the best of --draws random draws,
     R-PixFcMa_search what a random search finds with as many images as an attack sees: controls that
-    are chosen on the attack's scenes, and not learnt. "-1", "-2" at the end number repeats.
+    are chosen on the attack's scenes, and not learnt. R-S-O@0.4_plain has every vertex out, and
+    R-C-Fc-seq@0.2 puts a random shape on the texture of C-Fc-seq@0.2 (--texture). "-1", "-2" at the
+    end number repeats.
 
     A stopped attack goes on where it was when the command is given again; finished camouflages are
     kept.
@@ -53,7 +58,8 @@ class Attack:
         fleet: fleet folder; needed for the same.
         palette: the colours of Fc: a palette file, or a background set whose colours are taken;
             those of --backgrounds where not given.
-        texture: folder of the finished texture that a sequential combination puts its shape on.
+        texture: folder of the finished texture that a sequential combination puts its shape on; for
+            a random shape on an attack's own texture it may be the finished attack's.
         image_px: image side; the first detector's training size where not given.
         conditions: weather and light that scenes are drawn from, each equally likely.
         places: where vehicles stand: uniform (anywhere), removed (where skyproof clear removed
@@ -74,7 +80,7 @@ class Attack:
     image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
     conditions: tuple[str, ...] = ("clear",)
     places: Places = "uniform"
-    draws: Annotated[int, Meta(ge=2, le=100)] = 32
+    draws: Annotated[int, Meta(ge=2, le=100)] = BEST_OF
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
@@ -137,12 +143,20 @@ class Attack:
         from skyproof.camouflage.make import draw_control
 
         seed = self.settings.seed
+        texture = self._finished_texture()
         for name in names:
             folder = self.out / str(name)
             if (folder / "camouflage.json").exists():
                 continue
-            control = draw_control(name, seed=seed, palette=palette, settings=self.camouflage)
+            control = draw_control(
+                name, seed=seed, palette=palette, texture=texture, settings=self.camouflage
+            )
             _store(folder, control, {"seed": seed})
+
+    def _finished_texture(self) -> Camouflage | None:
+        from skyproof.camouflage.folder import load_camouflage
+
+        return load_camouflage(self.texture) if self.texture else None
 
     def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
@@ -218,7 +232,6 @@ class Attack:
     ) -> None:
         from skyproof.attacks.attack import attack
         from skyproof.attacks.sign_test import sign_test
-        from skyproof.camouflage.folder import load_camouflage
         from skyproof.camouflage.make import make_camouflage
         from skyproof.randomness import generator_of
 
@@ -226,7 +239,7 @@ class Attack:
             name,
             generator=generator_of(self.settings.seed, "texture", str(name)),
             palette=palette,
-            texture=load_camouflage(self.texture) if self.texture else None,
+            texture=self._finished_texture(),
             settings=self.camouflage,
         ).to(device)
 

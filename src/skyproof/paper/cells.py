@@ -39,6 +39,14 @@ _RATES = (
     "net_easr",
     "net_easr_low",
     "net_easr_high",
+    "unlearnt_easr",
+    "net_unlearnt_easr",
+    "net_unlearnt_easr_low",
+    "net_unlearnt_easr_high",
+    "drawn_shape_easr",
+    "net_drawn_shape_easr",
+    "net_drawn_shape_easr_low",
+    "net_drawn_shape_easr_high",
     "apd",
 )
 
@@ -83,7 +91,8 @@ def in_percent(row: Row | None) -> dict[str, Any]:
     """Gives a row of results in percent and points; None where there is no row."""
     values = {} if row is None else row.json()
     rates = {name: values.get(name) for name in _RATES}
-    return {name: values.get(name) for name in ("repeats", "random_draws")} | {
+    told = ("repeats", "random_draws", "unlearnt_control")
+    return {name: values.get(name) for name in told} | {
         name: None if value is None else 100 * value for name, value in rates.items()
     }
 

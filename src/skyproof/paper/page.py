@@ -38,9 +38,12 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "All rates in percent, of the test vehicles that a detector found before; mean over "
         f"{detectors}. Brackets hold 95 % intervals over background tiles, vehicles of the fleet "
         "and, where there are several, seeds of the attack and draws of the control; “repeats” the "
-        "range over attacks from different seeds. “random” is the EASR of random draws under the "
-        "same constraints, “net” the EASR minus that. “paper” is what the paper reports for its "
-        "own renderer († only in its source’s comments)." + (explained if run.cycles else ""),
+        "range over attacks from different seeds. “random” is the mean EASR of random draws under "
+        "the same constraints, “net” the EASR minus that. “unlearnt” is the EASR of the strongest "
+        "control that was chosen and not learnt (a plain paint or every vertex out, the best of "
+        "many draws, a random search), and “net of it” the EASR minus that. “paper” is what the "
+        "paper reports for its own renderer († only in its source’s comments)."
+        + (explained if run.cycles else ""),
         Heading("Textures"),
         texture_table(tables["textures"]),
         Heading("Shape and combinations"),
@@ -48,6 +51,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many "
         "percent of replicates over tiles it would be. PM 0 is the texture alone.",
         shape_table(tables["shape_combined"]),
+        *_learnt_shapes(tables["shape_combined"]),
         Figure("easr_vs_pr", "EASR against practicality"),
         Heading("Does our order agree with the paper’s?"),
         *_agreement(tables["agreement"]),
@@ -96,9 +100,28 @@ def shape_table(table: Table) -> Grid:
     return Grid([*first, *_header(table), "paper PM*", "our EASR there"], rows)
 
 
+def _learnt_shapes(table: Table) -> list[Block]:
+    """Sets combinations beside their own texture under random shapes; nothing without those."""
+    rows = [
+        [
+            row["attack"],
+            f"{row['pm_star']:g}",
+            bracket(row, "easr"),
+            number(row["drawn_shape_easr"]),
+            bracket(row, "net_drawn_shape_easr"),
+        ]
+        for row in table.rows
+        if row["drawn_shape_easr"] is not None
+    ]
+    if not rows:
+        return []
+    header = ["attack", "PM*", "EASR", "same texture, random shapes", "due to the learnt shape"]
+    return ["What a learnt shape adds to the texture under it:", Grid(header, rows)]
+
+
 def _header(table: Table) -> list[str]:
     """Heads what `_cells` makes of the table's rows."""
-    ours = ["EASR", "repeats", "random", "net", "APD"]
+    ours = ["EASR", "repeats", "random", "net", "unlearnt", "net of it", "APD"]
     if "cycles_easr" in table.columns:
         return [
             *ours,
@@ -119,6 +142,8 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
         span(row["easr_repeat_min"], row["easr_repeat_max"]),
         number(row["random_easr"]),
         bracket(row, "net_easr"),
+        number(row["unlearnt_easr"]),
+        bracket(row, "net_unlearnt_easr"),
         number(row["apd"]),
     ]
     papers = [number(row["paper_easr"], 2) + mark]
@@ -206,6 +231,8 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
     controlled = {n: row for n, row in learnt.items() if row["net_easr_low"] is not None}
     below = [name for name, row in controlled.items() if row["net_easr_low"] <= 0]
     single = [name for name, row in controlled.items() if row["random_draws"] == 1]
+    chosen = {n: row for n, row in learnt.items() if row["net_unlearnt_easr_low"] is not None}
+    unsure = [name for name, row in chosen.items() if row["net_unlearnt_easr_low"] <= 0]
     drawn = {n: row for n, row in learnt.items() if row["control_p_holm"] is not None}
     like_drawn = [name for name, row in drawn.items() if row["control_p_holm"] >= _SURE]
     tested = {n: row for n, row in learnt.items() if row["no_camouflage_p_holm"] is not None}
@@ -215,8 +242,13 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
         for part in (
             f"Placebo: for {len(controlled) - len(below)} of {len(controlled)} distinct "
             "camouflages above, the interval of the net EASR lies above zero.",
-            _named("Not surely better than chance", below),
+            _named("Not surely more than an average random draw", below),
             _named("Set against a single draw, so that nothing is said of others", single),
+            f"Of {len(chosen)}, {len(chosen) - len(unsure)} surely hide more than every control "
+            "that was chosen and not learnt."
+            if chosen
+            else "",
+            _named("Not surely due to learning", unsure),
             "Learnt against every draw of the random control on the same vehicles, swapped tile by "
             "tile, with Holm’s correction over the camouflages: "
             f"p < {_SURE} on every detector, for every repeat and every draw, for "

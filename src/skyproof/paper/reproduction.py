@@ -62,15 +62,12 @@ class Reproduction:
     def corrected_p(self, name: str) -> dict[str, float | None]:
         """Finds by test the largest Holm-corrected p of the detectors; None where one is untested.
 
-        The tests are those of `Row`: `control_p_holm` and `no_camouflage_p_holm`.
+        The tests are those that `Row.json` has under these names.
         """
         rows = [self.row(name, detector) for detector in self.detectors]
-        control = [None if row is None else row.control_p_holm for row in rows]
-        unchanged = [None if row is None else row.no_camouflage_p_holm for row in rows]
-        return {
-            "control_p_holm": _largest(control),
-            "no_camouflage_p_holm": _largest(unchanged),
-        }
+        told = [{} if row is None else row.json() for row in rows]
+        tests = ("control_p_holm", "unlearnt_p_holm", "no_camouflage_p_holm")
+        return {test: _largest([row.get(test) for row in told]) for test in tests}
 
     @cached_property
     def curves(self) -> dict[str, Curve]:

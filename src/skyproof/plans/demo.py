@@ -83,7 +83,8 @@ class DemoSizes(WorldSizes):
     """How much of everything; meant for 6 minutes on 2 CPU cores, and for 20 with training.
 
     Attributes:
-        random_draws: random controls to compare each texture with.
+        random_draws: random controls to compare each texture with; with none, the controls that are
+            chosen by the detectors and not learnt are left out, too.
         check_scenes: test scenes on which detectors are checked before the attacks; 0 for no check.
             Where not given, 12; but for reference detectors none, as they were checked when they
             were made, unless there are --imagery or --frames to check them on.
@@ -317,10 +318,13 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     controls = [
         str(name.control.with_repeat(draw)) for name in names for draw in range(sizes.random_draws)
     ]
+    if controls:
+        chosen = [str(control) for name in names for control in name.unlearnt]
+        jobs += [AttackJob(control, settings, detectors) for control in chosen]
     steps += [attack_step(layout, job, attack_px, device=device) for job in jobs]
     if controls:
         steps.append(control_step(layout, controls, seed))
-    camouflages = [*TEXTURES, *controls]
+    camouflages = [*(job.name for job in jobs), *controls]
     scores = ["test"]
     steps.append(
         score_step(

@@ -93,6 +93,8 @@ class Preset:
         score_batch: camouflages scored in one step.
         threads: CPU threads of each step.
         resources: what each step that renders, trains, attacks or scores asks of a cluster.
+        best_of: of how many random draws the best is taken as a control of its own, beside the best
+            plain paint and a random search; 0 for no such controls, which older runs have not.
         blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
             None for that of the ground under them.
         title: of the report.
@@ -119,6 +121,7 @@ class Preset:
     score_batch: Count
     threads: Annotated[int, Meta(ge=1, le=1024)]
     resources: Resources
+    best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
     check_scenes: WholeNumber = 60

@@ -103,7 +103,11 @@ def reproduction_plan(
     steps.append(control_step(layout, jobs.controls, preset.seed))
     steps += [
         attack_step(layout, job, preset.attack_image_px, places=sizes.test_places, device=device)
-        for job in jobs.attacks.values()
+        for job in (*jobs.attacks.values(), *jobs.chosen.values())
+    ]
+    steps += [
+        control_step(layout, names, preset.seed, texture=texture)
+        for texture, names in jobs.shapes.items()
     ]
     scores: list[Step] = []
 
@@ -148,6 +152,8 @@ class Jobs:
     Attributes:
         attacks: the learnt camouflages, by name.
         controls: names of all random draws.
+        chosen: the controls that are chosen by the detectors and not learnt, by name.
+        shapes: names of random shapes, by the finished attack on whose texture they are put.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
@@ -163,8 +169,11 @@ class Jobs:
         self.controls = tuple(
             str(name.with_repeat(draw)) for name in self._controls() for draw in range(preset.draws)
         )
+        self.chosen = {job.name: job for job in self._chosen()}
+        self.shapes = self._shapes()
         folders = [folder for job in jobs for folder in job.folders]
-        self.batches = self._batched(self.controls, folders)
+        late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
+        self.batches = self._batched(self.controls, folders, late)
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
@@ -233,13 +242,44 @@ class Jobs:
         count = self._preset.cycles_repeats
         return [name for name in names if int(CamouflageName.parse(name).repeat) < count]
 
-    def _batched(
-        self, controls: Sequence[str], attacks: Sequence[str]
-    ) -> dict[str, tuple[str, ...]]:
+    def _chosen(self) -> Iterator[AttackJob]:
+        """The choices that stand beside the attacks, with as many steps as the longest of them."""
+        preset = self._preset
+        if not preset.best_of:
+            return
+        steps: dict[CamouflageName, int] = {}
+        for job in self.attacks.values():
+            name = CamouflageName.parse(job.name)
+            # Under a sequential shape lies a texture that was learnt, too.
+            own = job.settings.steps + (preset.attack_steps.texture if job.texture else 0)
+            for control in () if name.variant else name.unlearnt:
+                steps[control] = max(own, steps.get(control, 0))
+        seed = next_seed(preset.seed, 0)
+        for control, count in steps.items():
+            settings = replace(preset.attack, steps=count, seed=seed)
+            job = AttackJob(str(control), settings, preset.detectors)
+            yield replace(job, best_of=preset.best_of)
+
+    def _shapes(self) -> dict[str, list[str]]:
+        """Random shapes on the texture of every combination, spread over its repeats."""
+        preset = self._preset
+        shapes: dict[str, list[str]] = {}
+        for job in self.attacks.values() if preset.best_of else ():
+            name = CamouflageName.parse(job.name)
+            control = name.drawn_shape
+            if control is None or name.variant:
+                continue
+            # A sequential attack has its texture from another, a parallel one its own.
+            draws = range(int(name.repeat), preset.draws, preset.repeats)
+            names = [str(control.with_repeat(draw)) for draw in draws]
+            shapes.setdefault(job.texture or job.name, []).extend(names)
+        return {texture: names for texture, names in shapes.items() if names}
+
+    def _batched(self, *groups: Sequence[str]) -> dict[str, tuple[str, ...]]:
         size = self._preset.score_batch
         batches = [
             tuple(folders[start : start + size])
-            for folders in (controls, attacks)
+            for folders in groups
             for start in range(0, len(folders), size)
         ]
         return {f"{number:03d}": batch for number, batch in enumerate(batches)}

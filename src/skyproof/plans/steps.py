@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from skyproof.attacks.settings import AttackSettings
-from skyproof.cli.attack import Attack
+from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.attack import BEST_OF, Attack
 from skyproof.cli.check import Check
 from skyproof.cli.reference import Reference
 from skyproof.cli.rendering import Rendering
@@ -37,11 +38,14 @@ _DETECT_S = 3.0
 _TRIALS = 62
 """Changes that a check tries on every scene, but for random controls."""
 _CONTROLS = 6
+_PAINTS = 27
+_CHOICE_SCENES = 64
+_WITHOUT_GRADIENT = 0.4
 
 
 @dataclass(frozen=True)
 class AttackJob:
-    """One learnt camouflage of a plan.
+    """One camouflage of a plan that is learnt, or chosen as a control, by detectors.
 
     Attributes:
         name: the camouflage's, with its repeat.
@@ -49,6 +53,7 @@ class AttackJob:
         detectors: names of those that are attacked together.
         texture: name of the finished texture under a sequential attack's shape.
         kept: names of the copies that it leaves in `snapshots/`.
+        best_of: of how many draws the best is taken, where it is the best of some.
     """
 
     name: str
@@ -56,6 +61,17 @@ class AttackJob:
     detectors: tuple[str, ...]
     texture: str | None = None
     kept: tuple[str, ...] = ()
+    best_of: int = BEST_OF
+
+    @property
+    def images(self) -> float:
+        """How many images it sees, counted in those of an attack, which has a gradient, too."""
+        choice = CamouflageName.parse(self.name).choice
+        if choice in ("plain", "best"):
+            candidates = self.best_of if choice == "best" else _PAINTS
+            return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates * len(self.detectors)
+        images = self.settings.steps * self.settings.batch_size * len(self.detectors)
+        return images * (_WITHOUT_GRADIENT if choice else 1.0)
 
     @property
     def folders(self) -> tuple[str, ...]:
@@ -173,7 +189,7 @@ def attack_step(
     places: Places = "uniform",
     device: str = "auto",
 ) -> Step:
-    """Returns the step that learns one camouflage, on vehicles at these places."""
+    """Returns the step that learns or chooses one camouflage, on vehicles at these places."""
     texture = layout.camouflage(job.texture) if job.texture else None
     command = Attack(
         names=(job.name,),
@@ -184,6 +200,7 @@ def attack_step(
         texture=texture,
         image_px=image_px,
         places=places,
+        draws=job.best_of,
         settings=job.settings,
         device=device,
     )
@@ -191,32 +208,44 @@ def attack_step(
     inputs += [layout.detector(name) / "detector.json" for name in job.detectors]
     if texture:
         inputs.append(texture / "camouflage.json")
-    images = job.settings.steps * job.settings.batch_size * len(job.detectors)
+    chosen = CamouflageName.parse(job.name).choice is not None
     return Step(
-        "attack",
+        "choose" if chosen else "attack",
         job.name,
         command,
         tuple(inputs),
         (layout.camouflage(job.name) / "camouflage.json",),
         growing=True,
-        effort_s=START_S + _ATTACK_S * images * image_px**2 / 1e6,
+        effort_s=START_S + _ATTACK_S * job.images * image_px**2 / 1e6,
     )
 
 
-def control_step(layout: Layout, names: Sequence[str], seed: int) -> Step:
-    """Returns the step that draws random controls."""
+def control_step(
+    layout: Layout, names: Sequence[str], seed: int, *, texture: str | None = None
+) -> Step:
+    """Returns the step that draws random controls.
+
+    Args:
+        layout: the run folder's.
+        names: of the controls, with their draws.
+        seed: of the draws.
+        texture: name of the finished camouflage on whose texture random shapes are put.
+    """
+    under = layout.camouflage(texture) if texture else None
     command = Attack(
         names=tuple(names),
         out=layout.camouflages,
         backgrounds=layout.backgrounds,
+        texture=under,
         settings=AttackSettings(seed=seed),
     )
+    inputs = [layout.backgrounds] + ([under / "camouflage.json"] if under else [])
     outputs = tuple(layout.camouflage(name) / "camouflage.json" for name in names)
     return Step(
         "control",
-        "random",
+        f"shapes-{texture}" if texture else "random",
         command,
-        (layout.backgrounds,),
+        tuple(inputs),
         outputs,
         growing=True,
         effort_s=START_S + 0.1 * len(names),

@@ -40,16 +40,23 @@ def advice(headline: Headline) -> list[str]:
                 "The detectors' intervals overlap: this result gives no ground to prefer one of "
                 "them."
             )
-    random = headline.row.random_easr
-    if random is not None and random > _MUCH_BY_CHANCE:
+    random = headline.row.random
+    if random is not None and random.easr > _MUCH_BY_CHANCE:
         sentences.append(
-            f"Unlearnt random patterns already hide {words.percent(random)}: the detectors depend "
-            "on ordinary vehicle colours. Train with more varied vehicle textures before anything "
+            f"Random patterns already hide {words.percent(random.easr)}: the detectors depend on "
+            "ordinary vehicle colours. Train with more varied vehicle textures before anything "
             "else."
         )
-    if headline.row.net_easr is not None and headline.row.net_easr.low > 0:
+    unlearnt = headline.row.unlearnt
+    if unlearnt is not None and unlearnt.easr > _MUCH_BY_CHANCE:
         sentences.append(
-            "The optimised pattern does more than chance, so variety alone may not suffice: put "
+            f"{unlearnt.control}, which nobody learnt, hides {words.percent(unlearnt.easr)}: that "
+            "is the cheapest weakness to close, with such vehicles in training."
+        )
+    surest = unlearnt or random
+    if surest is not None and surest.net.low > 0:
+        sentences.append(
+            "The learnt pattern does more than its controls, so variety alone may not suffice: put "
             "such camouflaged vehicles, with their true labels, into training, then measure again "
             "with a newly optimised pattern. A detector hardened against a known pattern is not "
             "thereby hardened against the next."

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.report.uncertainty import left_out
 from skyproof.results.results import Headline
-from skyproof.results.rows import MEAN, Row
+from skyproof.results.rows import MEAN, Contrast, Row
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name, interval, percent, points
 
 __all__ = ["answer"]
 
@@ -52,25 +53,63 @@ def answer(headline: Headline) -> list[str]:
         sentences.append(
             alike if least == most else f"Detector by detector it is {least} to {most}."
         )
-    return [*sentences, *_net_sentences(row), *left_out(row)]
+    return [*sentences, *_beside_controls(row), *left_out(row)]
 
 
-def _net_sentences(row: Row) -> list[str]:
-    if row.net_easr is None or row.random_easr is None:
-        return [
-            "No random control was run beside it, so it is not known how much of this is due to "
-            "optimisation."
-        ]
-    net = f"{percent(row.net_easr.estimate)} net ({_sure(row.net_easr)})"
-    control = f"A random pattern of the same kind hides {percent(row.random_easr)}."
-    low, high = row.net_easr.low, row.net_easr.high
-    if math.isnan(low):
-        return [control, f"The difference, {net}, has no interval: too few background tiles."]
-    if low > 0:
-        return [control, f"So {net} is due to optimisation."]
-    if high < 0:
-        return [control, f"So optimisation did worse than chance: {net}."]
-    return [control, f"The difference, {net}, cannot be told from zero."]
+def _beside_controls(row: Row) -> list[str]:
+    """Says how much more it hides than an average random pattern, and than the best unlearnt one.
+
+    Of a combination it also says what the learnt shape adds.
+    """
+    sentences = []
+    if row.random is None:
+        sentences.append(
+            "No random control was run beside it, so it is not known what just any pattern would "
+            "hide."
+        )
+    else:
+        sentences.append(_more(row.random, "an average random pattern of the same kind"))
+    if row.drawn_shape is not None:
+        sentences.append(_more(row.drawn_shape, "its own texture under random shapes"))
+    if row.unlearnt is None:
+        sentences.append(
+            "No control was chosen beside it, such as the best plain paint or the best of many "
+            "random patterns, so it is not known what is due to learning."
+        )
+        return sentences
+    best = f"the best control that was chosen and not learnt, {_how(row.unlearnt.control)}"
+    sentences.append(_more(row.unlearnt, best))
+    if row.unlearnt.net.low > 0:
+        sentences[-1] += " That is due to learning."
+    return sentences
+
+
+def _more(beside: Contrast, control: str) -> str:
+    """Says in a sentence whether more is hidden than by a control, and by how much."""
+    estimate, low, high = (
+        points(value).removeprefix("+")
+        for value in (beside.net.estimate, beside.net.low, beside.net.high)
+    )
+    sure = f"95{_THIN}% interval {low} to {high}"
+    hides = f"{control}, which hides {percent(beside.easr)}"
+    if math.isnan(beside.net.low):
+        return f"It hides {estimate} points more than {hides}; too few tiles for an interval."
+    if beside.net.low > 0:
+        return f"It hides {estimate} points more ({sure}) than {hides}."
+    if beside.net.high < 0:
+        return f"It hides fewer than {hides}: {estimate} points ({sure})."
+    return f"It cannot be told from {hides}: {estimate} points ({sure})."
+
+
+def _how(control: CamouflageName) -> str:
+    """Says in words how a control was chosen."""
+    if control.choice == "search":
+        return "found by a random search with as many images"
+    if control.choice == "best":
+        return "the best of many random draws"
+    even = "" if control.magnitude is None else "every vertex out"
+    paint = "" if control.constraints is None else "the best plain paint"
+    return " and ".join(part for part in (paint, even) if part)
 
 
 def _sure(rate: Interval) -> str:

@@ -48,7 +48,7 @@ STYLE: Any = {
 
 
 def forest_figure(headline: Headline) -> str:
-    """Draws per detector the share hidden (EASR), net of the random control, and the control.
+    """Draws per detector the share hidden (EASR), and what that is net of its controls.
 
     Bars are 95 % intervals.
     """
@@ -66,10 +66,12 @@ def many_figure(headlines: Sequence[Headline]) -> str:
 
 def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row | None]) -> str:
     randoms = [None if row is None else row.easr for row in controls]
+    unlearnt = [None if row.unlearnt is None else row.unlearnt.net for _, row in rows]
     series: list[tuple[str, str, str, float, list[Interval | None]]] = [
         ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [row.easr for _, row in rows]),
-        ("net of the random pattern", "D", GREEN, 0.0, [row.net_easr for _, row in rows]),
-        ("random pattern", "s", GREY, 0.22, randoms),
+        ("net of random patterns", "D", GREEN, -0.07, [row.net_easr for _, row in rows]),
+        ("net of the best unlearnt one", "^", ORANGE, 0.08, unlearnt),
+        ("random patterns", "s", GREY, 0.23, randoms),
     ]
     with plt.rc_context(STYLE | {"svg.hashsalt": salt}):
         figure, axes = plt.subplots(
@@ -92,7 +94,7 @@ def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row |
         axes.grid(axis="x", color="#e3e7eb")
         axes.set_axisbelow(True)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=10)
+            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=10)
         return _svg(figure)
 
 

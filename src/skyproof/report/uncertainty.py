@@ -42,7 +42,7 @@ def left_out(row: Row) -> list[str]:
         sentences.append(
             "One attack was run: the interval says nothing of what other seeds would have learnt."
         )
-    if row.net_easr is not None and row.random_draws == 1:
+    if row.random is not None and row.random.draws == 1:
         sentences.append(
             "One random pattern was drawn: the net interval says nothing of other draws."
         )

@@ -9,10 +9,32 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["MAIN_MATCH", "MEAN", "Row"]
+__all__ = ["MAIN_MATCH", "MEAN", "Contrast", "Row"]
 
 MEAN = "mean"
 MAIN_MATCH = "centre_1m"
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A camouflage beside one of its controls, on the same tiles and vehicles.
+
+    Attributes:
+        control: the control's name without repeat.
+        easr: of the control.
+        draws: how many draws or repeats of the control.
+        net: EASR of the camouflage minus that of the control.
+        p, p_holm: of the test that it hides more than every draw (`control_p`): the largest, and
+            Holm's correction over the camouflages that this detector judged; None where a detector
+            found no vehicle before.
+    """
+
+    control: CamouflageName
+    easr: float
+    draws: int
+    net: Interval
+    p: float | None = None
+    p_holm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -30,16 +52,16 @@ class Row:
         clusters: background tiles that show vehicles.
         repeats: how many repeats share the row.
         easr, asr, er: overall success, vehicles lost and vehicles gained.
-        net_easr: EASR minus that of the random control; None without a control.
-        random_easr: EASR of the random control; None without one.
-        random_draws: of the control.
         easr_repeat_sd, easr_repeat_min, easr_repeat_max: how far the repeats lie apart; nan with
             one repeat.
         ap_original, ap_adversarial, apd: average precision before and after, and its drop.
         false_alarms_per_km2_original, false_alarms_per_km2_adversarial: at the frozen threshold.
-        control_p, control_p_holm: learnt against every draw of its control on the same vehicles
-            (`control_p`): the largest p, and Holm's correction over the camouflages that this
-            detector judged; None for controls and without one.
+        random: beside random draws of the same kind; None without them and for controls.
+        unlearnt: beside the strongest of the controls that were chosen and not learnt, of those
+            that were scored. Its interval begins at the lowest of the limits against each of them,
+            and its p is the largest, so that what it claims holds against all; None without them
+            and for controls.
+        drawn_shape: of a combination, beside its own texture under random shapes; else None.
         no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage at all,
             which a random pattern passes, too; None for means and controls.
     """
@@ -54,9 +76,6 @@ class Row:
     easr: Interval
     asr: Interval
     er: Interval
-    net_easr: Interval | None
-    random_easr: float | None
-    random_draws: int
     easr_repeat_sd: float
     easr_repeat_min: float
     easr_repeat_max: float
@@ -65,10 +84,16 @@ class Row:
     apd: float
     false_alarms_per_km2_original: float
     false_alarms_per_km2_adversarial: float
-    control_p: float | None = None
-    control_p_holm: float | None = None
+    random: Contrast | None = None
+    unlearnt: Contrast | None = None
+    drawn_shape: Contrast | None = None
     no_camouflage_p: float | None = None
     no_camouflage_p_holm: float | None = None
+
+    @property
+    def net_easr(self) -> Interval | None:
+        """EASR minus that of random draws, the field's usual net figure; None without them."""
+        return None if self.random is None else self.random.net
 
     def json(self) -> dict[str, Any]:
         """Gives flat JSON values, as `results.json` holds them; undefined ones are None.
@@ -77,7 +102,9 @@ class Row:
         and `random_draw_se` of the net EASR) are None where the interval leaves that out.
         """
         errors = self.easr.errors
-        net = self.net_easr or Interval(float("nan"), float("nan"), float("nan"))
+        random = self.random or _NOTHING
+        unlearnt = self.unlearnt or _NOTHING
+        drawn_shape = self.drawn_shape or _NOTHING
         values = {
             "camouflage": str(self.camouflage),
             "renderer": self.renderer,
@@ -86,9 +113,7 @@ class Row:
             "easr": self.easr.estimate,
             "easr_low": self.easr.low,
             "easr_high": self.easr.high,
-            "net_easr": net.estimate,
-            "net_easr_low": net.low,
-            "net_easr_high": net.high,
+            **_net("net_easr", random.net),
             "asr": self.asr.estimate,
             "er": self.er.estimate,
             "ap_original": self.ap_original,
@@ -106,15 +131,38 @@ class Row:
             "asr_high": self.asr.high,
             "er_low": self.er.low,
             "er_high": self.er.high,
-            "random_easr": self.random_easr,
-            "random_draws": self.random_draws,
+            "random_easr": random.easr,
+            "random_draws": random.draws,
             "easr_tile_se": errors.get("tiles"),
             "easr_vehicle_se": errors.get("vehicles"),
             "easr_repeat_se": errors.get("draws" if self.camouflage.random else "seeds"),
-            "random_draw_se": net.errors.get("draws"),
-            "control_p": self.control_p,
-            "control_p_holm": self.control_p_holm,
+            "random_draw_se": random.net.errors.get("draws"),
+            "control_p": random.p,
+            "control_p_holm": random.p_holm,
+            "unlearnt_control": str(unlearnt.control) if self.unlearnt else None,
+            "unlearnt_easr": unlearnt.easr,
+            **_net("net_unlearnt_easr", unlearnt.net),
+            "unlearnt_p": unlearnt.p,
+            "unlearnt_p_holm": unlearnt.p_holm,
+            "drawn_shape_easr": drawn_shape.easr,
+            **_net("net_drawn_shape_easr", drawn_shape.net),
+            "drawn_shape_p": drawn_shape.p,
+            "drawn_shape_p_holm": drawn_shape.p_holm,
             "no_camouflage_p": self.no_camouflage_p,
             "no_camouflage_p_holm": self.no_camouflage_p_holm,
         }
         return nulls_for_undefined(values)
+
+
+_UNDEFINED = float("nan")
+_NOTHING = Contrast(
+    CamouflageName("other"), _UNDEFINED, 0, Interval(_UNDEFINED, _UNDEFINED, _UNDEFINED)
+)
+
+
+def _net(name: str, interval: Interval) -> dict[str, float]:
+    return {
+        name: interval.estimate,
+        f"{name}_low": interval.low,
+        f"{name}_high": interval.high,
+    }

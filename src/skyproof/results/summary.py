@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.results.pairs.sets import ORIGINAL, SetScore
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.rows import MEAN, Row
+from skyproof.results.rows import MEAN, Contrast, Row
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
 from skyproof.results.statistics.rates import (
@@ -41,9 +41,9 @@ def summarise(
     there are several, which seeds and draws; how these lie apart is said beside them by
     `easr_repeat_sd` (sample standard deviation), `easr_repeat_min` and `easr_repeat_max`.
 
-    Two things are tested: that learning hides more than every draw of the control (`control_p`),
-    and that there is a change against no camouflage (`no_camouflage_p`). Both are the largest p of
-    the repeats, and 1 where these point both ways, so that what is claimed holds for each. Holm's
+    Two things are tested: that learning hides more than every draw of a control (`Contrast`), and
+    that there is a change against no camouflage (`no_camouflage_p`). Both are the largest p of the
+    repeats, and 1 where these point both ways, so that what is claimed holds for each. Holm's
     correction runs over the camouflages of one detector and match criterion; who claims something
     of every detector takes the largest of theirs, which needs no further correction.
 
@@ -70,12 +70,17 @@ def summarise(
     for index, row in enumerate(rows):
         families[row.match, row.detector].append(index)
     for family in families.values():
-        for field in ("control_p", "no_camouflage_p"):
-            tested = [index for index in family if getattr(rows[index], field) is not None]
-            corrected = holm([getattr(rows[index], field) for index in tested])
-            for index, p in zip(tested, corrected, strict=True):
-                change: dict[str, Any] = {f"{field}_holm": p}
+        for field in ("random", "unlearnt", "drawn_shape"):
+            found = {index: getattr(rows[index], field) for index in family}
+            tested = {index: each for index, each in found.items() if each and each.p is not None}
+            corrected = holm([each.p for each in tested.values()])
+            for (index, each), p in zip(tested.items(), corrected, strict=True):
+                change: dict[str, Any] = {field: replace(each, p_holm=p)}
                 rows[index] = replace(rows[index], **change)
+        tested_rows = [index for index in family if rows[index].no_camouflage_p is not None]
+        corrected = holm([rows[index].no_camouflage_p or 0.0 for index in tested_rows])
+        for index, p in zip(tested_rows, corrected, strict=True):
+            rows[index] = replace(rows[index], no_camouflage_p_holm=p)
     return rows
 
 
@@ -131,16 +136,15 @@ class _Table:
         first = (members[0], detectors[0])
 
         # Rates of the camouflage itself, and how far its repeats lie apart.
-        group = self._group(members, detectors)
+        group = self.group(members, detectors)
         totals = group.counts.sum(axis=1)
         of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1)
         spread = of_repeats.mean(axis=1)
         several = len(spread) > 1
 
-        # What its random control does on the same tiles.
-        control = [] if name.random else self.repeats.get(name.control, [])
-        control = [draw for draw in control if all((draw, d) in self.counts for d in detectors)]
-        random = self._group(control, detectors) if control else None
+        # What its controls do on the same tiles.
+        beside = _Beside(self, members, detectors, group)
+        shape = name.drawn_shape
 
         # Average precision, and what else the row needs.
         ap_original = self._mean([ORIGINAL], detectors, renderer, match, "average_precision")
@@ -159,9 +163,6 @@ class _Table:
             easr=mean_interval(group, sample),
             asr=mean_interval(group, sample, rate=attack_success_rate, limits=(0.0, 1.0)),
             er=mean_interval(group, sample, rate=enhancement_rate, limits=(0.0, math.inf)),
-            net_easr=None if random is None else difference_interval([group], [random], sample),
-            random_easr=None if random is None else _mean_easr(random),
-            random_draws=len(control),
             easr_repeat_sd=float(spread.std(ddof=1)) if several else math.nan,
             easr_repeat_min=float(spread.min()) if several else math.nan,
             easr_repeat_max=float(spread.max()) if several else math.nan,
@@ -174,37 +175,21 @@ class _Table:
             false_alarms_per_km2_adversarial=self._mean(
                 members, detectors, renderer, match, alarms
             ),
-            control_p=None if random is None else self._control_p(members, control, detectors),
+            random=None if name.random else beside.contrast(name.control),
+            unlearnt=None if name.random else beside.strongest(name.unlearnt),
+            drawn_shape=None if shape is None else beside.contrast(shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
         )
 
-    def _group(self, camouflages: list[str], detectors: list[str]) -> Group:
+    def drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:
+        """Lists the repeats of a control that all of these detectors have judged."""
+        repeats = self.repeats.get(control, [])
+        return [draw for draw in repeats if all((draw, d) in self.counts for d in detectors)]
+
+    def group(self, camouflages: list[str], detectors: list[str]) -> Group:
         series = [(camouflage, d) for camouflage in camouflages for d in detectors]
         repeats = [repeat_of(camouflage) for camouflage, _ in series]
         return Group(np.stack([self.counts[each] for each in series]), repeats)
-
-    def _control_p(
-        self, members: list[str], control: list[str], detectors: list[str]
-    ) -> float | None:
-        """Tests learnt against drawn; None where a detector found no vehicle before."""
-        found = [int(self.counts[members[0], d][:, :2].sum()) for d in detectors]
-        if not all(found):
-            return None
-        learnt, drawn = (
-            np.stack([self._hidden(camouflage, detectors, found) for camouflage in camouflages])
-            for camouflages in (members, control)
-        )
-        return control_p(learnt, drawn)
-
-    def _hidden(
-        self, camouflage: str, detectors: list[str], found: list[int]
-    ) -> Float[np.ndarray, " C"]:
-        """Gives lost minus gained per tile, over what each detector found before."""
-        tiles = self.sample.by_tile(np.stack([self.counts[camouflage, d] for d in detectors]))
-        hidden: Float[np.ndarray, " C"] = (
-            (tiles[..., 1] - tiles[..., 2]) / np.array(found)[:, None]
-        ).sum(axis=0)
-        return hidden
 
     def _mean(
         self, camouflages: list[str], detectors: list[str], renderer: str, match: str, field: str
@@ -217,6 +202,58 @@ class _Table:
         ]
         values = [math.nan if score is None else getattr(score, field) for score in known]
         return float(np.mean(values))
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """One row's camouflage, to be set beside its controls."""
+
+    table: _Table
+    members: list[str]
+    detectors: list[str]
+    group: Group
+
+    def contrast(self, control: CamouflageName) -> Contrast | None:
+        """Sets it beside all draws of one control; None where none was scored."""
+        drawn = self.table.drawn(control, self.detectors)
+        if not drawn:
+            return None
+        group = self.table.group(drawn, self.detectors)
+        net = difference_interval([self.group], [group], self.table.sample)
+        return Contrast(control, _mean_easr(group), len(drawn), net, self._p(drawn))
+
+    def strongest(self, controls: Sequence[CamouflageName]) -> Contrast | None:
+        """Sets it beside the strongest of some controls, sure only of what holds against all.
+
+        An undefined rate stays undefined.
+        """
+        found = [each for each in map(self.contrast, controls) if each is not None]
+        if not found:
+            return None
+        best = max(found, key=lambda each: each.easr)
+        low = float(np.min([each.net.low for each in found]))
+        every = [draw for each in found for draw in self.table.drawn(each.control, self.detectors)]
+        return replace(best, net=replace(best.net, low=low), p=self._p(every))
+
+    def _p(self, drawn: list[str]) -> float | None:
+        """Tests learnt against drawn; None where a detector found no vehicle before."""
+        found = self.group.counts[: len(self.detectors), :, :2].sum(axis=(1, 2))
+        if not all(found):
+            return None
+        learnt, control = (
+            np.stack([self._hidden(camouflage, found) for camouflage in camouflages])
+            for camouflages in (self.members, drawn)
+        )
+        return control_p(learnt, control)
+
+    def _hidden(self, camouflage: str, found: Int[np.ndarray, " D"]) -> Float[np.ndarray, " C"]:
+        """Gives lost minus gained per tile, over what each detector found before."""
+        counts = [self.table.counts[camouflage, d] for d in self.detectors]
+        tiles = self.table.sample.by_tile(np.stack(counts))
+        hidden: Float[np.ndarray, " C"] = ((tiles[..., 1] - tiles[..., 2]) / found[:, None]).sum(
+            axis=0
+        )
+        return hidden
 
 
 def _mean_easr(group: Group) -> float:
