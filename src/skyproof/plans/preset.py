@@ -14,6 +14,7 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import tiling_for_images
+from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
@@ -74,7 +75,8 @@ class Preset:
         detectors: attacked together, judged one by one (section 3.2).
         size: of the detectors, slim, wide or full.
         world: how much ground, how many vehicles and scenes.
-        training: per detector, what differs from its usual `TrainingSettings`.
+        training: per detector, what differs from its usual `TrainingSettings`; of those that come
+            trained it is not used.
         attack: how everything is learnt; steps, seed and kept copies are said elsewhere here.
         attack_image_px: image side in attacks.
         attack_steps: by kind of attack.
@@ -89,10 +91,13 @@ class Preset:
             draws of each control; 0 for no check.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
-        ladder_magnitude: PM of the shapes and combinations for which that is done.
+        ladder_magnitude: PM of the shapes and combinations for which that is done, and at which
+            combinations are set beside their textures under random shapes.
         score_batch: camouflages scored in one step.
         threads: CPU threads of each step.
         resources: what each step that renders, trains, attacks or scores asks of a cluster.
+        reference: those of the detectors that are taken as they come with skyproof, with what their
+            check found; the others are trained and checked in the run.
         best_of: of how many random draws the best is taken as a control of its own, beside the best
             plain paint and a random search; 0 for no such controls, which older runs have not.
         blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
@@ -121,6 +126,7 @@ class Preset:
     score_batch: Count
     threads: Annotated[int, Meta(ge=1, le=1024)]
     resources: Resources
+    reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
@@ -128,6 +134,8 @@ class Preset:
     preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
 
     def __post_init__(self) -> None:
+        for name in self.reference:
+            reference_folder(name)
         for texture in (*self.textures, *self.combined_magnitudes):
             TextureConstraints.parse(texture)
         for text in self.transfer:
@@ -136,6 +144,12 @@ class Preset:
                 raise ConfigurationError(
                     f"transfer expects learnt textures such as T-U, got {text!r}."
                 )
+        strangers = [name for name in self.reference if name not in self.detectors]
+        if strangers:
+            raise ConfigurationError(
+                f"reference names {strangers[0]}, which is none of the preset's detectors "
+                f"({', '.join(self.detectors)}); name it there, too."
+            )
         tile_px = tiling_for_images(self.world.image_px, gsd_m=GSD_M, imagery=False).size_px
         if math.ceil(self.attack_image_px * math.sqrt(2)) + 2 > tile_px:
             raise ConfigurationError(

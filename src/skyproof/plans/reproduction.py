@@ -18,6 +18,7 @@ from skyproof.plans.steps import (
     attack_step,
     check_step,
     control_step,
+    reference_step,
     report_step,
     score_step,
     train_step,
@@ -75,6 +76,8 @@ def reproduction_plan(
     steps = world_steps(
         layout, sizes, preset.seed, blur_sigma_px=preset.blur_sigma_px, device=device
     )
+    steps += [reference_step(layout, name, check=True) for name in preset.reference]
+    trained = [name for name in preset.detectors if name not in preset.reference]
     steps += [
         train_step(
             layout,
@@ -85,9 +88,9 @@ def reproduction_plan(
             preset.seed,
             device=device,
         )
-        for name in preset.detectors
+        for name in trained
     ]
-    checked = preset.detectors if preset.check_scenes else ()
+    checked = trained if preset.check_scenes else []
     if checked:
         steps.append(
             check_step(
@@ -261,13 +264,16 @@ class Jobs:
             yield replace(job, best_of=preset.best_of)
 
     def _shapes(self) -> dict[str, list[str]]:
-        """Random shapes on the texture of every combination, spread over its repeats."""
+        """Random shapes on the texture of every combination, spread over its repeats.
+
+        At one magnitude alone, as they tell what a learnt shape adds and not how much is best.
+        """
         preset = self._preset
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():
             name = CamouflageName.parse(job.name)
             control = name.drawn_shape
-            if control is None or name.variant:
+            if control is None or name.variant or name.magnitude != preset.ladder_magnitude:
                 continue
             # A sequential attack has its texture from another, a parallel one its own.
             draws = range(int(name.repeat), preset.draws, preset.repeats)
