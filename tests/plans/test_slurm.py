@@ -135,7 +135,7 @@ def test_steps_are_jobs_and_go_on_after_a_power_cut_and_a_kill(start, tmp_path):
     run = start()
     wait_for(lambda: checkpointed_step(attack), run)
     run.kill()
-    assert "Waiting a minute for jobs of an earlier call" in run.communicate()[0]
+    run.communicate()
     wait_for(lambda: not waiting_or_running(folder))
     assert [state for state in states(folder).values() if state.startswith("CANCELLED")]
     assert not (attack / "camouflage.json").exists()
