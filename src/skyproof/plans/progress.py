@@ -8,12 +8,16 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FinishedJob", "failed_log", "finished_jobs"]
+__all__ = ["FailedJob", "FinishedJob", "failed_job", "finished_jobs"]
 
+# What a cluster said may have lines of its own, up to the next message with its time.
 _FAILED = re.compile(
-    r"^Error in (?:rule|group) [^\n]*:\n(?:    [^\n]*\n)*?    log: (?P<log>[^\n]+?) \(check log",
+    r"^Error in (?:rule|group) [^\n]*:\n(?P<said>(?:(?!\[|Error in )[^\n]*\n)*?)"
+    r"    log: (?P<logs>[^\n]+?) \(check log",
     re.MULTILINE,
 )
+_REFUSED = re.compile(r"The error message was '(?P<words>.*?)'\.\n", re.DOTALL)
+_ENDED = re.compile(r"SLURM status is: '(?P<status>\w+)'")
 
 
 # Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
@@ -59,10 +63,33 @@ def finished_jobs(folder: Path) -> list[FinishedJob]:
     return jobs
 
 
-def failed_log(text: str) -> str | None:
-    """Returns the log of the first step that Snakemake's own log calls failed; None for none."""
+@dataclass(frozen=True)
+class FailedJob:
+    """The first step that Snakemake's own log calls failed.
+
+    Attributes:
+        logs: files of what it printed, its own first; relative to the run folder, or whole. None
+            where a cluster refused it, because then an earlier try wrote them.
+        reason: what the cluster says beside that it failed: why it refused the step, or a status
+            such as TIMEOUT; empty where it says nothing.
+    """
+
+    logs: tuple[str, ...]
+    reason: str = ""
+
+
+def failed_job(text: str) -> FailedJob | None:
+    """Finds the first failed step in Snakemake's own log; None for none."""
     match = _FAILED.search(text)
-    return match["log"].partition(",")[0] if match else None
+    if match is None:
+        return None
+    refused = _REFUSED.search(match["said"])
+    ended = _ENDED.search(match["said"])
+    if refused:
+        return FailedJob((), " ".join(refused["words"].split()))
+    status = ended["status"] if ended else "FAILED"
+    reason = "" if status == "FAILED" else f"Slurm says {status}"
+    return FailedJob(tuple(match["logs"].split(", ")), reason)
 
 
 def _number(text: str | None) -> float | None:

@@ -29,9 +29,9 @@ class Reproduce:
     practicality. Stop it whenever you like and give the same command again: finished steps are
     kept, training and attacks go on from their last checkpoint.
 
-    On a cluster: give --dry-run, which prints the plain snakemake command; add its options for your
-    executor, such as --executor slurm --jobs 50. Every step says what memory, time and GPU it asks
-    for.
+    On a cluster with Slurm: give --slurm-jobs. For another one give --dry-run, which prints the
+    plain snakemake command, and add the options of your executor. Every step that computes much
+    says what memory, time and GPU it asks for (docs/cluster.md).
 
     Attributes:
         preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), reference
@@ -40,6 +40,8 @@ class Reproduce:
         out: run folder.
         cores: CPU cores to use; all where not given. With 1, the steps are done one after the other
             in this process, without Snakemake.
+        slurm_jobs: do the steps as jobs of Slurm instead, so many at once. Account and partition
+            stand in the Snakemake profile that SNAKEMAKE_PROFILE names.
         device: auto, cpu or cuda.
         cycles: also score finished attacks and random controls as Blender's path tracer Cycles
             draws them, the paper's "Blender" column. A finished run may be given again with it:
@@ -52,6 +54,7 @@ class Reproduce:
     preset: str = "quick"
     out: Path = Path("runs/reproduce")
     cores: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+    slurm_jobs: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     device: str = "auto"
     cycles: bool = False
     blender: Path | None = None
@@ -66,15 +69,11 @@ class Reproduce:
         from skyproof.plans.reproduction import reproduction_plan
         from skyproof.plans.run_folder import RunFolder
         from skyproof.plans.serial import run_serially
+        from skyproof.plans.slurm import wait_for_earlier_jobs
         from skyproof.plans.snakemake import run_side_by_side, snakemake_words
 
         name, path, values, preset = read_preset(self.preset)
-        cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
-        if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
-            raise ConfigurationError(
-                "skyproof reproduce on several cores needs Snakemake; run pip install "
-                "'skyproof[reproduce]' first, or give --cores 1."
-            )
+        cores = self._side_by_side()
         choose_device(self.device)
         check_detectors(preset.detectors, preset.size)
         more = self._cycles()
@@ -96,28 +95,63 @@ class Reproduce:
             self._check(path, plan, more)
             return
         with alone(self.out) as hold:
+            if self.slurm_jobs is not None:
+                wait_for_earlier_jobs(self.out)
             # Somebody else may have begun meanwhile.
             run = RunFolder(self.out, config, plan, plan_of)
             run.start(self.device)
+            where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
             say(
-                f"skyproof reproduce, preset {name}: {_listed(plan)}; {cores} cores, "
+                f"skyproof reproduce, preset {name}: {_listed(plan)}; {where}, "
                 f"run folder {self.out}"
             )
-            if cores == 1:
+            if cores == 1 and self.slurm_jobs is None:
                 run_serially(plan, run)
             else:
                 more = {"device": self.device, **more}
                 command = snakemake_words(self.out, self.out / "config.json", more)
                 # Marks left by a kill must not stop the next try; our own lock keeps a second run
                 # away.
-                command += ["--cores", str(cores), "--rerun-incomplete", "--nolock"]
-                command += ["--scheduler", "greedy"]
-                if preset.resources.gpu:
+                command += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
+                command += self._executor(cores)
+                if self.slurm_jobs is None and preset.resources.gpu:
                     command += ["--resources", "gpu=1"]
                 run_side_by_side(plan, run, command, cores, hold)
             run.finish()
         say(f"Tables: {(self.out / 'tables' / 'README.md').resolve()}")
         say(f"Report: {(self.out / 'report.html').resolve()}")
+
+    def _side_by_side(self) -> int:
+        """How many steps run at once, on this machine or in Slurm.
+
+        Raises:
+            ConfigurationError: what they need is not there.
+        """
+        from skyproof.plans.slurm import check_slurm
+
+        if self.slurm_jobs is not None:
+            if self.cores is not None:
+                raise ConfigurationError(
+                    "--cores is for the steps on this machine, --slurm-jobs for those on a "
+                    "cluster; give one of the two."
+                )
+            check_slurm()
+            return self.slurm_jobs
+        cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
+        if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
+            raise ConfigurationError(
+                "skyproof reproduce on several cores needs Snakemake; run pip install "
+                "'skyproof[reproduce]' first, or give --cores 1."
+            )
+        return cores
+
+    def _executor(self, count: int) -> list[str]:
+        """Snakemake's words for where the steps run; a user's profile does not decide that."""
+        from skyproof.plans.slurm import slurm_words
+
+        if self.slurm_jobs is not None:
+            return slurm_words(count)
+        return ["--executor", "local", "--cores", str(count)]
 
     def _cycles(self) -> dict[str, str]:
         """What the workflow is told of the Cycles column, which is no setting of the run folder.
@@ -138,6 +172,7 @@ class Reproduce:
         return {"cycles": "1", "blender": str(find_blender(self.blender).path.absolute())}
 
     def _check(self, path: Path, plan: Plan, more: Mapping[str, str]) -> None:
+        from skyproof.plans.slurm import slurm_words
         from skyproof.plans.snakemake import snakemake_words
 
         with tempfile.TemporaryDirectory() as empty:
@@ -152,7 +187,8 @@ class Reproduce:
             )
         say(f"Steps: {_listed(plan)}.")
         say("By hand, or with options for a cluster's executor:")
-        say("  " + shlex.join(snakemake_words(self.out, path, more)) + " --cores 2")
+        where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
+        say("  " + shlex.join([*snakemake_words(self.out, path, more), *where]))
 
 
 def _listed(plan: Plan) -> str:

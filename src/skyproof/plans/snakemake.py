@@ -18,7 +18,7 @@ from skyproof.cli.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.plans.plan import Plan, Step
-from skyproof.plans.progress import FinishedJob, failed_log, finished_jobs
+from skyproof.plans.progress import FinishedJob, failed_job, finished_jobs
 from skyproof.plans.run_folder import RunFolder
 from skyproof.plans.serial import duration
 from skyproof.plans.words import command_words
@@ -163,19 +163,27 @@ def _finished(folder: Path, plan: Plan) -> list[FinishedJob]:
 
 
 def _failure(folder: Path, text: str) -> str:
-    log = failed_log(text)
-    if log is None:
-        return (
-            f"Snakemake stopped; see {folder / 'snakemake.log'}, then give the same command again "
-            "to go on."
-        )
-    path = folder / log
-    lines: list[str] = []
-    if path.exists():
-        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    place = folder / "snakemake.log"
+    job = failed_job(text)
+    if job is None:
+        return f"Snakemake stopped; see {place}, then give the same command again to go on."
+    # A job that a cluster could not start printed nothing of its own.
+    printed = [folder / log for log in job.logs if _last_words(folder / log)]
+    reason = job.reason
+    if printed:
+        place = printed[0]
+        reason = reason or _last_words(place)
+    reason = reason.rstrip(".") or "it printed nothing"
+    return f"A step failed ({reason}); see {place}, then give the same command again to go on."
+
+
+def _last_words(path: Path) -> str:
+    """The last line of a log; empty where there is none."""
+    if not path.is_file():
+        return ""
+    lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     said = [line.removeprefix("skyproof: ").strip() for line in lines if line.strip()]
-    last = said[-1].rstrip(".") if said else "it printed nothing"
-    return f"A step failed ({last}); see {path}, then give the same command again to go on."
+    return said[-1] if said else ""
 
 
 @contextmanager
