@@ -134,8 +134,8 @@ class Preset:
     preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for name in self.reference:
-            reference_folder(name)
+        for architecture in self.reference:
+            reference_folder(architecture)
         for texture in (*self.textures, *self.combined_magnitudes):
             TextureConstraints.parse(texture)
         for text in self.transfer:
