@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from skyproof.attacks.attack import attack
+from skyproof.attacks.held_out import BATCHES, HeldOut, Judged
 from skyproof.attacks.search import choose
 from skyproof.attacks.world import AttackWorld
-from skyproof.camouflage.camouflage import random_part
+from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.make import make_candidates
 from skyproof.camouflage.name import CamouflageName
@@ -40,9 +41,9 @@ class Counting(BrightnessDetector):
         return super().loss(images, targets)
 
 
-def loaded(threshold: float) -> LoadedDetector:
+def loaded(threshold: float, name: str = "brightness") -> LoadedDetector:
     return LoadedDetector(
-        BrightnessDetector(), DetectorCard("brightness", threshold=threshold, gsd_m=0.125)
+        BrightnessDetector(), DetectorCard(name, threshold=threshold, gsd_m=0.125)
     )
 
 
@@ -82,11 +83,32 @@ def test_a_search_sees_as_many_images_as_the_attack_that_it_controls(
 def test_the_paint_that_hides_most_is_chosen(world: AttackWorld) -> None:
     # The detector fires where it is bright.
     paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
-    chosen = choose(paints, [loaded(0.6)], world, FEW)
+    shown = []
+    held_out = HeldOut([loaded(0.6)], world, FEW)
+    chosen = choose(paints, held_out, on_candidate=shown.append)
     assert chosen.camouflage is paints[1]
     assert chosen.hidden[1] > max(chosen.hidden[0], chosen.hidden[2])
     assert len(chosen.hidden) == 3
-    assert chosen.scenes == 16
+    assert shown == [0, 1, 2]
+    assert (chosen.scenes, chosen.final_scenes) == (4, 16)
+    assert chosen.finalists == {1: held_out.judge(paints[1]).hidden}
+
+
+def test_all_scenes_decide_between_the_finalists(world: AttackWorld) -> None:
+    class Told(HeldOut):
+        """Has the answers ready: on few scenes, and on all of them."""
+
+        few = (0.1, 0.5, 0.4, 0.2, 0.3)
+        all = (1.0, 0.2, 0.3, 1.0, 1.0)
+
+        def judge(self, camouflage: Camouflage, batches: int = BATCHES) -> Judged:
+            number = next(n for n, paint in enumerate(paints) if paint is camouflage)
+            return Judged((self.all if batches == BATCHES else self.few)[number], 0.0)
+
+    paints = [plain_paint((level,) * 3, masked=False) for level in (0, 64, 128, 192, 255)]
+    chosen = choose(paints, Told([loaded(0.6)], world, FEW))
+    assert chosen.camouflage is paints[2]
+    assert chosen.finalists == {1: 0.2, 2: 0.3}
 
 
 def test_candidates_are_the_paints_under_the_mask_or_the_draws_themselves() -> None:
@@ -106,15 +128,14 @@ def test_a_chosen_paint_is_stored_under_its_own_name(tmp_path: Path) -> None:
     assert str(load_camouflage(tmp_path).name) == "R-U_plain"
 
 
-@pytest.mark.parametrize("name", ["R-PixFc_plain", "R-S-O@0.4_plain"])
-def test_a_plain_paint_has_no_other_constraint(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"only R-U_plain .* and R-Ma_plain"):
-        make_candidates(CamouflageName.parse(name), 5, seed=0)
+def test_a_plain_paint_has_no_other_constraint() -> None:
+    with pytest.raises(ConfigurationError, match=r"which only U \(all over\) and Ma"):
+        make_candidates(CamouflageName.parse("R-PixFc_plain"), 5, seed=0)
 
 
 def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: AttackWorld) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
-        choose([plain_paint((0, 0, 0), masked=False)], [loaded(1.1)], world, FEW)
+        HeldOut([loaded(1.1)], world, FEW).judge(plain_paint((0, 0, 0), masked=False))
 
 
 def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:

@@ -60,8 +60,8 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 
 
-def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
-    """Writes a camouflage.json with what an attack records."""
+def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1, added=0.01):
+    """Writes a camouflage.json with what an attack records; `added` in the second half of it."""
     signs = {
         d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors
     }
@@ -72,7 +72,18 @@ def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1):
         "settings": {},
         "scenes": {},
     }
-    record = {"attack": attack, "sign_test": signs, "discretisation": losses}
+    convergence = {
+        "steps": [30, 60],
+        "hidden": [0.4, 0.4 + added],
+        "scenes": 64,
+        "converged": added <= 0.02,
+    }
+    record = {
+        "attack": attack,
+        "sign_test": signs,
+        "discretisation": losses,
+        "convergence": convergence,
+    }
     write_json(
         folder / "camouflages" / name / "camouflage.json",
         {"format": 2, "camouflage": {}, "record": record},

@@ -153,6 +153,24 @@ def test_ladder_gap_and_signs(folder):
     assert "| T-U_on_yolov5-0 | yolov5 | 8 | 3 | 0.125 | +0.0500 |" in page
 
 
+def test_an_attack_that_still_gets_stronger_is_named(folder):
+    write_attack(folder, "T-U-1", added=0.05)
+    page = write_reproduction(folder).read_text()
+    found = table(folder, "convergence")
+    assert {name: row["converged"] for name, row in found.items()} == {
+        "S-O@0.4-0": "yes",
+        "T-Fc-0": "yes",
+        "T-U-0": "yes",
+        "T-U-1": "no",
+        "T-U_on_yolov5-0": "yes",
+    }
+    close(found["T-U-1"]["added"], 5)
+    assert "In 4 of 5 attacks the second half of the steps hid at most 2 points more" in page
+    assert "| T-U-1 | 30 | 40.0 | 60 | 45.0 |" in page
+    report = (folder / "report.html").read_text()
+    assert "T-U: the second half of the attack’s steps still hid over 2 points more" in report
+
+
 def test_transfer(folder):
     write_reproduction(folder)
     with open(folder / "tables" / "transfer.csv", newline="", encoding="utf-8") as file:
@@ -355,7 +373,7 @@ def test_files_and_the_same_bytes_again(folder):
         f"{name}.csv"
         for name in ("textures", "shape_combined", "curves", "agreement", "practicality")
     }
-    names |= {f"{name}.csv" for name in ("transfer", "ladder", "signs", "gap")}
+    names |= {f"{name}.csv" for name in ("transfer", "ladder", "convergence", "signs", "gap")}
     first = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
     assert set(first) == names
     write_reproduction(folder)
@@ -399,8 +417,9 @@ def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
     close(row["net_unlearnt_easr"], 10)
     assert float(row["net_unlearnt_easr_low"]) < 0
     tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
-    assert "Of 1, 0 surely hide more than every control that was chosen and not learnt." in tests
-    assert "Not surely due to learning: T-U." in tests
+    # A plain paint all over is a control of T-Fc, too.
+    assert "Of 2, 0 surely hide more than every control that was chosen and not learnt." in tests
+    assert "Not surely due to learning: T-U, T-Fc." in tests
     shapes = table(folder, "shape_combined")["C-Fc-seq"]
     close(shapes["drawn_shape_easr"], 20)
     close(shapes["net_drawn_shape_easr"], 60)

@@ -16,6 +16,7 @@ from PIL import Image
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
+from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import (
     balanced_weights,
     empty_truth_losses,
@@ -35,6 +36,9 @@ from skyproof.loop import Loop, Part, refuse_other
 
 __all__ = ["attack", "descend", "make_optimiser"]
 
+_LITTLE = 0.02
+"""An attack is done when twice the steps hide no larger a share more."""
+
 _OTHER = "an attack with other settings or on other detectors"
 
 
@@ -45,6 +49,7 @@ def attack(
     settings: AttackSettings,
     folder: str | Path,
     *,
+    held_out: HeldOut | None = None,
     record: Callable[[], Mapping[str, Any]] | None = None,
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> Camouflage:
@@ -66,6 +71,8 @@ def attack(
         settings: steps, batch, learning rate, seed.
         folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage (see
             `save_camouflage`).
+        held_out: scenes on which a learnt camouflage is judged half-way and at the end, so that
+            `camouflage.json` says whether the attack has converged; not where not given.
         record: gives further facts to store with the camouflage; asked before the first step, when
             nobody else can begin in the folder any more, and not where it is finished.
         on_step: called with each row of `steps.jsonl`.
@@ -111,7 +118,8 @@ def attack(
         more = record() if record else {}
         loop.resume()
         with frozen(detectors):
-            facts = _take_steps(camouflage, detectors, world, settings, loop)
+            judge = None if camouflage.name.choice == "search" else held_out
+            facts = _take_steps(camouflage, detectors, world, settings, loop, judge)
         save_camouflage(folder, camouflage, {"attack": identity, **facts, **more})
         loop.forget()
     return camouflage
@@ -129,6 +137,7 @@ def _take_steps(
     world: AttackWorld,
     settings: AttackSettings,
     loop: Loop,
+    held_out: HeldOut | None,
 ) -> dict[str, Any]:
     """Takes the steps that are left, and finalises the camouflage; returns what is recorded."""
     if "weights" not in loop.facts:
@@ -147,15 +156,39 @@ def _take_steps(
             _write_preview(loop.folder / "previews" / f"{step:06d}.png", images.detach())
         if step in settings.keep_at:
             _snapshot(camouflage, f"step{step}", loop.folder, finalise=True)
+        if held_out is not None and step == settings.steps // 2:
+            half_way = copy.deepcopy(camouflage)
+            half_way.finalise()
+            loop.facts["hidden_half_way"] = held_out.judge(half_way).hidden
 
     if settings.keep_at:
         _snapshot(camouflage, "relaxed", loop.folder, finalise=False)
     before = _measure(camouflage, detectors, world, settings)
     camouflage.finalise()
     after = _measure(camouflage, detectors, world, settings)
-    return {
+    facts = {
         "weights": weights,
         "discretisation": {"before": _means(before), "after": _means(after)},
+    }
+    if held_out is not None and "hidden_half_way" in loop.facts:
+        facts["convergence"] = _convergence(camouflage, held_out, settings, loop)
+    return facts
+
+
+def _convergence(
+    camouflage: Camouflage, held_out: HeldOut, settings: AttackSettings, loop: Loop
+) -> dict[str, Any]:
+    """Says what twice the steps added: the second half of them.
+
+    The learning rate is still high half-way, where less is hidden than an attack of so many steps
+    would have hidden; so what is called converged, is.
+    """
+    hidden = [loop.facts["hidden_half_way"], held_out.judge(camouflage).hidden]
+    return {
+        "steps": [settings.steps // 2, settings.steps],
+        "hidden": hidden,
+        "scenes": held_out.scenes(),
+        "converged": hidden[1] - hidden[0] <= _LITTLE,
     }
 
 

@@ -7,25 +7,27 @@ first.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.attacks.objective import empty_truth_losses, target_scores
+from skyproof.attacks.held_out import HeldOut
+from skyproof.attacks.objective import empty_truth_losses
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
-from skyproof.scenes.scene import Scene
 
 __all__ = ["Chosen", "choose", "search_step"]
 
-_BATCHES = 8
+_FIRST_BATCHES = 2
+_FINALISTS = 4
+"""One candidate in so many is shown all scenes."""
 
 
 @dataclass(frozen=True)
@@ -34,93 +36,56 @@ class Chosen:
 
     Attributes:
         camouflage: the one that hides most.
-        hidden: per candidate the EASR there, mean over the detectors, in the order of candidates.
-        scenes: how many they were judged on.
+        hidden: per candidate its EASR, mean over the detectors, on the first scenes.
+        scenes: how many these are.
+        finalists: by the number of the candidate, the EASR of those that were shown all scenes.
+        final_scenes: how many these are.
     """
 
     camouflage: Camouflage
     hidden: tuple[float, ...]
     scenes: int
+    finalists: dict[int, float]
+    final_scenes: int
 
 
-@torch.no_grad()
 def choose(
-    candidates: Iterable[Camouflage],
-    detectors: Sequence[LoadedDetector[TrainableDetector]],
-    world: AttackWorld,
-    settings: AttackSettings,
+    candidates: Sequence[Camouflage],
+    held_out: HeldOut,
+    *,
+    on_candidate: Callable[[int], None] | None = None,
 ) -> Chosen:
-    """Chooses the camouflage that hides most vehicles of the attack's world, mean over detectors.
+    """Chooses the camouflage that hides most vehicles of held-out scenes, mean over detectors.
 
-    Of equals it is the one with the lower scores on its targets. The scenes are those that no step
-    of an attack sees.
+    All are shown a quarter of the scenes; the best quarter of them, all scenes. Of equals it is the
+    one with the lower scores on its targets.
 
     Args:
         candidates: at least one, on the device to work on.
-        detectors: on the same device, with the thresholds that count.
-        world: what an attack sees; it has one vehicle an image.
-        settings: batch size and seed of the scenes.
+        held_out: the scenes, and the detectors that judge there.
+        on_candidate: called with the number of every candidate before it is shown the first scenes.
 
     Raises:
         ConfigurationError: no candidate, or a detector finds no vehicle of these scenes.
     """
-    batches = [
-        world.step_scenes(settings.batch_size, settings.seed, -batch) for batch in range(_BATCHES)
-    ]
-    before: dict[str, int] = {}
-    best: Camouflage | None = None
-    rank = (-float("inf"), -float("inf"))
-    hidden = []
-    for candidate in candidates:
-        scores = _scores(candidate, detectors, world, batches)
-        before = before or _found_bare(detectors, world, batches)
-        left = [
-            float((scores[each.name] >= each.threshold).sum()) / before[each.name]
-            for each in detectors
-        ]
-        easr = 1 - sum(left) / len(left)
-        own_rank = (easr, -float(torch.stack(list(scores.values())).mean()))
-        hidden.append(easr)
-        if own_rank > rank:
-            best, rank = candidate, own_rank
-    if best is None:
+    if not candidates:
         raise ConfigurationError("Expected at least one camouflage to choose from; give some.")
-    return Chosen(best, tuple(hidden), _BATCHES * settings.batch_size)
-
-
-def _scores(
-    camouflage: Camouflage | None,
-    detectors: Sequence[LoadedDetector[TrainableDetector]],
-    world: AttackWorld,
-    batches: Sequence[list[Scene]],
-) -> dict[str, Float[Tensor, " scenes"]]:
-    """Gives each detector's best score on the one vehicle of every scene."""
-    found: dict[str, list[Tensor]] = {each.name: [] for each in detectors}
-    bare_on = detectors[0].detector
-    for scenes in batches:
-        frames = (
-            world.bare(scenes, bare_on) if camouflage is None else world.frames(camouflage, scenes)
-        )
-        for each in detectors:
-            found[each.name].append(target_scores(each.detector, frames, world.backgrounds.gsd_m))
-    return {name: torch.cat(scores) for name, scores in found.items()}
-
-
-def _found_bare(
-    detectors: Sequence[LoadedDetector[TrainableDetector]],
-    world: AttackWorld,
-    batches: Sequence[list[Scene]],
-) -> dict[str, int]:
-    """Counts the vehicles that each detector finds without camouflage."""
-    scores = _scores(None, detectors, world, batches)
-    found = {each.name: int((scores[each.name] >= each.threshold).sum()) for each in detectors}
-    for name, count in found.items():
-        if not count:
-            raise ConfigurationError(
-                f"The detector {name} finds no vehicle of the attack's scenes without camouflage, "
-                "so that nothing can be hidden from it; train it longer, or leave it out."
-            )
-    return found
+    first = []
+    for number, candidate in enumerate(candidates):
+        if on_candidate is not None:
+            on_candidate(number)
+        first.append(held_out.judge(candidate, _FIRST_BATCHES))
+    ranked = sorted(range(len(candidates)), key=lambda number: first[number], reverse=True)
+    finalists = ranked[: math.ceil(len(candidates) / _FINALISTS)]
+    final = {number: held_out.judge(candidates[number]) for number in finalists}
+    best = max(finalists, key=lambda number: final[number])
+    return Chosen(
+        candidates[best],
+        tuple(judged.hidden for judged in first),
+        held_out.scenes(_FIRST_BATCHES),
+        {number: judged.hidden for number, judged in final.items()},
+        held_out.scenes(),
+    )
 
 
 @torch.no_grad()

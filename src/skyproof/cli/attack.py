@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -180,7 +180,7 @@ class Attack:
             if name.choice in ("plain", "best"):
                 self._choose(name, ensemble, world, palette, device)
             else:
-                self._attack(name, [each.detector for each in ensemble], world, palette, device)
+                self._attack(name, ensemble, world, palette, device)
 
     def _choose(
         self,
@@ -190,32 +190,39 @@ class Attack:
         palette: torch.Tensor | None,
         device: torch.device,
     ) -> None:
+        from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.search import choose
         from skyproof.camouflage.make import make_candidates
 
         folder = self.out / str(name)
         if (folder / "camouflage.json").exists():
             return
-        candidates = make_candidates(
-            name,
-            self.draws,
-            seed=self.settings.seed,
-            palette=palette,
-            settings=self.camouflage,
-        )
+        candidates = [
+            candidate.to(device)
+            for candidate in make_candidates(
+                name,
+                self.draws,
+                seed=self.settings.seed,
+                palette=palette,
+                settings=self.camouflage,
+            )
+        ]
         with progress_bar(f"choose {name}") as update:
-
-            def shown() -> Iterator[Camouflage]:
-                for number, candidate in enumerate(candidates):
-                    update(number, len(candidates))
-                    yield candidate.to(device)
-
-            chosen = choose(shown(), ensemble, world, self.settings)
+            chosen = choose(
+                candidates,
+                HeldOut(ensemble, world, self.settings),
+                on_candidate=lambda number: update(number, len(candidates)),
+            )
         record = {
             "chosen": {
                 "of": [str(candidate.name) for candidate in candidates],
                 "hidden": chosen.hidden,
                 "scenes": chosen.scenes,
+                "finalists": {
+                    str(candidates[number].name): hidden
+                    for number, hidden in chosen.finalists.items()
+                },
+                "final_scenes": chosen.final_scenes,
                 "seed": self.settings.seed,
             }
         }
@@ -225,12 +232,13 @@ class Attack:
     def _attack(
         self,
         name: CamouflageName,
-        models: Sequence[TrainableDetector],
+        ensemble: Sequence[LoadedDetector[TrainableDetector]],
         world: AttackWorld,
         palette: torch.Tensor | None,
         device: torch.device,
     ) -> None:
         from skyproof.attacks.attack import attack
+        from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.sign_test import sign_test
         from skyproof.camouflage.make import make_camouflage
         from skyproof.randomness import generator_of
@@ -242,6 +250,8 @@ class Attack:
             texture=self._finished_texture(),
             settings=self.camouflage,
         ).to(device)
+
+        models = [each.detector for each in ensemble]
 
         def signs() -> dict[str, Any]:
             if name.random:
@@ -259,6 +269,7 @@ class Attack:
                 world,
                 self.settings,
                 self.out / str(name),
+                held_out=HeldOut(ensemble, world, self.settings),
                 record=signs,
                 on_step=show,
             )

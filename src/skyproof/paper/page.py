@@ -17,6 +17,7 @@ from skyproof.paper.cells import (
     span,
     word,
 )
+from skyproof.paper.convergence import convergence_section
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
@@ -62,6 +63,8 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         *_signs(tables["signs"]),
         Heading("Strength ladder", 3),
         *_ladder(tables["ladder"]),
+        Heading("Convergence", 3),
+        *convergence_section(tables["convergence"]),
         Heading("Rounding to few colours", 3),
         _gap(tables["gap"]),
         Heading("Transfer"),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from skyproof import words
+from skyproof.camouflage.name import CamouflageName
 from skyproof.results.results import Headline, Results
 from skyproof.results.rows import MEAN
 
@@ -107,6 +108,12 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
                 "case for them. Detectors that the pattern was not optimised against may lose "
                 "fewer vehicles; that is not measured here."
             )
+        growing = _not_converged(results, every)
+        if growing:
+            sentences.append(
+                f"{', '.join(growing)}: the second half of the attack’s steps still hid over 2 "
+                "points more on its own scenes, so more steps may hide more than is said here."
+            )
     for size in ("slim", "wide"):
         names = [
             words.detector_name(name)
@@ -123,6 +130,20 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
             "camouflage even vehicles; trust the interval more."
         )
     return sentences
+
+
+def _not_converged(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
+    """Gives the headlines' camouflages of which a repeat was still getting stronger."""
+    growing = []
+    for headline, *_ in every:
+        own = [
+            record.convergence
+            for name, record in results.records.items()
+            if CamouflageName.read(name).pooled == headline.camouflage
+        ]
+        if any(found is not None and not found.converged for found in own):
+            growing.append(str(headline.camouflage))
+    return growing
 
 
 def _attacked(results: Results, headline: Headline) -> list[str]:

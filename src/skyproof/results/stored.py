@@ -117,6 +117,22 @@ class Discretisation(Struct, frozen=True):
     after: dict[Label, Finite] = {}
 
 
+class Convergence(Struct, frozen=True):
+    """What the second half of an attack's steps added, on scenes that none of them saw.
+
+    Attributes:
+        steps: half of them, and all.
+        hidden: EASR after so many, mean over the detectors.
+        scenes: how many it was measured on.
+        converged: whether little was added.
+    """
+
+    steps: tuple[WholeNumber, WholeNumber]
+    hidden: tuple[Finite, Finite]
+    scenes: WholeNumber
+    converged: bool
+
+
 class AttackRecord(Struct, frozen=True):
     """What the tables need of what was recorded while a camouflage was made.
 
@@ -124,9 +140,11 @@ class AttackRecord(Struct, frozen=True):
         attack: which detectors it was learnt against; None of one that was drawn.
         discretisation: every detector's loss before and after the last rounding.
         sign_test: by detector, what a few vehicles painted at random showed.
+        convergence: whether more steps would have hidden more; None where it was not asked.
     """
 
     attack: _Attack | None = None
+    convergence: Convergence | None = None
     discretisation: Discretisation = Discretisation()
     sign_test: dict[Label, dict[Label, Number | bool | Text | None]] | None = None
 

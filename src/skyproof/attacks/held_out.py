@@ -1,0 +1,118 @@
+"""Scenes that no step of an attack sees, and how many of their vehicles a camouflage hides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from skyproof.attacks.objective import target_scores
+from skyproof.attacks.settings import AttackSettings
+from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.loaded import LoadedDetector
+from skyproof.errors import ConfigurationError
+from skyproof.scenes.scene import Scene
+
+__all__ = ["BATCHES", "HeldOut", "Judged"]
+
+BATCHES = 8
+
+
+class Judged(NamedTuple):
+    """How well a camouflage hides; of two of them the greater one hides more.
+
+    Attributes:
+        hidden: EASR, mean over the detectors.
+        silence: minus the mean over scenes and detectors of the best score on the target, which
+            decides where as many are hidden.
+    """
+
+    hidden: float
+    silence: float
+
+
+class HeldOut:
+    """Eight batches of an attack's scenes, one vehicle each, that no step of it sees.
+
+    They are of the attack's own ground and vehicles, so what is measured on them guides an attack;
+    it is no result.
+
+    Args:
+        detectors: with the thresholds that count, on the device to work on.
+        world: what the attack sees.
+        settings: batch size and seed of the scenes.
+    """
+
+    def __init__(
+        self,
+        detectors: Sequence[LoadedDetector[TrainableDetector]],
+        world: AttackWorld,
+        settings: AttackSettings,
+    ) -> None:
+        self._detectors = detectors
+        self._world = world
+        self._settings = settings
+
+    def scenes(self, batches: int = BATCHES) -> int:
+        """Says how many scenes so many batches hold."""
+        return batches * self._settings.batch_size
+
+    @torch.no_grad()
+    def judge(self, camouflage: Camouflage, batches: int = BATCHES) -> Judged:
+        """Says how much a camouflage hides on the first so many batches.
+
+        Raises:
+            ConfigurationError: a detector finds no vehicle of all the scenes without camouflage.
+        """
+        shown = self._scores(camouflage, batches)
+        left = []
+        for each in self._detectors:
+            # Of a few scenes only, a detector may have found none before: nothing is hidden there.
+            before = max(1, int(self._bare[each.name][: self.scenes(batches)].sum()))
+            left.append(int((shown[each.name] >= each.threshold).sum()) / before)
+        silence = -float(torch.stack(list(shown.values())).mean())
+        return Judged(1 - sum(left) / len(left), silence)
+
+    @cached_property
+    def _bare(self) -> dict[str, Bool[Tensor, " scenes"]]:
+        """Which vehicles each detector finds without camouflage."""
+        scores = self._scores(None, BATCHES)
+        found = {each.name: scores[each.name] >= each.threshold for each in self._detectors}
+        for name, those in found.items():
+            if not those.any():
+                raise ConfigurationError(
+                    f"The detector {name} finds no vehicle of the attack's scenes without "
+                    "camouflage, so that nothing can be hidden from it; train it longer, or leave "
+                    "it out."
+                )
+        return found
+
+    @cached_property
+    def _batches(self) -> list[list[Scene]]:
+        settings = self._settings
+        return [
+            self._world.step_scenes(settings.batch_size, settings.seed, -batch)
+            for batch in range(BATCHES)
+        ]
+
+    def _scores(
+        self, camouflage: Camouflage | None, batches: int
+    ) -> dict[str, Float[Tensor, " scenes"]]:
+        """Gives each detector's best score on the one vehicle of every scene."""
+        world = self._world
+        scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
+        for scenes in self._batches[:batches]:
+            if camouflage is None:
+                frames = world.bare(scenes, self._detectors[0].detector)
+            else:
+                frames = world.frames(camouflage, scenes)
+            for each in self._detectors:
+                own = target_scores(each.detector, frames, world.backgrounds.gsd_m)
+                scores[each.name].append(own)
+        return {name: torch.cat(own) for name, own in scores.items()}

@@ -1,0 +1,87 @@
+"""Scenes that no step sees: what hides there, and whether an attack has converged."""
+
+import pytest
+import torch
+
+from skyproof.attacks.attack import attack
+from skyproof.attacks.held_out import BATCHES, HeldOut, Judged
+from skyproof.camouflage.folder import read_record
+from skyproof.camouflage.paint import plain_paint
+from tests.attacks.test_kinds import FEW, BrightnessDetector, start, world
+from tests.attacks.test_search import loaded
+
+__all__ = ["world"]
+
+
+class Told(HeldOut):
+    """Gives these answers, one after the other, and remembers what it was shown."""
+
+    def __init__(self, world, *hidden):
+        super().__init__([loaded(0.6)], world, FEW)
+        self.answers = list(hidden)
+        self.shown = []
+
+    def judge(self, camouflage, batches=BATCHES):
+        self.shown.append((bool(camouflage.finished), camouflage.cells.detach().clone()))
+        return Judged(self.answers.pop(0), 0.0)
+
+
+def learn(folder, world, held_out, *, name="T-PixFc", **more):
+    attack(start(name), [BrightnessDetector()], world, FEW, folder, held_out=held_out, **more)
+    return read_record(folder).get("convergence")
+
+
+def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
+    held_out = HeldOut([loaded(0.6)], world, FEW)
+    black, white = (held_out.judge(plain_paint((level,) * 3, masked=False)) for level in (0, 255))
+    assert black > white
+    assert black.hidden > 0.5 > white.hidden
+    assert held_out.scenes() == BATCHES * FEW.batch_size
+
+
+def test_of_several_detectors_it_is_the_mean(world):
+    paint = plain_paint((100, 100, 100), masked=False)
+    one, two = (HeldOut([loaded(t)], world, FEW).judge(paint).hidden for t in (0.3, 0.7))
+    both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW)
+    assert one != two
+    assert both.judge(paint).hidden == pytest.approx((one + two) / 2)
+
+
+@pytest.mark.parametrize(("later", "converged"), [(0.42, True), (0.43, False), (0.2, True)])
+def test_twice_the_steps_say_whether_an_attack_has_converged(tmp_path, world, later, converged):
+    held_out = Told(world, 0.4, later)
+    assert learn(tmp_path, world, held_out) == {
+        "steps": [FEW.steps // 2, FEW.steps],
+        "hidden": [0.4, later],
+        "scenes": BATCHES * FEW.batch_size,
+        "converged": converged,
+    }
+    # What is judged is finished, both times, and half-way it is another one.
+    (half_way, early), (end, late) = held_out.shown
+    assert half_way
+    assert end
+    assert not torch.equal(early, late)
+
+
+def test_judging_half_way_changes_nothing_of_the_attack(tmp_path, world):
+    learn(tmp_path / "judged", world, HeldOut([loaded(0.6)], world, FEW))
+    assert learn(tmp_path / "alone", world, None) is None
+    judged, alone = (
+        (tmp_path / name / "camouflage.safetensors").read_bytes() for name in ("judged", "alone")
+    )
+    assert judged == alone
+
+
+def test_what_was_hidden_half_way_outlives_a_kill(tmp_path, world):
+    def kill(row):
+        if row["step"] == FEW.steps - 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        learn(tmp_path, world, Told(world, 0.4), on_step=kill)
+    found = learn(tmp_path, world, Told(world, 0.5))
+    assert found["hidden"] == [0.4, 0.5]
+
+
+def test_of_a_random_search_nothing_is_asked(tmp_path, world):
+    assert learn(tmp_path, world, Told(world), name="R-PixFc_search") is None
