@@ -25,7 +25,9 @@ CELLS = tuple(
 )
 
 
-def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
+def write_scores(
+    folder, rates, *, found=1.0, spread=None, renderer="torch", by_overlap=None, checks=()
+):
     """Writes one score folder.
 
     Args:
@@ -35,6 +37,8 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
         found: the share of vehicles found before.
         spread: generator that scatters the lost vehicles.
         renderer: that drew the images.
+        by_overlap: the rates by the other criterion, where they differ.
+        checks: of the detectors on images without camouflage.
     """
     # Every fourth tile shows the same vehicles; who is found and lost goes round.
     turn = (np.arange(PER_TILE)[None] + np.arange(TILES)[:, None]) % PER_TILE
@@ -43,7 +47,7 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
     for detector in DETECTORS:
         for match in ("centre_1m", "iou_50"):
             sets.append(SetScore("original", renderer, detector, match, 0.9, 1.0))
-            for name, rate in rates.items():
+            for name, rate in (by_overlap if match == "iou_50" and by_overlap else rates).items():
                 if spread is None:
                     lost = (turn < round(rate * before.sum() / TILES)).ravel()
                 else:
@@ -55,7 +59,7 @@ def write_scores(folder, rates, *, found=1.0, spread=None, renderer="torch"):
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
-    write_checks(folder / "checks.json", [])
+    write_checks(folder / "checks.json", checks)
     thresholds = dict.fromkeys(DETECTORS, 0.5)
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 

@@ -275,7 +275,7 @@ class Score(Rendering):
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results
-        from skyproof.words import interval, percent
+        from skyproof.words import interval, number, percent
 
         results = Results.open(self.out)
         for headline in results.headlines():
@@ -287,6 +287,12 @@ class Score(Rendering):
                 )
         for check in results.checks:
             ap = check.ap_centre_1m
+            if not check.vehicles:
+                say(
+                    f"  {check.dataset:<24} {check.detector:<14} "
+                    f"{number(check.false_alarms_per_km2)} false alarms per km², no vehicles"
+                )
+                continue
             say(
                 f"  {check.dataset:<24} {check.detector:<14} AP {percent(ap.estimate)} "
                 f"({interval(ap.low, ap.high)}, over {check.clusters} {check.clustered_by}), "

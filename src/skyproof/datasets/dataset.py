@@ -138,6 +138,11 @@ class Dataset:
         """Per image its width and height, known without decoding."""
         return [picture.size_px for picture in self.pictures]
 
+    @property
+    def area_m2(self) -> float:
+        """How much ground all images show together."""
+        return sum(width * height for width, height in self.sizes_px) * self.gsd_m**2
+
     def image(self, index: int) -> UInt8[Tensor, "3 H W"]:
         """Decodes one image, as sRGB bytes.
 

@@ -18,6 +18,7 @@ from skyproof.paper.cells import (
     word,
 )
 from skyproof.paper.convergence import convergence_section
+from skyproof.paper.criteria import criteria_section
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
@@ -67,6 +68,8 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         *convergence_section(tables["convergence"]),
         Heading("Rounding to few colours", 3),
         _gap(tables["gap"]),
+        Heading("By overlap, and false alarms"),
+        *criteria_section(tables["criteria"], run),
         Heading("Transfer"),
         _transfer(tables["transfer"], run),
         Heading("Practicality"),

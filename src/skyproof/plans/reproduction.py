@@ -23,7 +23,7 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
-from skyproof.plans.world import render_step, world_steps
+from skyproof.plans.world import EMPTY, RENDERED, render_step, world_steps
 from skyproof.seeds import next_seed
 
 __all__ = ["Jobs", "plan_of_config", "reproduction_plan"]
@@ -74,7 +74,12 @@ def reproduction_plan(
     sizes = preset.world
     jobs = Jobs(preset)
     steps = world_steps(
-        layout, sizes, preset.seed, blur_sigma_px=preset.blur_sigma_px, device=device
+        layout,
+        sizes,
+        preset.seed,
+        splits=(*RENDERED, EMPTY),
+        blur_sigma_px=preset.blur_sigma_px,
+        device=device,
     )
     steps += [reference_step(layout, name, check=True) for name in preset.reference]
     trained = [name for name in preset.detectors if name not in preset.reference]
@@ -123,6 +128,7 @@ def reproduction_plan(
                 folders,
                 preset.detectors,
                 preset.seed,
+                empty=not scores,
                 rendering=rendering,
                 device=device,
             )

@@ -17,7 +17,7 @@ from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.plans.world import WorldSizes, render_s
+from skyproof.plans.world import EMPTY, GSD_M, WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 __all__ = [
@@ -39,7 +39,8 @@ _TRIALS = 62
 """Changes that a check tries on every scene, but for random controls."""
 _CONTROLS = 6
 _PAINTS = 27
-_CHOICE_SCENES = 64
+_CHOICE_SCENES = 32
+"""On average: all are shown 16, the best quarter of them 64 more."""
 _WITHOUT_GRADIENT = 0.4
 
 
@@ -262,6 +263,7 @@ def score_step(
     *,
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
+    empty: bool = False,
     rendering: Rendering | None = None,
     device: str = "auto",
 ) -> Step:
@@ -276,12 +278,16 @@ def score_step(
         seed: of the bootstrap.
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
+        empty: whether false alarms are also counted on ground without vehicles, in place of frames.
         rendering: the renderer; the differentiable one where not given.
         device: auto, cpu or cuda.
     """
     chosen = rendering or Rendering()
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
     original = layout.dataset(drawn)
+    if empty:
+        frames = (f"ground without vehicles={layout.dataset(EMPTY)}@{GSD_M}",)
+        frame_classes = ("vehicle",)
     command = Score(
         **vars(chosen),
         detectors=tuple(layout.detector(detector) for detector in detectors),
@@ -297,6 +303,7 @@ def score_step(
     )
     inputs = [original, layout.backgrounds, layout.fleets]
     inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
+    inputs += [layout.dataset(EMPTY)] if empty else []
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
     inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]

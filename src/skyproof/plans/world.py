@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -21,16 +21,29 @@ from skyproof.ranges import Count, Fraction, check_ranges
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.splits import Split
 from skyproof.scenes.weather import MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = ["GSD_M", "RENDERED", "Rendered", "WorldSizes", "render_s", "render_step", "world_steps"]
+__all__ = [
+    "EMPTY",
+    "GSD_M",
+    "RENDERED",
+    "Rendered",
+    "WorldSizes",
+    "render_s",
+    "render_step",
+    "world_steps",
+]
 
 GSD_M = 0.125
 
-Rendered = Literal["train", "validation", "test"]
-RENDERED: tuple[Rendered, ...] = get_args(Rendered)
+Rendered = Literal["train", "validation", "test", "empty"]
+RENDERED: tuple[Rendered, ...] = ("train", "validation", "test")
 """The splits of which there are images; an attack draws its own as it goes."""
+
+EMPTY: Rendered = "empty"
+"""Test ground without vehicles, where every detection is a false alarm."""
 
 # Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
 _GROUND_S = 2.6
@@ -101,6 +114,8 @@ class WorldSizes:
                 parked_share=self.parked_share if self.training_places == "uniform" else 0.0,
                 conditions=self.training_conditions,
             )
+        if split == EMPTY:
+            return replace(usual, vehicles_minimum=0, vehicles_maximum=0)
         return replace(usual, vehicles_maximum=1) if split == "attack" else usual
 
     def count(self, split: Rendered) -> int:
@@ -109,6 +124,7 @@ class WorldSizes:
             "train": self.training_images,
             "validation": self.validation_images,
             "test": self.test_images,
+            "empty": self.test_images,
         }
         return counts[split]
 
@@ -183,11 +199,12 @@ def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
 
 def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) -> Step:
     """Returns the step that draws the scenes of a split."""
+    ground: Split = "test" if split == "empty" else split
     command = Scenes(
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
+        fleet=layout.fleets / ground,
         out=layout.scenes(split),
-        split=split,
+        split=ground,
         count=sizes.count(split),
         settings=sizes.scenes(split),
         seed=seed,
@@ -216,7 +233,7 @@ def render_step(
         **vars(chosen),
         scenes=layout.scenes(split),
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
+        fleet=layout.fleets / ("test" if split == EMPTY else split),
         out=layout.dataset(name),
         device=device,
     )

@@ -276,12 +276,10 @@ def _outcomes(
 
 
 def _set_scores(camouflage: str, judge: Judge, images: Dataset, seen: _Seen) -> list[SetScore]:
-    camera = images.scenes[0].camera
-    area_m2 = (camera.size_px * camera.gsd_m) ** 2
     scores = []
     for match, matches in seen.matches.items():
         _, false_alarms = matches.counts_at(judge.threshold)
-        density = false_alarms_per_km2(false_alarms, len(images), area_m2)
+        density = false_alarms_per_km2(false_alarms, images.area_m2)
         precision = average_precision(matches)
         scores.append(SetScore(camouflage, images.renderer, judge.name, match, precision, density))
     return scores
