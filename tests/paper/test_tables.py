@@ -382,7 +382,9 @@ def test_the_page_says_what_the_cycles_column_is(folder):
 
 def test_undefined_success_is_a_dash(tmp_path):
     write_scores(
-        tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0
+        tmp_path / "scores" / "000",
+        {"T-U-0": 0.0, "T-Fc-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0},
+        found=0.0,
     )
     write_reproduction(tmp_path)
     assert table(tmp_path, "textures")["T-U"]["easr"] == "–"

@@ -45,8 +45,9 @@ class Reproduction:
 
     @property
     def comparable(self) -> bool:
-        """Whether enough of the paper's attacks were scored to set them beside the paper's."""
-        ours = {*self.names, *(name.family for name in self.results.names)}
+        """Whether enough of the paper's attacks were scored to set them beside its tables."""
+        learnt = [name for name in self.results.names if not name.random]
+        ours = {*map(str, learnt), *(name.family for name in learnt)}
         return RENDERER in self.results.renderers and len(ours & set(PAPER_RESULTS)) >= _FEWEST
 
     def row(
