@@ -118,6 +118,27 @@ def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
     assert best.command.draws == 7
 
 
+def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
+    more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
+    plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
+    asked = {step.name: step.command.features for step in plan.steps if step.kind == "score"}
+    # Each in the batch in which it is scored anyway: nothing is rendered for it.
+    assert asked["000"] == ("R-Ma-0",)
+    assert sorted(name for names in asked.values() for name in names) == [
+        "R-Ma-0",
+        "R-Ma_plain",
+        "T-Ma-0",
+    ]
+    assert not any(
+        step.command.features
+        for step in reproduction_plan(Preset.parse(TINY), Path(), cycles=True).steps
+        if step.kind == "score"
+    )
+    for wrong in ("R-U", "S-O@0.4", "T-U-0"):
+        with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
+            Preset.parse({**TINY, "features": [wrong]})
+
+
 def test_repeats_seeds_transfer_and_masked():
     wide = jobs(
         seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],

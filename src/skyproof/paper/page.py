@@ -18,6 +18,7 @@ from skyproof.paper.cells import (
     word,
 )
 from skyproof.paper.cycles import cycles_section
+from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
@@ -66,6 +67,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         _gap(tables["gap"]),
         Heading("Transfer"),
         _transfer(tables["transfer"], run),
+        *embeddings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
     ]

@@ -123,6 +123,8 @@ def reproduction_plan(
                 folders,
                 preset.detectors,
                 preset.seed,
+                # Those of the attacks' own renderer are enough to look at.
+                features=[] if rendering else [each for each in folders if each in jobs.featured],
                 rendering=rendering,
                 device=device,
             )
@@ -157,6 +159,7 @@ class Jobs:
         controls: names of all random draws.
         chosen: the controls that are chosen by the detectors and not learnt, by name.
         shapes: names of random shapes, by the finished attack on whose texture they are put.
+        featured: names of those at whose vehicles the detectors' features are stored.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
@@ -174,6 +177,7 @@ class Jobs:
         )
         self.chosen = {job.name: job for job in self._chosen()}
         self.shapes = self._shapes()
+        self.featured = frozenset(self._featured())
         folders = [folder for job in jobs for folder in job.folders]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
@@ -280,6 +284,13 @@ class Jobs:
             names = [str(control.with_repeat(draw)) for draw in draws]
             shapes.setdefault(job.texture or job.name, []).extend(names)
         return {texture: names for texture, names in shapes.items() if names}
+
+    def _featured(self) -> Iterator[str]:
+        """The first repeat of each, the first draw of its control, and the best plain paint."""
+        for text in self._preset.features:
+            name = CamouflageName.parse(text)
+            plain, *_ = name.unlearnt
+            yield from (str(name.with_repeat(0)), str(name.control.with_repeat(0)), str(plain))
 
     def _batched(self, *groups: Sequence[str]) -> dict[str, tuple[str, ...]]:
         size = self._preset.score_batch

@@ -262,6 +262,7 @@ def score_step(
     *,
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
+    features: Sequence[str] = (),
     rendering: Rendering | None = None,
     device: str = "auto",
 ) -> Step:
@@ -276,6 +277,7 @@ def score_step(
         seed: of the bootstrap.
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
+        features: names of the camouflages at whose vehicles the detectors' features are stored.
         rendering: the renderer; the differentiable one where not given.
         device: auto, cpu or cuda.
     """
@@ -292,6 +294,7 @@ def score_step(
         fleet=layout.fleets / "test",
         frames=tuple(frames),
         frame_classes=tuple(frame_classes),
+        features=tuple(features),
         seed=seed,
         device=device,
     )
