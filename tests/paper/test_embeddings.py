@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError
-from skyproof.paper.embeddings import embed
+from skyproof.paper.feature_space import embed
 from skyproof.report.report import write_report
 from skyproof.results.pairs.features import Features, write_features
 from tests.paper.fabricate import write_scores

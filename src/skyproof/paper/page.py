@@ -22,6 +22,7 @@ from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.weather import weather_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
@@ -67,6 +68,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         _gap(tables["gap"]),
         Heading("Transfer"),
         _transfer(tables["transfer"], run),
+        *weather_section(run, tables),
         *embeddings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),

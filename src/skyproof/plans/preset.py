@@ -90,6 +90,9 @@ class Preset:
         transfer: textures that are also attacked on single detectors, and on all but one.
         features: textures at whose vehicles the detectors' features are stored, of the first repeat
             and with a random control and the best plain paint beside it; the report shows them.
+        weather: textures that are also learnt in all weathers; they, those learnt on clear days and
+            their random controls are judged in every weather.
+        weather_images: how many test images that takes, one weather each.
         check_scenes: test scenes on which detectors are checked before the attacks, with as many
             draws of each control; 0 for no check.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
@@ -132,6 +135,8 @@ class Preset:
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     features: _Textures = ()
+    weather: _Textures = ()
+    weather_images: Count = 160
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
     check_scenes: WholeNumber = 60
@@ -142,12 +147,18 @@ class Preset:
             reference_folder(architecture)
         for texture in (*self.textures, *self.combined_magnitudes):
             TextureConstraints.parse(texture)
-        for setting in ("transfer", "features"):
+        for setting in ("transfer", "features", "weather"):
             for text in getattr(self, setting):
                 name = CamouflageName.parse(text)
                 if name.kind != "texture" or name.random or name.variant or name.repeat:
                     raise ConfigurationError(
                         f"{setting} expects learnt textures such as T-U, got {text!r}."
+                    )
+                # Transfer may be asked of one detector alone; these compare with what is learnt.
+                texture = text.removeprefix("T-")
+                if setting != "transfer" and texture not in self.textures:
+                    raise ConfigurationError(
+                        f"{setting} names {text}, but textures has no {texture}; name it there."
                     )
         strangers = [name for name in self.reference if name not in self.detectors]
         if strangers:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.name import CamouflageName, Order
+from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
 from skyproof.cli.rendering import Rendering
 from skyproof.layout import Layout
 from skyproof.plans.plan import Plan, Step
@@ -23,7 +23,8 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
-from skyproof.plans.world import render_step, world_steps
+from skyproof.plans.world import render_step, weather_steps, world_steps
+from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 
 __all__ = ["Jobs", "plan_of_config", "reproduction_plan"]
@@ -137,8 +138,24 @@ def reproduction_plan(
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
+    if jobs.weather_batches:
+        weather = replace(sizes, test_images=preset.weather_images)
+        steps += weather_steps(layout, weather, preset.seed, device=device)
+        scores += [
+            score_step(
+                layout,
+                weather,
+                name,
+                folders,
+                preset.detectors,
+                preset.seed,
+                weather=True,
+                device=device,
+            )
+            for name, folders in jobs.weather_batches.items()
+        ]
     steps += scores
-    steps.append(report_step(layout, [step.name for step in scores], checked))
+    steps.append(report_step(layout, [path for step in scores for path in step.outputs], checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
@@ -149,6 +166,7 @@ class _Kind:
     name: CamouflageName
     kind: str
     detectors: tuple[str, ...]
+    conditions: tuple[str, ...] = ("clear",)
 
 
 class Jobs:
@@ -164,6 +182,8 @@ class Jobs:
             to `camouflages/`. Controls come first: they wait for no attack.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
+        weather_batches: what is scored together on the test scenes in weather: random controls, and
+            what was learnt on clear days and in all weathers.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -182,6 +202,7 @@ class Jobs:
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
+        self.weather_batches = self._batched(*self._in_weather())
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
     def _kinds(self) -> Iterator[_Kind]:
@@ -193,6 +214,9 @@ class Jobs:
             name = CamouflageName.parse(text)
             for variant, detectors in _parts_of(every):
                 yield _Kind(name.with_variant(variant), "texture", detectors)
+        for text in preset.weather:
+            learnt = CamouflageName.parse(text).with_variant(IN_WEATHER)
+            yield _Kind(learnt, "texture", every, tuple(CONDITIONS))
         for magnitude in preset.magnitudes:
             yield _Kind(CamouflageName("shape", magnitude=magnitude), "shape", every)
         orders: tuple[tuple[Order, str], ...] = (("seq", "sequential"), ("par", "parallel"))
@@ -242,6 +266,7 @@ class Jobs:
             detectors=kind.detectors,
             texture=texture,
             kept=tuple(kept),
+            conditions=kind.conditions,
         )
 
     def _first(self, names: Sequence[str]) -> list[str]:
@@ -291,6 +316,19 @@ class Jobs:
             name = CamouflageName.parse(text)
             plain, *_ = name.unlearnt
             yield from (str(name.with_repeat(0)), str(name.control.with_repeat(0)), str(plain))
+
+    def _in_weather(self) -> tuple[list[str], list[str]]:
+        """Draws of the controls, and repeats of what was learnt on clear days and in all weathers.
+
+        Controls come first: they wait for no attack.
+        """
+        bases = [CamouflageName.parse(text) for text in self._preset.weather]
+        wanted = {name for base in bases for name in (base, base.with_variant(IN_WEATHER))}
+        controls = {base.control for base in bases}
+        return (
+            [name for name in self.controls if CamouflageName.parse(name).pooled in controls],
+            [name for name in self.attacks if CamouflageName.parse(name).pooled in wanted],
+        )
 
     def _batched(self, *groups: Sequence[str]) -> dict[str, tuple[str, ...]]:
         size = self._preset.score_batch

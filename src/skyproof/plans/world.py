@@ -21,16 +21,29 @@ from skyproof.ranges import Count, Fraction, check_ranges
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.weather import MIXED_CONDITIONS
+from skyproof.scenes.weather import CONDITIONS, MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = ["GSD_M", "RENDERED", "Rendered", "WorldSizes", "render_s", "render_step", "world_steps"]
+__all__ = [
+    "GSD_M",
+    "RENDERED",
+    "WEATHER",
+    "Rendered",
+    "WorldSizes",
+    "render_s",
+    "render_step",
+    "weather_steps",
+    "world_steps",
+]
 
 GSD_M = 0.125
 
 Rendered = Literal["train", "validation", "test"]
 RENDERED: tuple[Rendered, ...] = get_args(Rendered)
 """The splits of which there are images; an attack draws its own as it goes."""
+
+WEATHER = "weather"
+"""What the test scenes in weather are called, among scenes and datasets."""
 
 # Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
 _GROUND_S = 2.6
@@ -223,3 +236,39 @@ def render_step(
     effort_s = START_S + render_s(chosen) * sizes.megapixels(sizes.count(split))
     inputs = (layout.backgrounds, layout.fleets, layout.scenes(split))
     return Step("render", name, command, inputs, (layout.dataset(name),), effort_s=effort_s)
+
+
+def weather_steps(
+    layout: Layout, sizes: WorldSizes, seed: int, *, device: str = "auto"
+) -> list[Step]:
+    """Returns the steps from ground and vehicles to test images in weather.
+
+    The scenes are those of the clear test set, as far as it goes, each under one of all conditions
+    but a clear day.
+
+    Args:
+        layout: the run folder's.
+        sizes: of the run, but for the number of test images, which is that in weather.
+        seed: of the scenes; the test set's.
+        device: auto, cpu or cuda.
+    """
+    conditions = tuple(name for name in CONDITIONS if name != "clear")
+    scenes = scene_step(layout, sizes, "test", seed)
+    place = layout.scenes(WEATHER)
+    assert isinstance(scenes.command, Scenes)
+    settings = replace(scenes.command.settings, conditions=conditions)
+    drawn = replace(scenes.command, out=place, settings=settings)
+    images = render_step(layout, sizes, "test", device=device)
+    assert isinstance(images.command, Render)
+    out = layout.dataset(WEATHER)
+    inputs = tuple(place if path == scenes.outputs[0] else path for path in images.inputs)
+    return [
+        replace(scenes, name=WEATHER, command=drawn, outputs=(place,)),
+        replace(
+            images,
+            name=WEATHER,
+            command=replace(images.command, scenes=place, out=out),
+            inputs=inputs,
+            outputs=(out,),
+        ),
+    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ from matplotlib.lines import Line2D
 from skyproof.camouflage.name import CamouflageName
 from skyproof.paper.cells import Table
 from skyproof.paper.embeddings import EVERY, shown_name
-from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE
+from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, both_forms
 from skyproof.results.pairs.features import GROUND
 from skyproof.results.pairs.sets import ORIGINAL
 from skyproof.words import detector_name
@@ -58,15 +57,7 @@ def embedding_figure(points: Table, numbers: Table) -> dict[str, bytes]:
             ncols=3,
             fontsize=11,
         )
-        written = {}
-        for ending in ("svg", "png"):
-            stream = io.BytesIO()
-            figure.savefig(
-                stream, format=ending, dpi=130, metadata={"Date": None} if ending == "svg" else {}
-            )
-            written[ending] = stream.getvalue()
-        plt.close(figure)
-    return written
+        return both_forms(figure)
 
 
 def _scatter(axes: Any, rows: Sequence[Any], name: str) -> None:

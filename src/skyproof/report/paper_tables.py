@@ -15,6 +15,7 @@ from skyproof.paper.tables import reproduction_tables
 from skyproof.report.embedding_figure import embedding_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.practicality_figure import easr_against_practicality
+from skyproof.report.weather_figure import weather_figure
 from skyproof.results.results import Results
 
 __all__ = ["PaperPart", "paper_part"]
@@ -46,6 +47,8 @@ def paper_part(results: Results) -> PaperPart | None:
     pictures = {"easr_vs_pr": easr_against_practicality(run)}
     if "embedding_points" in tables:
         pictures["embeddings"] = embedding_figure(tables["embedding_points"], tables["embeddings"])
+    if "weather" in tables:
+        pictures["weather"] = weather_figure(tables["weather"])
     blocks = paper_sections(run, tables)
     files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
     files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
