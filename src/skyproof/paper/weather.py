@@ -119,10 +119,10 @@ def weather_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Bloc
         "The other tables show clear days, on which all else here was learnt. "
         f"{', '.join(names)} was also learnt in all weathers, with as many steps, and both are "
         "judged in every weather: “clear” are the usual test scenes, the others scenes drawn "
-        f"alike, each in one of {len(conditions) - 2} weathers. Rates as above, in percent; a "
-        "vehicle counts where it was found in that weather without camouflage. “net” is minus the "
-        "random control in that weather, “gain” what learning in all weathers adds to learning on "
-        "clear days, vehicle by vehicle.",
+        f"alike, each in one of {len(conditions) - 2} weathers; “{EVERY_WEATHER}” are these "
+        "together. Rates as above, in percent; a vehicle counts where it was found in that weather "
+        "without camouflage. “net” is minus the random control in that weather, “gain” what "
+        "learning in all weathers adds to learning on clear days, vehicle by vehicle.",
         Figure("weather", "Success by weather, learnt on clear days and in all weathers"),
         Grid(
             [
