@@ -83,6 +83,11 @@ class Layout:
         return self.scores / name
 
     @property
+    def weather(self) -> Layout:
+        """Scores of the test scenes in weather: apart, because no scene is in two weathers here."""
+        return Layout(self.folder / "weather")
+
+    @property
     def results(self) -> Path:
         """The rows of all scores, merged."""
         return self.folder / "results.json"

@@ -20,9 +20,11 @@ from skyproof.paper.cells import (
 from skyproof.paper.convergence import convergence_section
 from skyproof.paper.criteria import criteria_section
 from skyproof.paper.cycles import cycles_section
+from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.weather import weather_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
@@ -62,6 +64,8 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         Heading("By overlap, and false alarms"),
         *criteria_section(tables["criteria"], run),
         *_transfer(tables["transfer"], run),
+        *weather_section(run, tables),
+        *embeddings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
     ]

@@ -355,7 +355,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 device=device,
             )
         )
-    steps.append(report_step(layout, scores, checked))
+    steps.append(report_step(layout, [layout.score(name) for name in scores], checked))
     return Plan(steps)
 
 

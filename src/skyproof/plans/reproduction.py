@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.name import CamouflageName, Order
+from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
 from skyproof.cli.rendering import Rendering
 from skyproof.layout import Layout
 from skyproof.plans.plan import Plan, Step
@@ -23,7 +23,8 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
-from skyproof.plans.world import EMPTY, RENDERED, render_step, world_steps
+from skyproof.plans.world import RENDERED, render_step, scene_step, world_steps
+from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 
 __all__ = ["Jobs", "plan_of_config", "reproduction_plan"]
@@ -77,7 +78,7 @@ def reproduction_plan(
         layout,
         sizes,
         preset.seed,
-        splits=(*RENDERED, EMPTY),
+        splits=(*RENDERED, "empty"),
         blur_sigma_px=preset.blur_sigma_px,
         device=device,
     )
@@ -129,6 +130,8 @@ def reproduction_plan(
                 preset.detectors,
                 preset.seed,
                 empty=not scores,
+                # Those of the attacks' own renderer are enough to look at.
+                features=[] if rendering else [each for each in folders if each in jobs.featured],
                 rendering=rendering,
                 device=device,
             )
@@ -141,8 +144,25 @@ def reproduction_plan(
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
+    if jobs.weather_batches:
+        weather = replace(sizes, test_images=preset.weather_images)
+        steps.append(scene_step(layout, weather, "weather", preset.seed))
+        steps.append(render_step(layout, weather, "weather", device=device))
+        scores += [
+            score_step(
+                layout,
+                weather,
+                name,
+                folders,
+                preset.detectors,
+                preset.seed,
+                weather=True,
+                device=device,
+            )
+            for name, folders in jobs.weather_batches.items()
+        ]
     steps += scores
-    steps.append(report_step(layout, [step.name for step in scores], checked))
+    steps.append(report_step(layout, [path for step in scores for path in step.outputs], checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
@@ -153,6 +173,7 @@ class _Kind:
     name: CamouflageName
     kind: str
     detectors: tuple[str, ...]
+    conditions: tuple[str, ...] = ("clear",)
 
 
 class Jobs:
@@ -163,10 +184,13 @@ class Jobs:
         controls: names of all random draws.
         chosen: the controls that are chosen by the detectors and not learnt, by name.
         shapes: names of random shapes, by the finished attack on whose texture they are put.
+        featured: names of those at whose vehicles the detectors' features are stored.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
+        weather_batches: what is scored together on the test scenes in weather: random controls, and
+            what was learnt on clear days and in all weathers.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -180,10 +204,12 @@ class Jobs:
         )
         self.chosen = {job.name: job for job in self._chosen()}
         self.shapes = self._shapes()
+        self.featured = frozenset(self._featured())
         folders = [folder for job in jobs for folder in job.folders]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
+        self.weather_batches = self._batched(*self._in_weather())
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
     def _kinds(self) -> Iterator[_Kind]:
@@ -195,6 +221,9 @@ class Jobs:
             name = CamouflageName.parse(text)
             for variant, detectors in _parts_of(every):
                 yield _Kind(name.with_variant(variant), "texture", detectors)
+        for text in preset.weather:
+            learnt = CamouflageName.parse(text).with_variant(IN_WEATHER)
+            yield _Kind(learnt, "texture", every, tuple(CONDITIONS))
         for magnitude in preset.magnitudes:
             yield _Kind(CamouflageName("shape", magnitude=magnitude), "shape", every)
         orders: tuple[tuple[Order, str], ...] = (("seq", "sequential"), ("par", "parallel"))
@@ -244,6 +273,7 @@ class Jobs:
             detectors=kind.detectors,
             texture=texture,
             kept=tuple(kept),
+            conditions=kind.conditions,
         )
 
     def _first(self, names: Sequence[str]) -> list[str]:
@@ -286,6 +316,26 @@ class Jobs:
             names = [str(control.with_repeat(draw)) for draw in draws]
             shapes.setdefault(job.texture or job.name, []).extend(names)
         return {texture: names for texture, names in shapes.items() if names}
+
+    def _featured(self) -> Iterator[str]:
+        """The first repeat of each, the first draw of its control, and the best plain paint."""
+        for text in self._preset.features:
+            name = CamouflageName.parse(text)
+            plain, *_ = name.unlearnt
+            yield from (str(name.with_repeat(0)), str(name.control.with_repeat(0)), str(plain))
+
+    def _in_weather(self) -> tuple[list[str], list[str]]:
+        """Draws of the controls, and repeats of what was learnt on clear days and in all weathers.
+
+        Controls come first: they wait for no attack.
+        """
+        bases = [CamouflageName.parse(text) for text in self._preset.weather]
+        wanted = {name for base in bases for name in (base, base.with_variant(IN_WEATHER))}
+        controls = {base.control for base in bases}
+        return (
+            [name for name in self.controls if CamouflageName.parse(name).pooled in controls],
+            [name for name in self.attacks if CamouflageName.parse(name).pooled in wanted],
+        )
 
     def _batched(self, *groups: Sequence[str]) -> dict[str, tuple[str, ...]]:
         size = self._preset.score_batch

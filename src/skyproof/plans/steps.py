@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -17,7 +18,7 @@ from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.plans.world import EMPTY, GSD_M, WorldSizes, render_s
+from skyproof.plans.world import GSD_M, WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 __all__ = [
@@ -55,6 +56,7 @@ class AttackJob:
         texture: name of the finished texture under a sequential attack's shape.
         kept: names of the copies that it leaves in `snapshots/`.
         best_of: of how many draws the best is taken, where it is the best of some.
+        conditions: weather and light that its scenes are drawn from.
     """
 
     name: str
@@ -63,6 +65,7 @@ class AttackJob:
     texture: str | None = None
     kept: tuple[str, ...] = ()
     best_of: int = BEST_OF
+    conditions: tuple[str, ...] = ("clear",)
 
     @property
     def images(self) -> float:
@@ -200,6 +203,7 @@ def attack_step(
         fleet=layout.fleets / "attack",
         texture=texture,
         image_px=image_px,
+        conditions=job.conditions,
         places=places,
         draws=job.best_of,
         settings=job.settings,
@@ -264,7 +268,9 @@ def score_step(
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
     empty: bool = False,
+    features: Sequence[str] = (),
     rendering: Rendering | None = None,
+    weather: bool = False,
     device: str = "auto",
 ) -> Step:
     """Returns the step that judges detectors on the test scenes, with and without camouflages.
@@ -279,31 +285,35 @@ def score_step(
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
         empty: whether false alarms are also counted on ground without vehicles, in place of frames.
+        features: names of the camouflages at whose vehicles the detectors' features are stored.
         rendering: the renderer; the differentiable one where not given.
+        weather: whether the test scenes in weather are meant.
         device: auto, cpu or cuda.
     """
     chosen = rendering or Rendering()
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
-    original = layout.dataset(drawn)
+    original = layout.dataset("weather" if weather else drawn)
+    out = (layout.weather if weather else layout).score(name)
     if empty:
-        frames = (f"ground without vehicles={layout.dataset(EMPTY)}@{GSD_M}",)
+        frames = (f"ground without vehicles={layout.dataset('empty')}@{GSD_M}",)
         frame_classes = ("vehicle",)
     command = Score(
         **vars(chosen),
         detectors=tuple(layout.detector(detector) for detector in detectors),
-        out=layout.score(name),
+        out=out,
         original=original,
         camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
         frames=tuple(frames),
         frame_classes=tuple(frame_classes),
+        features=tuple(features),
         seed=seed,
         device=device,
     )
     inputs = [original, layout.backgrounds, layout.fleets]
     inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
-    inputs += [layout.dataset(EMPTY)] if empty else []
+    inputs += [layout.dataset("empty")] if empty else []
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
     inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]
@@ -311,20 +321,20 @@ def score_step(
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
         "score",
-        name,
+        f"weather-{name}" if weather else name,
         command,
         tuple(inputs),
-        (layout.score(name),),
+        (out,),
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
 
-def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = ()) -> Step:
+def report_step(layout: Layout, scores: Sequence[Path], checked: Sequence[str] = ()) -> Step:
     """Returns the step that merges all scores and writes the report.
 
     Args:
         layout: the run folder's.
-        scores: names of the score folders.
+        scores: the score folders.
         checked: names of the detectors that are checked in this run.
     """
     checks = [layout.check(name) for name in checked]
@@ -332,7 +342,7 @@ def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = 
         "report",
         "report",
         Report(layout.folder),
-        (*checks, *(layout.score(name) for name in scores)),
+        (*checks, *scores),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

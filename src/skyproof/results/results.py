@@ -15,6 +15,7 @@ from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.features import Features
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
@@ -251,6 +252,20 @@ class Results:
             for pair in score.pairs()
             if CamouflageName.read(pair.camouflage).pooled == name
         ]
+
+    def features(self) -> list[Features]:
+        """Gives what is stored of the detectors' features, images without camouflage once each.
+
+        Only images of the attacks' own renderer count.
+
+        Raises:
+            StoredFileError: a table of features is damaged.
+        """
+        found: dict[tuple[str, str], Features] = {}
+        for score in self.scores:
+            for each in score.features() if score.record.renderer == RENDERER else ():
+                found.setdefault((each.detector, each.shown), each)
+        return list(found.values())
 
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
         """Gives a picture or log of the first repeat of a camouflage; None where there is none."""
