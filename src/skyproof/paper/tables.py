@@ -16,6 +16,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
 from skyproof.paper.cycles import cycles_columns, cycles_tables
+from skyproof.paper.judges import judges_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
@@ -35,6 +36,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("curves", _curves(run)),
         Table("agreement", _agreement(run)),
         *cycles_tables(run),
+        *judges_tables(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
         Table("ladder", _ladder(run)),

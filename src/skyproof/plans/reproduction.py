@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName, Order
 from skyproof.cli.rendering import Rendering
 from skyproof.layout import Layout
+from skyproof.plans.judges import stored_judges
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import Preset
 from skyproof.plans.steps import (
@@ -34,6 +36,9 @@ _PARALLEL = ("Fc", "PixFc")
 def plan_of_config(config: Mapping[str, Any]) -> Plan:
     """Returns the plan that a run folder's config.json stands for, with paths inside that folder.
 
+    It is read where the folder is the current one: the detectors that only judge are those that
+    lie in it.
+
     Args:
         config: the preset's values; also "device", "cycles" (1 for the Cycles column) and
             "blender", which are no settings of a run, because they can change from call to call.
@@ -50,6 +55,7 @@ def plan_of_config(config: Mapping[str, Any]) -> Plan:
         device=str(told.get("device", "auto")),
         cycles=str(told.get("cycles", 0)) == "1",
         blender=Path(str(blender)) if blender else None,
+        judges=stored_judges(Layout(Path())),
     )
 
 
@@ -60,6 +66,7 @@ def reproduction_plan(
     device: str = "auto",
     cycles: bool = False,
     blender: Path | None = None,
+    judges: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Plan:
     """Returns a preset, expanded to steps.
 
@@ -69,6 +76,7 @@ def reproduction_plan(
         device: auto, cpu or cuda.
         cycles: whether finished attacks and random controls are also scored on Cycles.
         blender: which Blender draws them.
+        judges: by table, the detectors that only judge.
     """
     layout = Layout(folder)
     sizes = preset.world
@@ -114,29 +122,42 @@ def reproduction_plan(
     ]
     scores: list[Step] = []
 
-    def score(name: str, folders: Sequence[str], rendering: Rendering | None = None) -> None:
+    def score(
+        name: str,
+        folders: Sequence[str],
+        rendering: Rendering | None = None,
+        table: str | None = None,
+    ) -> None:
         scores.append(
             score_step(
                 layout,
                 sizes,
                 name,
                 folders,
-                preset.detectors,
+                judges[table] if table else preset.detectors,
                 preset.seed,
                 rendering=rendering,
+                judged=layout.judged(table) if table else None,
                 device=device,
             )
         )
 
     for name, folders in jobs.batches.items():
         score(name, folders)
+    rendering = None
     if cycles:
         rendering = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
+    for table in judges:
+        for name, folders in jobs.judged_batches.items():
+            score(name, folders, table=table)
+        if cycles:
+            for name, folders in jobs.cycles_batches.items():
+                score(f"cycles-{name}", folders, rendering, table)
     steps += scores
-    steps.append(report_step(layout, [step.name for step in scores], checked))
+    steps.append(report_step(layout, scores, checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
@@ -161,6 +182,8 @@ class Jobs:
             to `camouflages/`. Controls come first: they wait for no attack.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
+        judged_batches: what detectors that only judge score together: `batches` but for what tells
+            how attacks were learnt, which are copies kept on the way and attacks on some detectors.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -178,6 +201,7 @@ class Jobs:
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
+        self.judged_batches = self._batched(self.controls, finished, late)
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
     def _kinds(self) -> Iterator[_Kind]:

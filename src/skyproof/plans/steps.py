@@ -263,6 +263,7 @@ def score_step(
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
     rendering: Rendering | None = None,
+    judged: Layout | None = None,
     device: str = "auto",
 ) -> Step:
     """Returns the step that judges detectors on the test scenes, with and without camouflages.
@@ -277,15 +278,18 @@ def score_step(
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
         rendering: the renderer; the differentiable one where not given.
+        judged: where detectors that only judge lie, and what they judged; where not given, the
+            run's own do.
         device: auto, cpu or cuda.
     """
     chosen = rendering or Rendering()
+    own = judged or layout
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
     original = layout.dataset(drawn)
     command = Score(
         **vars(chosen),
-        detectors=tuple(layout.detector(detector) for detector in detectors),
-        out=layout.score(name),
+        detectors=tuple(own.detector(detector) for detector in detectors),
+        out=own.score(name),
         original=original,
         camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
@@ -296,7 +300,7 @@ def score_step(
         device=device,
     )
     inputs = [original, layout.backgrounds, layout.fleets]
-    inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
+    inputs += [own.detector(detector) / "detector.json" for detector in detectors]
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
     inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]
@@ -304,20 +308,20 @@ def score_step(
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
         "score",
-        name,
+        f"judges-{judged.folder.name}-{name}" if judged else name,
         command,
         tuple(inputs),
-        (layout.score(name),),
+        (own.score(name),),
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
 
-def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = ()) -> Step:
+def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] = ()) -> Step:
     """Returns the step that merges all scores and writes the report.
 
     Args:
         layout: the run folder's.
-        scores: names of the score folders.
+        scores: the steps that leave the score folders.
         checked: names of the detectors that are checked in this run.
     """
     checks = [layout.check(name) for name in checked]
@@ -325,7 +329,7 @@ def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = 
         "report",
         "report",
         Report(layout.folder),
-        (*checks, *(layout.score(name) for name in scores)),
+        (*checks, *(folder for step in scores for folder in step.outputs)),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,
