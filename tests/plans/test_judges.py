@@ -158,8 +158,8 @@ def test_judges_score_what_the_run_renders() -> None:
     added = [name for name in steps if "judges" in name]
     tables = ("more", "real")
     batches = ("000", "001", "cycles-000", "cycles-001")
-    assert added == [f"score/judges-{table}-{batch}" for table in tables for batch in batches]
-    score = steps["score/judges-real-001"]
+    assert added == [f"score/judges.{table}.{batch}" for table in tables for batch in batches]
+    score = steps["score/judges.real.001"]
     places = [Path("run/judges/real/detectors") / name for name in ("faster_rcnn", "retinanet")]
     assert list(score.command.detectors) == places  # type: ignore[attr-defined]
     assert score.outputs == (Path("run/judges/real/scores/001"),)
@@ -167,10 +167,14 @@ def test_judges_score_what_the_run_renders() -> None:
     # Attacks as they are finished: neither copies kept on the way nor colours before rounding.
     worn = [folder.name for folder in score.command.camouflages]  # type: ignore[attr-defined]
     assert worn == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
-    on_cycles = steps["score/judges-real-cycles-000"].command
+    on_cycles = steps["score/judges.real.cycles-000"].command
     assert on_cycles.original == Path("run/datasets/test-cycles")  # type: ignore[attr-defined]
     assert set(score.outputs) <= set(steps["report/report"].inputs)
     assert not [name for name in steps_of(cycles=False) if "judges" in name and "cycles" in name]
+    # Whatever tables are called, no two steps are.
+    reproduction_plan(
+        PRESET, Path(), cycles=True, judges=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
+    )
     for name in added:
         words = step_words(steps[name])
         assert tyro.cli(load_command(words[0]), args=words[1:]) == steps[name].command

@@ -308,7 +308,8 @@ def score_step(
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
         "score",
-        f"judges-{judged.folder.name}-{name}" if judged else name,
+        # No table's name has a dot, so that no two steps have one name.
+        f"judges.{judged.folder.name}.{name}" if judged else name,
         command,
         tuple(inputs),
         (own.score(name),),
