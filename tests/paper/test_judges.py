@@ -93,6 +93,9 @@ def test_what_judges_find_without_camouflage(folder):
     page = (folder / "tables" / "README.md").read_text()
     assert "| RetinaNet | rendered test | 200 | 60.0 (50.0 to 70.0) | 60.0 (50.0 to 70.0)" in page
     assert "Below an AP of 80 % without any camouflage: RetinaNet (60 % on rendered test)" in page
+    assert "On Cycles: EASR, net of random draws" in page
+    assert "Set against a single draw: T-U, T-Fc." in page
+    assert "| attack | RetinaNet: EASR | net | YOLOv5: EASR | net | mean: EASR | net |" in page
     assert "They learnt from “train: tiles of real imagery (a.png)”." in page
     for ending in ("svg", "png"):
         assert (folder / "tables" / f"judges-real.{ending}").stat().st_size > 10_000

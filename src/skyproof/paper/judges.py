@@ -164,8 +164,11 @@ def _table(
     for renderer, prefix in _PREFIXES.items():
         if renderer in results.renderers:
             where = "On the differentiable renderer" if renderer == RENDERER else "On Cycles"
+            rows = [row for row in hidden if row.get(f"{prefix}random_draws") == 1]
+            single = ", ".join(dict.fromkeys(row["attack"] for row in rows))
             parts += [
-                f"{where}: EASR, net of random draws, and net of the best unlearnt control.",
+                f"{where}: EASR, net of random draws, and net of the best unlearnt control."
+                + (f" Set against a single draw: {single}." if single else ""),
                 _grid(judge_names(results), hidden, prefix),
             ]
     return [part for part in parts if part]
@@ -188,7 +191,13 @@ def _doubts(clean: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
-    rates = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of unlearnt"}
+    known = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of unlearnt"}
+    # Controls that were chosen are not on Cycles.
+    rates = {
+        key: words
+        for key, words in known.items()
+        if any(row.get(prefix + key) is not None for row in hidden)
+    }
     cells = {(row["attack"], row["detector"]): row for row in hidden}
     names = dict.fromkeys(row["attack"] for row in hidden if row.get(f"{prefix}easr") is not None)
     header = [
