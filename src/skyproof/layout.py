@@ -88,6 +88,15 @@ class Layout:
         return Layout(self.folder / "weather")
 
     @property
+    def judges(self) -> Path:
+        """The folder of detectors that only judge, and of what they judged."""
+        return self.folder / "judges"
+
+    def judged(self, table: str) -> Layout:
+        """The places of one table of such detectors: `detectors` and `scores` alone."""
+        return Layout(self.judges / table)
+
+    @property
     def results(self) -> Path:
         """The rows of all scores, merged."""
         return self.folder / "results.json"

@@ -102,7 +102,9 @@ def write(folder, rng, *, detector="retinanet", names=tuple(ALONG), channels=CHA
 @pytest.fixture
 def folder(tmp_path):
     """A run that can be set beside the paper; one detector of two shows its features."""
-    write_scores(tmp_path / "scores" / "000", {"T-U-0": 0.8, "T-Pix-0": 0.7, "T-Fc-0": 0.3, "R-U-0": 0.1})
+    write_scores(
+        tmp_path / "scores" / "000", {"T-U-0": 0.8, "T-Pix-0": 0.7, "T-Fc-0": 0.3, "R-U-0": 0.1}
+    )
     write_scores(tmp_path / "scores" / "001", {"R-U_plain": 0.1})
     return tmp_path
 

@@ -20,9 +20,10 @@ from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.layout import Layout
 from skyproof.main import load_command
 from skyproof.plans.demo import Demo, demo_plan
+from skyproof.plans.jobs import Jobs
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
-from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan
+from skyproof.plans.reproduction import plan_of_config, reproduction_plan
 from skyproof.plans.snakemake import SNAKEFILE, shell_line, step_words
 from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Fraction

@@ -307,6 +307,7 @@ def _card(
         training={
             "identity": json.loads(json.dumps(identity)),
             "images": len(training),
+            "data_sha256": training.digest,
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},

@@ -21,6 +21,7 @@ from skyproof.paper.convergence import convergence_section
 from skyproof.paper.criteria import criteria_section
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.embeddings import embeddings_section
+from skyproof.paper.judges import judges_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
@@ -55,6 +56,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         *_agreement(tables["agreement"]),
         *_order(run),
         *cycles_section(run, tables),
+        *judges_section(run, tables),
         Heading("Can the attacks be trusted?"),
         _tests(run, [*tables["textures"].rows, *tables["shape_combined"].rows]),
         *_signs(tables["signs"]),

@@ -11,6 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.files import is_leftover
+from skyproof.layout import Layout
 from skyproof.paper.curves import Curve, curve_families, practicality_curve
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.results import CYCLES, RENDERER, Results
@@ -34,6 +36,7 @@ class Reproduction:
         cycles: whether anything was scored on Cycles.
         names: of all camouflages, without repeats.
         records: by attack with its repeat, what was recorded while it was learnt.
+        judges: by table, the results of detectors that only judge, as far as they are there.
     """
 
     def __init__(self, results: Results) -> None:
@@ -42,6 +45,7 @@ class Reproduction:
         self.cycles = CYCLES in results.renderers
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
+        self.judges = _judges(Layout(results.folder))
 
     @property
     def comparable(self) -> bool:
@@ -102,6 +106,15 @@ def point_name(family: str, magnitude: float) -> str:
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]
+
+
+def _judges(layout: Layout) -> dict[str, Results]:
+    """Reads what was scored of each table; one whose scores are still to come is left out."""
+    if not layout.judges.is_dir():
+        return {}
+    tables = sorted(path for path in layout.judges.iterdir() if not is_leftover(path))
+    scored = [path for path in tables if any(Layout(path).scores.glob("*/score.json"))]
+    return {path.name: Results.open(path) for path in scored}
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

@@ -19,6 +19,7 @@ from skyproof.paper.convergence import convergence_table
 from skyproof.paper.criteria import criteria_table
 from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.embeddings import embeddings_tables
+from skyproof.paper.judges import judges_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
@@ -39,6 +40,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("curves", _curves(run)),
         Table("agreement", _agreement(run)),
         *cycles_tables(run),
+        *judges_tables(run),
         criteria_table(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),

@@ -325,8 +325,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     if controls:
         steps.append(control_step(layout, controls, seed))
     camouflages = [*(job.name for job in jobs), *controls]
-    scores = ["test"]
-    steps.append(
+    scores = [
         score_step(
             layout,
             sizes,
@@ -338,12 +337,12 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
             frame_classes=demo.frame_classes,
             device=device,
         )
-    )
+    ]
+    steps += scores
     if demo.cycles:
-        scores.append("test-cycles")
         rendering = Rendering(renderer="cycles", blender=demo.blender)
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
-        steps.append(
+        scores.append(
             score_step(
                 layout,
                 sizes,
@@ -355,7 +354,8 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 device=device,
             )
         )
-    steps.append(report_step(layout, [layout.score(name) for name in scores], checked))
+        steps.append(scores[-1])
+    steps.append(report_step(layout, scores, checked))
     return Plan(steps)
 
 

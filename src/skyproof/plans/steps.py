@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -271,6 +270,7 @@ def score_step(
     features: Sequence[str] = (),
     rendering: Rendering | None = None,
     weather: bool = False,
+    judged: Layout | None = None,
     device: str = "auto",
 ) -> Step:
     """Returns the step that judges detectors on the test scenes, with and without camouflages.
@@ -288,18 +288,21 @@ def score_step(
         features: names of the camouflages at whose vehicles the detectors' features are stored.
         rendering: the renderer; the differentiable one where not given.
         weather: whether the test scenes in weather are meant.
+        judged: where detectors that only judge lie, and what they judged; where not given, the
+            run's own do.
         device: auto, cpu or cuda.
     """
     chosen = rendering or Rendering()
+    own = judged or layout
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
     original = layout.dataset("weather" if weather else drawn)
-    out = (layout.weather if weather else layout).score(name)
+    out = (layout.weather if weather else own).score(name)
     if empty:
         frames = (f"ground without vehicles={layout.dataset('empty')}@{GSD_M}",)
         frame_classes = ("vehicle",)
     command = Score(
         **vars(chosen),
-        detectors=tuple(layout.detector(detector) for detector in detectors),
+        detectors=tuple(own.detector(detector) for detector in detectors),
         out=out,
         original=original,
         camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
@@ -312,7 +315,7 @@ def score_step(
         device=device,
     )
     inputs = [original, layout.backgrounds, layout.fleets]
-    inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
+    inputs += [own.detector(detector) / "detector.json" for detector in detectors]
     inputs += [layout.dataset("empty")] if empty else []
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
@@ -321,7 +324,8 @@ def score_step(
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
         "score",
-        f"weather-{name}" if weather else name,
+        # No table's name has a dot, so that no two steps have one name.
+        f"judges.{judged.folder.name}.{name}" if judged else f"weather-{name}" if weather else name,
         command,
         tuple(inputs),
         (out,),
@@ -329,12 +333,12 @@ def score_step(
     )
 
 
-def report_step(layout: Layout, scores: Sequence[Path], checked: Sequence[str] = ()) -> Step:
+def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] = ()) -> Step:
     """Returns the step that merges all scores and writes the report.
 
     Args:
         layout: the run folder's.
-        scores: the score folders.
+        scores: the steps that leave the score folders.
         checked: names of the detectors that are checked in this run.
     """
     checks = [layout.check(name) for name in checked]
@@ -342,7 +346,7 @@ def report_step(layout: Layout, scores: Sequence[Path], checked: Sequence[str] =
         "report",
         "report",
         Report(layout.folder),
-        (*checks, *scores),
+        (*checks, *(folder for step in scores for folder in step.outputs)),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,
