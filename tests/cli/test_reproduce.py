@@ -30,7 +30,7 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
     counted = "ground 1, vehicles 1, scenes 3, render 3, train 1, control 1, attack 4"
-    assert f"17 steps ({counted}, score 2, report 1)" in answer.out
+    assert f"18 steps ({counted}, score 2, looks 1, report 1)" in answer.out
     assert "-m snakemake --snakefile" in answer.out
     assert f"--configfile {TINY}" in answer.out
     assert not out.exists()
@@ -60,8 +60,8 @@ def test_the_cycles_column_is_asked_for(
     )
     assert answer.code == 0, answer.err
     assert asked == [Path("mine")]
-    assert "20 steps" in answer.out
-    assert "render 4, train 1, control 1, attack 4, score 4, report 1" in answer.out
+    assert "21 steps" in answer.out
+    assert "render 4, train 1, control 1, attack 4, score 4, looks 1, report 1" in answer.out
     # Jobs run in the run folder: the path must not depend on where the command was given.
     assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
     assert not out.exists()
@@ -95,8 +95,8 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     said = [line.strip() for line in answer.out.splitlines() if line.startswith("  ")][1:]
     # The report was written again, in another time.
     assert [line.partition(" s (")[0] for line in said] == ["score cycles-000: 9", "report: 4"]
-    assert "(6 of 20 steps" not in answer.out
-    assert "(5 of 20 steps" in said[-1]
+    assert "(6 of 21 steps" not in answer.out
+    assert "(5 of 21 steps" in said[-1]
     assert json.loads((out / "config.json").read_text()).keys() == {
         "preset",
         *json.loads(TINY.read_text()),

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 __all__ = ["Score"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Score(Rendering):
     """Judges detectors: with and without camouflages, and on annotated images.
 
     Camouflage folders are rendered here, onto the vehicles and scenes of --original, and their
     images are not kept. Datasets that are rendered already are given with --camouflaged. With
-    --frames alone it is only checked how good the detectors are. A score folder inside the
-    `scores` folder of a run is taken into the run's report.
+    --frames alone it is only checked how good the detectors are, without --detectors only measured
+    what camouflages look like. A score folder inside the `scores` folder of a run is taken into the
+    run's report.
 
     Attributes:
         detectors: detector folders.
@@ -53,7 +54,7 @@ class Score(Rendering):
         device: auto, cpu or cuda.
     """
 
-    detectors: tuple[Path, ...]
+    detectors: tuple[Path, ...] = ()
     out: Path
     original: Path | None = None
     camouflages: tuple[Path, ...] = ()
@@ -79,6 +80,9 @@ class Score(Rendering):
         given = self._given()
         # The scoring refuses what exists, too, but only once everything is rendered.
         refuse_existing(self.out)
+        if not self.detectors:
+            self._look()
+            return
         device = choose_device(self.device)
         gsd_m = (
             read_card(self.detectors[0]).gsd_m
@@ -108,9 +112,15 @@ class Score(Rendering):
             ConfigurationError: nothing to judge, or something that belongs to it is missing.
         """
         worn = bool(self.camouflages or self.camouflaged)
-        if not self.detectors or not (worn or self.frames):
+        if not self.detectors and (self.camouflaged or self.frames or not self.camouflages):
             raise ConfigurationError(
-                "Scoring expects --detectors and something to judge them on: --original with "
+                "Scoring expects --detectors and something to judge them on (--original with "
+                "--camouflages or --camouflaged, or --frames), or --camouflages alone to measure "
+                "what they look like."
+            )
+        if not worn and not self.frames:
+            raise ConfigurationError(
+                "Scoring expects something to judge the detectors on: --original with "
                 "--camouflages or --camouflaged, or --frames."
             )
         if worn != (self.original is not None):
@@ -272,6 +282,25 @@ class Score(Rendering):
                     write_bytes(path, inside(place, file, place).read_bytes())
             rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
         write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
+
+    def _look(self) -> None:
+        """Writes a score folder that says what the camouflages look like, and nothing else."""
+        from skyproof.camouflage.looks import measure_looks
+        from skyproof.cli.console import progress_bar
+        from skyproof.files import finished_folder, write_json
+        from skyproof.results.checks import write_checks
+        from skyproof.results.score_folder import ScoreRecord, write_record
+        from skyproof.vehicles.fleet import Fleet
+
+        assert self.fleet is not None
+        fleet = Fleet.load(self.fleet)
+        vehicles = fleet.batch(fleet.ids)
+        with finished_folder(self.out) as partial, progress_bar("looks") as update:
+            looks = measure_looks(self.camouflages, vehicles, progress=update)
+            write_json(partial / "looks.json", {"vehicles": len(vehicles), **looks})
+            write_checks(partial / "checks.json", [])
+            write_record(partial, ScoreRecord({}, self.seed, sources=self._sources()))
+        say(f"Looks of {len(self.camouflages)} camouflages: {self.out.resolve()}")
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results

@@ -17,6 +17,7 @@ from skyproof.paper.cells import (
     span,
     word,
 )
+from skyproof.paper.colours import colours_section
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
@@ -68,6 +69,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         _transfer(tables["transfer"], run),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
+        *colours_section(run, tables),
     ]
     return [part for part in parts if part]
 

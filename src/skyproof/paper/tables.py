@@ -15,6 +15,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
+from skyproof.paper.colours import colour_tables
 from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
@@ -40,6 +41,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("ladder", _ladder(run)),
         Table("signs", _signs(run)),
         Table("gap", _gap(run)),
+        *colour_tables(run),
     ]
     return {table.name: table for table in made}
 

@@ -18,6 +18,7 @@ from skyproof.plans.steps import (
     attack_step,
     check_step,
     control_step,
+    looks_step,
     reference_step,
     report_step,
     score_step,
@@ -135,6 +136,8 @@ def reproduction_plan(
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
+    if jobs.looked_at:
+        scores.append(looks_step(layout, jobs.looked_at, preset.seed))
     steps += scores
     steps.append(report_step(layout, [step.name for step in scores], checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
@@ -159,6 +162,7 @@ class Jobs:
         shapes: names of random shapes, by the finished attack on whose texture they are put.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
+        looked_at: of what it is measured what it looks like: every texture, learnt or drawn.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
     """
@@ -168,6 +172,11 @@ class Jobs:
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         repeats = range(preset.repeats)
         jobs = [self._job(kind, repeat) for repeat in repeats for kind in self._kinds()]
+        jobs += [
+            self._job(_Kind(CamouflageName("texture", texture), "texture", preset.detectors), more)
+            for texture in self._textures
+            for more in range(preset.repeats, preset.texture_repeats.get(texture.name, 0))
+        ]
         self.attacks = {job.name: job for job in jobs}
         self.controls = tuple(
             str(name.with_repeat(draw)) for name in self._controls() for draw in range(preset.draws)
@@ -177,6 +186,11 @@ class Jobs:
         folders = [folder for job in jobs for folder in job.folders]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
+        self.looked_at = tuple(
+            name
+            for name in (*self.attacks, *self.controls)
+            if CamouflageName.parse(name).kind == "texture"
+        )
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 

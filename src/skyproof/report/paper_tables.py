@@ -12,6 +12,7 @@ from skyproof.paper.cells import Block, Figure, Grid, Heading, as_markdown
 from skyproof.paper.page import paper_sections, shape_table, standing, texture_table
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import reproduction_tables
+from skyproof.report.colour_figure import colour_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.practicality_figure import easr_against_practicality
 from skyproof.results.results import Results
@@ -42,14 +43,22 @@ def paper_part(results: Results) -> PaperPart | None:
     if not run.comparable:
         return None
     tables = reproduction_tables(run)
-    pictures = easr_against_practicality(run)
+    figures = {"easr_vs_pr": easr_against_practicality(run), "colours": colour_figure(run)}
     blocks = paper_sections(run, tables)
     files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
     files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
     files["shape_combined.md"] = (shape_table(tables["shape_combined"]).markdown() + "\n").encode()
-    files |= {f"easr_vs_pr.{ending}": picture for ending, picture in pictures.items()}
+    files |= {
+        f"{name}.{ending}": picture
+        for name, pictures in figures.items()
+        for ending, picture in pictures.items()
+    }
     files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(list(tables))]).encode()
-    drawn = {"easr_vs_pr": Markup(_inline(pictures["svg"].decode()))}
+    drawn = {
+        name: Markup(_inline(pictures["svg"].decode()))
+        for name, pictures in figures.items()
+        if pictures
+    }
     return PaperPart(Markup("\n").join(_html(block, drawn) for block in blocks), files)
 
 

@@ -14,6 +14,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.checks import Check, read_checks
+from skyproof.results.looks import Looks, read_looks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
@@ -101,6 +102,8 @@ class Results:
         detectors: by name, what is recorded of them; empty where missing.
         records: by camouflage folder of the run, what was recorded while it was made.
         practicality: by camouflage without repeat, what it asks of those who would make it.
+        looks: what textures look like, of the first score folder that says it; None where none
+            does.
     """
 
     folder: Path
@@ -114,6 +117,7 @@ class Results:
     detectors: Mapping[str, DetectorFacts]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
+    looks: Looks | None = None
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Results:
@@ -150,6 +154,7 @@ class Results:
             detectors=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
+            looks=next(filter(None, (read_looks(score.path) for score in scores)), None),
         )
 
     def write(self) -> Path:
