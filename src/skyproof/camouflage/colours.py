@@ -43,7 +43,7 @@ class ColourCounts:
 
 
 def count_colours(
-    colours: UInt8[Tensor, 3 * texels], area: Float[Tensor, "*texels"] | None = None
+    colours: UInt8[Tensor, "3 ..."], area: Float[Tensor, ...] | None = None
 ) -> ColourCounts:
     """Counts colours of 8 bits by where they lie in the RGB cube.
 

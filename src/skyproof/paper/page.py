@@ -22,6 +22,7 @@ from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.variability import variability_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
@@ -70,6 +71,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
         *colours_section(run, tables),
+        *variability_section(run, tables),
     ]
     return [part for part in parts if part]
 

@@ -20,6 +20,7 @@ from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
+from skyproof.paper.variability import variability_tables
 from skyproof.results.stored import Discretisation
 
 __all__ = ["comparison", "reproduction_tables"]
@@ -42,6 +43,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("signs", _signs(run)),
         Table("gap", _gap(run)),
         *colour_tables(run),
+        *variability_tables(run),
     ]
     return {table.name: table for table in made}
 

@@ -15,6 +15,7 @@ from skyproof.paper.tables import reproduction_tables
 from skyproof.report.colour_figure import colour_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.practicality_figure import easr_against_practicality
+from skyproof.report.variability_figure import variability_figure
 from skyproof.results.results import Results
 
 __all__ = ["PaperPart", "paper_part"]
@@ -43,8 +44,17 @@ def paper_part(results: Results) -> PaperPart | None:
     if not run.comparable:
         return None
     tables = reproduction_tables(run)
-    figures = {"easr_vs_pr": easr_against_practicality(run), "colours": colour_figure(run)}
-    blocks = paper_sections(run, tables)
+    figures = {
+        "easr_vs_pr": easr_against_practicality(run),
+        "colours": colour_figure(run),
+        "variability": variability_figure(run),
+    }
+    # Where a run lacks what a figure shows there is none.
+    blocks = [
+        block
+        for block in paper_sections(run, tables)
+        if not isinstance(block, Figure) or figures[block.name]
+    ]
     files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
     files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
     files["shape_combined.md"] = (shape_table(tables["shape_combined"]).markdown() + "\n").encode()

@@ -21,7 +21,7 @@ from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import MAIN_MATCH, MEAN, Row
 from skyproof.results.score_folder import Pair, ScoreFolder
-from skyproof.results.statistics.contrasts import Group, difference_interval
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
@@ -312,6 +312,16 @@ class Results:
             return None
         value = _easr(group)
         return None if np.isnan(value) else value
+
+    def single_interval(self, camouflage: str) -> Interval | None:
+        """Gives EASR of one single repeat with the interval of the test's tiles and vehicles.
+
+        None where unknown or undefined.
+        """
+        group = self._group(camouflage)
+        if group is None or np.isnan(_easr(group)):
+            return None
+        return mean_interval(group, self.sample)
 
     def difference(self, later: str, earlier: str) -> Interval | None:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
