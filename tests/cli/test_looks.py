@@ -3,6 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from skyproof.results.looks import read_looks
 from tests.cli.conftest import Skyproof
 
@@ -27,6 +30,24 @@ def test_textures_are_measured_without_a_detector(
     assert 0.3 < looks.textures[2].faces < 0.34
     # One repeat of T-U has nobody to be compared with, so no draws are compared either.
     assert looks.pairs == []
+    # Scenes as bare ground, as built, in the first and the last texture; and the sensor's steps.
+    assert [strip.label for strip in looks.samples] == ["ground", "as built", "T-U", "T-PixFcMa"]
+    assert len(looks.sensor) == 3
+    strips = {}
+    for strip in (*looks.samples, *looks.sensor):
+        with Image.open(out / strip.file) as picture:
+            strips[strip.label] = np.asarray(picture.convert("RGB"), dtype=float)
+    ground, built, worn = (strips[label] for label in ("ground", "as built", "T-U"))
+    assert ground.shape[1] % ground.shape[0] == 0
+    changed = np.abs(built - ground).max(axis=-1) > 0
+    assert 0.01 < changed.mean() < 0.9
+    # A texture changes vehicles and nothing beside them.
+    other = np.abs(worn - built).max(axis=-1) > 40
+    assert other.any()
+    assert not (other & ~changed).any()
+    coarse, smooth, soft = (strips[strip.label] for strip in looks.sensor)
+    assert np.abs(np.diff(coarse, axis=1)).mean() > np.abs(np.diff(soft, axis=1)).mean()
+    assert not np.array_equal(coarse, smooth)
     skyproof(*words).refused("looks")
 
 

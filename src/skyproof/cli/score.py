@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from skyproof.detectors.detector import TrainableDetector
     from skyproof.detectors.loaded import LoadedDetector
+    from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["Score"]
 
@@ -297,10 +298,54 @@ class Score(Rendering):
         vehicles = fleet.batch(fleet.ids)
         with finished_folder(self.out) as partial, progress_bar("looks") as update:
             looks = measure_looks(self.camouflages, vehicles, progress=update)
+            looks |= self._draw_samples(partial, fleet)
             write_json(partial / "looks.json", {"vehicles": len(vehicles), **looks})
             write_checks(partial / "checks.json", [])
             write_record(partial, ScoreRecord({}, self.seed, sources=self._sources()))
         say(f"Looks of {len(self.camouflages)} camouflages: {self.out.resolve()}")
+
+    def _draw_samples(self, folder: Path, fleet: Fleet) -> dict[str, list[dict[str, str]]]:
+        """Draws some scenes on sheets; returns what they show, as `Looks` has it."""
+        from PIL import Image
+
+        from skyproof.camouflage.folder import load_camouflage
+        from skyproof.camouflage.name import CamouflageName
+        from skyproof.datasets.dataset import Dataset
+        from skyproof.files import write_beside
+        from skyproof.render.samples import SAMPLES, sample_strips, sensor_strips
+        from skyproof.results.score_folder import is_pictured
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        assert self.original is not None
+        assert self.backgrounds is not None
+        every = Dataset.open(self.original).scenes
+        scenes = [scene for scene in every if scene.placements][:SAMPLES]
+        if not scenes:
+            return {}
+        # Of textures, shapes and both the first and the last: from free to most constrained.
+        kinds: dict[str, list[Path]] = {}
+        for place in self.camouflages:
+            name = CamouflageName.read(place.name)
+            if is_pictured(name):
+                kinds.setdefault(name.kind, []).append(place)
+        shown = dict.fromkeys(
+            place for places in kinds.values() for place in places[:: len(places) - 1 or 1]
+        )
+        worn = {place.name: load_camouflage(place) for place in shown}
+        backgrounds = BackgroundSet.open(self.backgrounds)
+        sheets = {
+            "samples": sample_strips(scenes, fleet, backgrounds, worn),
+            "sensor": sensor_strips(scenes, fleet, backgrounds),
+        }
+        told: dict[str, list[dict[str, str]]] = {}
+        for sheet, strips in sheets.items():
+            told[sheet] = []
+            for number, (label, pixels) in enumerate(strips):
+                file = f"{sheet}/{number}.png"
+                with write_beside(folder / file) as temporary:
+                    Image.fromarray(pixels.permute(1, 2, 0).numpy()).save(temporary)
+                told[sheet].append({"label": label, "file": file})
+        return told
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results

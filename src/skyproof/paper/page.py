@@ -19,6 +19,7 @@ from skyproof.paper.cells import (
 )
 from skyproof.paper.colours import colours_section
 from skyproof.paper.cycles import cycles_section
+from skyproof.paper.looks import looks_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
@@ -72,6 +73,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         *_practicality(tables["practicality"]),
         *colours_section(run, tables),
         *variability_section(run, tables),
+        *looks_section(),
     ]
     return [part for part in parts if part]
 

@@ -162,7 +162,8 @@ class Jobs:
         shapes: names of random shapes, by the finished attack on whose texture they are put.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
-        looked_at: of what it is measured what it looks like: every texture, learnt or drawn.
+        looked_at: of what it is measured what it looks like: every texture, learnt or drawn, and a
+            shape and a combination of each kind.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
     """
@@ -189,10 +190,17 @@ class Jobs:
         self.looked_at = tuple(
             name
             for name in (*self.attacks, *self.controls)
-            if CamouflageName.parse(name).kind == "texture"
+            if self._is_looked_at(CamouflageName.parse(name))
         )
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
+
+    def _is_looked_at(self, name: CamouflageName) -> bool:
+        """Says so of every texture, and of what is shown of learnt shapes and combinations."""
+        if name.kind == "texture":
+            return True
+        shown = name.magnitude == self._preset.ladder_magnitude and name.repeat == "0"
+        return shown and not name.random
 
     def _kinds(self) -> Iterator[_Kind]:
         preset = self._preset

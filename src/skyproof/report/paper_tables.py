@@ -14,6 +14,7 @@ from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import reproduction_tables
 from skyproof.report.colour_figure import colour_figure
 from skyproof.report.gate import read_gate
+from skyproof.report.looks_figures import looks_figures
 from skyproof.report.practicality_figure import easr_against_practicality
 from skyproof.report.variability_figure import variability_figure
 from skyproof.results.results import Results
@@ -48,6 +49,7 @@ def paper_part(results: Results) -> PaperPart | None:
         "easr_vs_pr": easr_against_practicality(run),
         "colours": colour_figure(run),
         "variability": variability_figure(run),
+        **looks_figures(run),
     }
     # Where a run lacks what a figure shows there is none.
     blocks = [

@@ -8,9 +8,10 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from skyproof.documents import read_document
-from skyproof.ranges import Fraction, Name, WholeNumber
+from skyproof.ranges import FileReference, Fraction, Name, WholeNumber
+from skyproof.results.stored import Label
 
-__all__ = ["Looks", "PairLooks", "TextureLooks", "read_looks"]
+__all__ = ["Looks", "PairLooks", "Strip", "TextureLooks", "read_looks"]
 
 _Correlation = Annotated[float, Meta(ge=-1, le=1)]
 _Distance = Annotated[float, Meta(ge=0, le=1000)]
@@ -44,6 +45,13 @@ class PairLooks(Struct, frozen=True):
     seen_distance: _Distance
 
 
+class Strip(Struct, frozen=True):
+    """Sample images side by side: what they show, and the file, relative to the score folder."""
+
+    label: Label
+    file: FileReference
+
+
 class Looks(Struct, frozen=True):
     """All that is measured of what camouflages look like.
 
@@ -51,11 +59,15 @@ class Looks(Struct, frozen=True):
         vehicles: how many wore the textures.
         textures: a row for each, repeats and draws apart.
         pairs: a row for every two repeats that were compared.
+        samples: the same scenes without vehicles, with them, and with camouflages.
+        sensor: the same vehicles by the renderer's steps towards a photograph.
     """
 
     vehicles: WholeNumber
     textures: list[TextureLooks]
     pairs: list[PairLooks]
+    samples: list[Strip] = []
+    sensor: list[Strip] = []
 
 
 def read_looks(folder: Path) -> Looks | None:
