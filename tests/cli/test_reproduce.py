@@ -31,7 +31,7 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
     counted = "ground 1, vehicles 1, scenes 4, render 4, train 1, control 1, attack 4"
-    assert f"19 steps ({counted}, score 2, report 1)" in answer.out
+    assert f"20 steps ({counted}, score 2, looks 1, report 1)" in answer.out
     assert "-m snakemake --snakefile" in answer.out
     assert f"--configfile {TINY}" in answer.out
     assert not out.exists()
@@ -61,8 +61,8 @@ def test_the_cycles_column_is_asked_for(
     )
     assert answer.code == 0, answer.err
     assert asked == [Path("mine")]
-    assert "22 steps" in answer.out
-    assert "render 5, train 1, control 1, attack 4, score 4, report 1" in answer.out
+    assert "23 steps" in answer.out
+    assert "render 5, train 1, control 1, attack 4, score 4, looks 1, report 1" in answer.out
     # Jobs run in the run folder: the path must not depend on where the command was given.
     assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
     assert not out.exists()
@@ -96,8 +96,8 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     said = [line.strip() for line in answer.out.splitlines() if line.startswith("  ")][1:]
     # The report was written again, in another time.
     assert [line.partition(" s (")[0] for line in said] == ["score cycles-000: 9", "report: 4"]
-    assert "(6 of 22 steps" not in answer.out
-    assert "(5 of 22 steps" in said[-1]
+    assert "(6 of 23 steps" not in answer.out
+    assert "(5 of 23 steps" in said[-1]
     assert json.loads((out / "config.json").read_text()).keys() == {
         "preset",
         *json.loads(TINY.read_text()),
@@ -156,8 +156,8 @@ def test_judges_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
     asked = ("reproduce", "--preset", TINY, "--out", out, "--judges", f"real={first}")
     answer = skyproof(*asked, "--dry-run")
     assert answer.code == 0, answer.err
-    assert "21 steps" in answer.out
-    assert "score 4, report 1" in answer.out
+    assert "22 steps" in answer.out
+    assert "score 4, looks 1, report 1" in answer.out
     # By hand they are put where the run has them.
     place = out / "judges" / "real" / "detectors"
     assert f"mkdir -p {place}\n" in answer.out
@@ -186,14 +186,14 @@ def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
     given = ("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
     answer = skyproof(*given, "--judges", first)
     assert answer.code == 0, answer.err
-    assert "21 steps" in answer.out
+    assert "22 steps" in answer.out
     stored = out / "judges" / "judges" / "detectors" / "retinanet" / "detector.json"
     assert stored.read_text() == (first / "detector.json").read_text()
     # They belong to the run from then on, asked for or not.
-    assert "21 steps" in skyproof(*given).out
+    assert "22 steps" in skyproof(*given).out
     other = judge(tmp_path / "other", "other photographs")
     skyproof(*given, "--judges", other).refused("table judges of other judges", "OTHER=")
-    assert "23 steps" in skyproof(*given, "--judges", f"more={other}").out
+    assert "24 steps" in skyproof(*given, "--judges", f"more={other}").out
 
 
 def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:

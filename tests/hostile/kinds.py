@@ -151,7 +151,7 @@ CARDS = [
 ]
 SCORES = [
     Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)
-    for name in ("score", "sets", "checks", "pairs/pairs", "practicality")
+    for name in ("score", "sets", "checks", "pairs/pairs", "practicality", "looks")
 ]
 RUNS = [
     Kind(f"run with {name}", f"{name}.json", demo, copied=".")

@@ -64,6 +64,29 @@ def write_scores(
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 
 
+def write_looks(folder, faces, *, pairs=(), **more):
+    """Writes a score folder that says what textures look like, and nothing else.
+
+    Args:
+        folder: the score folder.
+        faces: by name, the share of a texture at the faces of the RGB cube; a tenth of it is at
+            the edges, and nothing at the corners.
+        pairs: rows for every two repeats.
+        more: further fields of looks.json.
+    """
+    rows = []
+    for name, share in faces.items():
+        ends = [share / 2, *[(1 - share) / 14] * 14, share / 2]
+        at = {"faces": share, "edges": share / 10, "corners": 0.0}
+        rows.append({"name": name, **at, "histogram": [ends] * 3})
+    folder.mkdir(parents=True)
+    write_json(
+        folder / "looks.json", {"vehicles": 30, "textures": rows, "pairs": list(pairs), **more}
+    )
+    write_checks(folder / "checks.json", [])
+    write_record(folder, ScoreRecord({}))
+
+
 def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1, added=0.01):
     """Writes a camouflage.json with what an attack records; `added` in the second half of it."""
     signs = {
@@ -145,6 +168,11 @@ def fabricate(folder):
         if not name.startswith("R-") and "_step" not in name and "_relaxed" not in name:
             alone = name.partition("_on_")[2].rpartition("-")[0]
             write_attack(folder, name, detectors=(alone,) if alone else DETECTORS)
+    write_looks(
+        folder / "scores" / "looks",
+        {name: 0.35 + 0.4 * rates[name] for name in names if name.startswith("T-")}
+        | {name: 0.32 for name in names if name.startswith("R-") and "@" not in name},
+    )
     return folder
 
 

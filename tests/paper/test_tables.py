@@ -411,6 +411,7 @@ def test_files_and_the_same_bytes_again(folder):
     page = write_reproduction(folder)
     assert page == folder / "tables" / "README.md"
     names = {"README.md", "textures.md", "shape_combined.md", "easr_vs_pr.svg", "easr_vs_pr.png"}
+    names |= {"classes.svg", "classes.png"}
     names |= {
         f"{name}.csv"
         for name in (

@@ -177,6 +177,30 @@ def test_weather_is_learnt_in_and_judged_apart():
         Preset.parse({**TINY, "weather": ["T-Pix"]})
 
 
+def test_textures_with_more_repeats_than_the_rest():
+    more = {"textures": ["U", "Fc"], "repeats": 2, "draws": 2, "texture_repeats": {"U": 4}}
+    wide = jobs(**more, magnitudes=[], transfer=["T-U"], detectors=["retinanet", "faster_rcnn"])
+    free = [name for name in wide.attacks if name.startswith("T-U")]
+    assert free == [
+        *("T-U-0", "T-U_on_retinanet-0", "T-U_on_faster_rcnn-0"),
+        *("T-U-1", "T-U_on_retinanet-1", "T-U_on_faster_rcnn-1"),
+        *("T-U-2", "T-U-3"),
+    ]
+    assert wide.attacks["T-U-3"].settings.seed == 3
+    assert wide.attacks["T-U-3"].kept == ()
+    assert [name for name in wide.attacks if name.startswith("T-Fc")] == ["T-Fc-0", "T-Fc-1"]
+    # All textures are looked at, learnt and drawn.
+    drawn = ("R-U-0", "R-U-1", "R-Fc-0", "R-Fc-1")
+    learnt = tuple(name for name in wide.attacks if name.startswith("T-"))
+    assert wide.looked_at == (*learnt, *drawn)
+    plan = reproduction_plan(Preset.parse({**TINY, **more}), Path("run"))
+    looks = next(step for step in plan.steps if step.id == "looks/looks")
+    assert Path("run/camouflages/T-U-3/camouflage.json") in looks.inputs
+    assert looks.outputs[0] in plan.steps[-1].inputs
+    with pytest.raises(ConfigurationError, match="texture_repeats expects at least the 2 repeats"):
+        jobs(repeats=2, texture_repeats={"U": 1})
+
+
 def test_repeats_seeds_transfer_and_masked():
     wide = jobs(
         seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],

@@ -19,7 +19,8 @@ from skyproof.paper.cycles import cycles_columns
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
-from skyproof.results.results import Change, Headline, Results
+from skyproof.results.results import Change, Results
+from skyproof.results.rows import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, percent, points
 from tests.report.fabricate import fabricate, fabricate_cycles

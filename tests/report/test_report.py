@@ -20,7 +20,7 @@ from skyproof.report.answer import answer
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
-from skyproof.results.results import Headline
+from skyproof.results.rows import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, number, percent, probability
 from tests.report.fabricate import fabricate

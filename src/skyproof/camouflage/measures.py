@@ -17,7 +17,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
-__all__ = ["TextureMeasures", "mean_measures", "measure_texture"]
+__all__ = ["TextureMeasures", "mean_measures", "measure_texture", "worn_texels"]
 
 _BLOCK_REGIONS = ("roof", "bonnet", "sides")
 _PLAIN = ("painted_area_m2", "colours", "boundary_m", "regions")
@@ -70,7 +70,7 @@ def measure_texture(
         raise ConfigurationError(
             f"Blocks of {block_px} texels do not divide a map of {TEXTURE_SIZE}; give a divisor."
         )
-    painted = (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
+    painted = worn_texels(vehicles, mask)
     colour, colours = _numbered_colours(texture)
     same_right = colour == colour.roll(-1, 1)
     same_below = colour[:-1] == colour[1:]
@@ -101,6 +101,18 @@ def measure_texture(
             )
         )
     return tuple(measures)
+
+
+def worn_texels(
+    vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
+) -> Bool[Tensor, "N 512 512"]:
+    """Masks which texels of each vehicle wear a texture, on the CPU.
+
+    Args:
+        vehicles: of whatever shape.
+        mask: where the texture is laid; None for everywhere but the underside.
+    """
+    return (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
 
 
 def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:

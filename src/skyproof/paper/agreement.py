@@ -21,7 +21,7 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
 
-__all__ = ["Agreement", "rank_agreement", "renderer_agreement"]
+__all__ = ["Agreement", "percentile_interval", "rank_agreement", "renderer_agreement"]
 
 _FEWEST = 3
 
@@ -192,7 +192,7 @@ def _agreement(
     defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
     drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
     spearman, kendall = (
-        _interval(
+        percentile_interval(
             correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn])
         )
         for correlation in (_spearman, _kendall)
@@ -215,7 +215,7 @@ def _kendall(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> fl
     return float(np.sum(first * second) / pairs) if pairs else math.nan
 
 
-def _interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:
+def percentile_interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:
     """Gives the percentile interval of defined replicates, widened to hold the estimate."""
     drawn = drawn[~np.isnan(drawn)]
     if len(drawn) == 0:

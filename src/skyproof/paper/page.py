@@ -17,14 +17,17 @@ from skyproof.paper.cells import (
     span,
     word,
 )
+from skyproof.paper.colours import colours_section
 from skyproof.paper.convergence import convergence_section
 from skyproof.paper.criteria import criteria_section
 from skyproof.paper.cycles import cycles_section
 from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.judges import judges_section
+from skyproof.paper.looks import looks_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.variability import variability_section
 from skyproof.paper.weather import weather_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
@@ -70,6 +73,9 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         *embeddings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
+        *colours_section(run, tables),
+        *variability_section(run, tables),
+        *looks_section(),
     ]
     return [part for part in parts if part]
 

@@ -15,6 +15,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
+from skyproof.paper.colours import colour_tables
 from skyproof.paper.convergence import convergence_table
 from skyproof.paper.criteria import criteria_table
 from skyproof.paper.cycles import cycles_columns, cycles_tables
@@ -23,6 +24,7 @@ from skyproof.paper.judges import judges_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.transfer import transfer_matrix
+from skyproof.paper.variability import variability_tables
 from skyproof.paper.weather import weather_tables
 from skyproof.results.stored import Discretisation
 
@@ -50,6 +52,8 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("gap", _gap(run)),
         *embeddings_tables(run),
         *weather_tables(run),
+        *colour_tables(run),
+        *variability_tables(run),
     ]
     return {table.name: table for table in made}
 

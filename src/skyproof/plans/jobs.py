@@ -38,6 +38,8 @@ class Jobs:
         featured: names of those at whose vehicles the detectors' features are stored.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
+        looked_at: of what it is measured what it looks like: every texture, learnt or drawn, and a
+            shape and a combination of each kind.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
         weather_batches: what is scored together on the test scenes in weather: random controls, and
@@ -51,6 +53,11 @@ class Jobs:
         self._textures = [TextureConstraints.parse(text) for text in preset.textures]
         repeats = range(preset.repeats)
         jobs = [self._job(kind, repeat) for repeat in repeats for kind in self._kinds()]
+        jobs += [
+            self._job(_Kind(CamouflageName("texture", texture), "texture", preset.detectors), more)
+            for texture in self._textures
+            for more in range(preset.repeats, preset.texture_repeats.get(texture.name, 0))
+        ]
         self.attacks = {job.name: job for job in jobs}
         self.controls = tuple(
             str(name.with_repeat(draw)) for name in self._controls() for draw in range(preset.draws)
@@ -61,10 +68,22 @@ class Jobs:
         folders = [folder for job in jobs for folder in job.folders]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
+        self.looked_at = tuple(
+            name
+            for name in (*self.attacks, *self.controls)
+            if self._is_looked_at(CamouflageName.parse(name))
+        )
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
         self.weather_batches = self._batched(*self._in_weather())
         self.judged_batches = self._batched(self.controls, finished, late)
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
+
+    def _is_looked_at(self, name: CamouflageName) -> bool:
+        """Says so of every texture, and of what is shown of learnt shapes and combinations."""
+        if name.kind == "texture":
+            return True
+        shown = name.magnitude == self._preset.ladder_magnitude and name.repeat == "0"
+        return shown and not name.random
 
     def _kinds(self) -> Iterator[_Kind]:
         preset = self._preset

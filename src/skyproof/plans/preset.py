@@ -84,6 +84,7 @@ class Preset:
         textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also
             make parallel combinations.
         repeats: attacks of each kind, from different seeds.
+        texture_repeats: by texture, repeats of its own where they are more.
         draws: of each random control (section 5.4).
         magnitudes: PM of shapes alone and of combinations (section 5.5).
         combined_magnitudes: by texture, PM of its combinations where they are others.
@@ -137,6 +138,7 @@ class Preset:
     features: _Textures = ()
     weather: _Textures = ()
     weather_images: Count = 160
+    texture_repeats: Mapping[_Word, _Few] = field(default_factory=dict)
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
     check_scenes: WholeNumber = 60
@@ -145,7 +147,7 @@ class Preset:
     def __post_init__(self) -> None:
         for architecture in self.reference:
             reference_folder(architecture)
-        for texture in (*self.textures, *self.combined_magnitudes):
+        for texture in (*self.textures, *self.combined_magnitudes, *self.texture_repeats):
             TextureConstraints.parse(texture)
         for setting in ("transfer", "features", "weather"):
             for text in getattr(self, setting):
@@ -160,6 +162,12 @@ class Preset:
                     raise ConfigurationError(
                         f"{setting} names {text}, but textures has no {texture}; name it there."
                     )
+        for texture, repeats in self.texture_repeats.items():
+            if repeats < self.repeats:
+                raise ConfigurationError(
+                    f"texture_repeats expects at least the {self.repeats} repeats that every "
+                    f"attack has, got {repeats} of {texture}; give more, or leave it out."
+                )
         strangers = [name for name in self.reference if name not in self.detectors]
         if strangers:
             raise ConfigurationError(

@@ -18,6 +18,7 @@ from skyproof.plans.steps import (
     attack_step,
     check_step,
     control_step,
+    looks_step,
     reference_step,
     report_step,
     score_step,
@@ -178,6 +179,8 @@ def reproduction_plan(
             )
             for name, folders in jobs.weather_batches.items()
         ]
+    if jobs.looked_at:
+        scores.append(looks_step(layout, jobs.looked_at, preset.seed))
     steps += scores
     steps.append(report_step(layout, scores, checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())

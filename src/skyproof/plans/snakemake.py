@@ -37,7 +37,7 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 _POLL_S = 1.0
 _PATIENCE_S = 30.0
 # A step's command is called like its kind, but for these.
-_COMMANDS = {"choose": "attack", "control": "attack"}
+_COMMANDS = {"choose": "attack", "control": "attack", "looks": "score"}
 
 
 def step_words(step: Step) -> list[str]:

@@ -25,6 +25,7 @@ __all__ = [
     "attack_step",
     "check_step",
     "control_step",
+    "looks_step",
     "reference_step",
     "report_step",
     "score_step",
@@ -42,6 +43,7 @@ _PAINTS = 27
 _CHOICE_SCENES = 32
 """On average: all are shown 16, the best quarter of them 64 more."""
 _WITHOUT_GRADIENT = 0.4
+_LOOK_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -330,6 +332,36 @@ def score_step(
         tuple(inputs),
         (out,),
         effort_s=START_S + each_s * sizes.megapixels(images),
+    )
+
+
+def looks_step(layout: Layout, camouflages: Sequence[str], seed: int) -> Step:
+    """Returns the step that measures what camouflages look like.
+
+    Args:
+        layout: the run folder's.
+        camouflages: folders relative to `camouflages/`.
+        seed: of the run.
+    """
+    original = layout.dataset("test")
+    folders = tuple(layout.camouflage(name) for name in camouflages)
+    command = Score(
+        out=layout.score("looks"),
+        original=original,
+        camouflages=folders,
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+        seed=seed,
+    )
+    inputs = [original, layout.backgrounds, layout.fleets]
+    inputs += [folder / "camouflage.json" for folder in folders]
+    return Step(
+        "looks",
+        "looks",
+        command,
+        tuple(inputs),
+        (layout.score("looks"),),
+        effort_s=2 * START_S + _LOOK_S * len(folders),
     )
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.results import Headline, Results
-from skyproof.results.rows import MEAN
+from skyproof.results.results import Results
+from skyproof.results.rows import MEAN, Headline
 
 __all__ = ["advice", "limits"]
 

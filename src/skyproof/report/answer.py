@@ -6,8 +6,7 @@ import math
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.uncertainty import left_out
-from skyproof.results.results import Headline
-from skyproof.results.rows import MEAN, Contrast, Row
+from skyproof.results.rows import MEAN, Contrast, Headline, Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent, points
 

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from skyproof.camouflage.name import CamouflageName
 from skyproof.paper.cells import Table
 from skyproof.paper.embeddings import EVERY, shown_name
-from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, both_forms
+from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as_files
 from skyproof.results.pairs.features import GROUND
 from skyproof.results.pairs.sets import ORIGINAL
 from skyproof.words import detector_name
@@ -57,7 +57,7 @@ def embedding_figure(points: Table, numbers: Table) -> dict[str, bytes]:
             ncols=3,
             fontsize=11,
         )
-        return both_forms(figure)
+        return as_files(figure)
 
 
 def _scatter(axes: Any, rows: Sequence[Any], name: str) -> None:

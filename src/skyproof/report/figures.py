@@ -15,12 +15,11 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 from skyproof.results.conditions import Panel
-from skyproof.results.results import Headline
-from skyproof.results.rows import Row
+from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
-__all__ = ["both_forms", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
+__all__ = ["as_files", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
@@ -202,13 +201,13 @@ def condition_figure(panels: Sequence[Panel]) -> str:
         return _svg(figure)
 
 
-def both_forms(figure: Figure) -> dict[str, bytes]:
+def as_files(figure: Figure) -> dict[str, bytes]:
     """Gives a figure as SVG and as PNG, by file ending, and closes it."""
     written = {}
     for ending in ("svg", "png"):
         stream = io.BytesIO()
-        metadata = {"Date": None} if ending == "svg" else {}
-        figure.savefig(stream, format=ending, dpi=130, metadata=metadata)
+        about = {"Date": None} if ending == "svg" else {}
+        figure.savefig(stream, format=ending, dpi=130, metadata=about)
         written[ending] = stream.getvalue()
     plt.close(figure)
     return written

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 
 from skyproof.paper.judges import judged_rows
 from skyproof.paper.reproduction import Reproduction
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, both_forms
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
 from skyproof.words import detector_name
 
 __all__ = ["judges_figure"]
@@ -57,7 +57,7 @@ def judges_figure(run: Reproduction, table: str) -> dict[str, bytes]:
         first.set_ylim(len(attacks) - 0.4, -0.6)
         first.set_xlim(_left(rows, shown), 103)
         figure.legend(handles=_legend(shown), loc="outside lower center", ncols=4, fontsize=10)
-        return both_forms(figure)
+        return as_files(figure)
 
 
 def _bars(axes: Any, rows: Sequence[Mapping[str, Any]], key: str, number: int, count: int) -> None:

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from skyproof.paper.curves import Curve
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
-from skyproof.report.figures import GREY, INK, STYLE, both_forms
+from skyproof.report.figures import GREY, INK, STYLE, as_files
 
 __all__ = ["easr_against_practicality"]
 
@@ -65,7 +65,7 @@ def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
         left.set_ylabel("EASR, % of the vehicles found before")
         left.set_ylim(top=103)
         figure.legend(handles=_legend(run), loc="outside lower center", ncols=6, fontsize=10)
-        return both_forms(figure)
+        return as_files(figure)
 
 
 def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:

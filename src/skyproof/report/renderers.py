@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from skyproof import words
-from skyproof.results.results import Change, Headline, Results
-from skyproof.results.rows import Row
+from skyproof.results.results import Change, Results
+from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 
 __all__ = ["Compared", "compare_renderers", "survival"]

@@ -31,8 +31,8 @@ from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
-from skyproof.results.results import Headline, Results
-from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.results import Results
+from skyproof.results.rows import MAIN_MATCH, Headline, Row
 from skyproof.results.stored import read_log
 
 __all__ = ["write_report"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skyproof.results.results import Headline, Results
-from skyproof.results.rows import Row
+from skyproof.results.results import Results
+from skyproof.results.rows import Headline, Row
 
 __all__ = ["ErrorRow", "error_rows", "left_out"]
 

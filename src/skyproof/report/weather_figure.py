@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 
 from skyproof.paper.cells import Table
 from skyproof.paper.weather import EVERY_WEATHER
-from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, both_forms
+from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
 from skyproof.results.rows import MEAN
 
 __all__ = ["weather_figure"]
@@ -49,7 +49,7 @@ def weather_figure(table: Table) -> dict[str, bytes]:
         )
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=10)
-        return both_forms(figure)
+        return as_files(figure)
 
 
 def _panel(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:

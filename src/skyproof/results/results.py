@@ -14,14 +14,15 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.checks import Check, read_checks
+from skyproof.results.looks import Looks, read_looks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.features import Features
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.rows import MAIN_MATCH, MEAN, Row
+from skyproof.results.rows import MAIN_MATCH, MEAN, Headline, Row
 from skyproof.results.score_folder import Pair, ScoreFolder
-from skyproof.results.statistics.contrasts import Group, difference_interval
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
@@ -41,36 +42,13 @@ from skyproof.results.stored import (
 from skyproof.results.summary import summarise
 from skyproof.seeds import numpy_generator
 
-__all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
+__all__ = ["CYCLES", "RENDERER", "Change", "Results"]
 
 RENDERER = "torch"
 """The renderer that attacks go through."""
 
 CYCLES = "cycles"
 """The second opinion: Blender's path tracer."""
-
-
-@dataclass(frozen=True)
-class Headline:
-    """One camouflage under one renderer, by the main criterion.
-
-    Attributes:
-        camouflage, renderer: which it is.
-        row: the row to quote: the mean over detectors, or the only detector's.
-        by_detector: the detectors' rows, then the mean's where there is one.
-        control: rows of its random control by detector.
-    """
-
-    camouflage: CamouflageName
-    renderer: str
-    row: Row
-    by_detector: Sequence[Row]
-    control: Mapping[str, Row]
-
-    @property
-    def detectors(self) -> list[str]:
-        """The detectors that judged it."""
-        return [row.detector for row in self.by_detector if row.detector != MEAN]
 
 
 @dataclass(frozen=True)
@@ -102,6 +80,8 @@ class Results:
         detectors: by name, what is recorded of them; empty where missing.
         records: by camouflage folder of the run, what was recorded while it was made.
         practicality: by camouflage without repeat, what it asks of those who would make it.
+        looks: what textures look like, of the first score folder that says it; None where none
+            does.
     """
 
     folder: Path
@@ -115,6 +95,7 @@ class Results:
     detectors: Mapping[str, DetectorFacts]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
+    looks: Looks | None = None
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Results:
@@ -151,6 +132,7 @@ class Results:
             detectors=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
+            looks=next(filter(None, (read_looks(score.path) for score in scores)), None),
         )
 
     def write(self) -> Path:
@@ -322,6 +304,16 @@ class Results:
             return None
         value = _easr(group)
         return None if np.isnan(value) else value
+
+    def single_interval(self, camouflage: str) -> Interval | None:
+        """Gives EASR of one single repeat with the interval of the test's tiles and vehicles.
+
+        None where unknown or undefined.
+        """
+        group = self._group(camouflage)
+        if group is None or np.isnan(_easr(group)):
+            return None
+        return mean_interval(group, self.sample)
 
     def difference(self, later: str, earlier: str) -> Interval | None:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["MAIN_MATCH", "MEAN", "Contrast", "Row"]
+__all__ = ["MAIN_MATCH", "MEAN", "Contrast", "Headline", "Row"]
 
 MEAN = "mean"
 MAIN_MATCH = "centre_1m"
@@ -152,6 +153,29 @@ class Row:
             "no_camouflage_p_holm": self.no_camouflage_p_holm,
         }
         return nulls_for_undefined(values)
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One camouflage under one renderer, by the main criterion.
+
+    Attributes:
+        camouflage, renderer: which it is.
+        row: the row to quote: the mean over detectors, or the only detector's.
+        by_detector: the detectors' rows, then the mean's where there is one.
+        control: rows of its random control by detector.
+    """
+
+    camouflage: CamouflageName
+    renderer: str
+    row: Row
+    by_detector: Sequence[Row]
+    control: Mapping[str, Row]
+
+    @property
+    def detectors(self) -> list[str]:
+        """The detectors that judged it."""
+        return [row.detector for row in self.by_detector if row.detector != MEAN]
 
 
 _UNDEFINED = float("nan")
