@@ -113,6 +113,6 @@ def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interv
         series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
     group = Group(
         np.stack([count_cells(each, row_of) for each in series.values()]),
-        [repeat_of(camouflage) for camouflage, _ in series],
+        [[repeat_of(camouflage)] for camouflage, _ in series],
     )
     return mean_interval(group, Sample.draw(cells, generator=generator))
