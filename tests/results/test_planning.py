@@ -108,7 +108,7 @@ def test_trainings_count():
     several = Assumptions(0.8, fleet=1, seeds=3, trainings=3, training_sd=0.15)
     assert expected_half_width(100, several) == pytest.approx(math.hypot(width, trainings))
     assert set(parts_of_width(100, several)) == {"tiles", "trainings"}
-    with pytest.raises(ConfigurationError, match="with so few trainings at best.*more trainings"):
+    with pytest.raises(ConfigurationError, match=r"with so few trainings at best.*more trainings"):
         vehicles_needed(0.05, several)
 
 

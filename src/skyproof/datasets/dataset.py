@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -16,6 +17,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.datasets.annotations import (
+    ANNOTATIONS,
     AnnotationFile,
     AnnotationRow,
     Information,
@@ -178,6 +180,21 @@ class Dataset:
     def rendering(self) -> dict[str, Any]:
         """The settings that the images were rendered with; empty where they are not known."""
         return {} if self.info is None else dict(self.info.rendering)
+
+    @property
+    def annotations_sha256(self) -> str:
+        """Of the file that says what stands where; empty for images of several places or in memory.
+
+        Raises:
+            StoredFileError: the file is gone.
+        """
+        if self.folder is None:
+            return ""
+        path = self.folder / ANNOTATIONS
+        try:
+            return hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError as error:
+            raise StoredFileError(f"{path} is missing; make the dataset again.") from error
 
     @property
     def origin(self) -> str:

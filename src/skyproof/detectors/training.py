@@ -307,6 +307,8 @@ def _card(
         training={
             "identity": json.loads(json.dumps(identity)),
             "images": len(training),
+            "annotations_sha256": training.annotations_sha256,
+            "validation_sha256": validation.annotations_sha256,
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},

@@ -22,6 +22,7 @@ from skyproof.paper.cycles import cycles_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.trainings import trainings_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
@@ -69,6 +70,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         _gap(tables["gap"]),
         Heading("Transfer"),
         _transfer(tables["transfer"], run),
+        *trainings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
     ]

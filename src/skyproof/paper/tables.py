@@ -19,6 +19,7 @@ from skyproof.paper.convergence import convergence_table
 from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
+from skyproof.paper.trainings import trainings_tables
 from skyproof.paper.transfer import transfer_matrix
 from skyproof.results.stored import Discretisation
 
@@ -36,6 +37,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("curves", _curves(run)),
         Table("agreement", _agreement(run)),
         *cycles_tables(run),
+        *trainings_tables(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
         Table("ladder", _ladder(run)),

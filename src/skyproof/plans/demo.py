@@ -325,7 +325,6 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     if controls:
         steps.append(control_step(layout, controls, seed))
     camouflages = [*(job.name for job in jobs), *controls]
-    scores = ["test"]
     steps.append(
         score_step(
             layout,
@@ -340,7 +339,6 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
         )
     )
     if demo.cycles:
-        scores.append("test-cycles")
         rendering = Rendering(renderer="cycles", blender=demo.blender)
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         steps.append(
@@ -355,6 +353,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 device=device,
             )
         )
+    scores = [step for step in steps if step.kind == "score"]
     steps.append(report_step(layout, scores, checked))
     return Plan(steps)
 

@@ -23,6 +23,7 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
+from skyproof.plans.trainings import training_steps
 from skyproof.plans.world import render_step, world_steps
 from skyproof.seeds import next_seed
 
@@ -136,7 +137,13 @@ def reproduction_plan(
         for name, folders in jobs.cycles_batches.items():
             score(f"cycles-{name}", folders, rendering)
     steps += scores
-    steps.append(report_step(layout, [step.name for step in scores], checked))
+    for number in range(1, preset.trainings):
+        further = training_steps(
+            layout, preset, number, jobs.repeated, jobs.repeated_batches, device=device
+        )
+        steps += further
+        scores += [step for step in further if step.kind == "score"]
+    steps.append(report_step(layout, scores, checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
@@ -159,6 +166,9 @@ class Jobs:
         shapes: names of random shapes, by the finished attack on whose texture they are put.
         batches: what is scored together: names of score folders to folders of camouflages, relative
             to `camouflages/`. Controls come first: they wait for no attack.
+        repeated: the attacks on all detectors, which are made again on every further training.
+        repeated_batches: what is scored together there: random controls, and these attacks as they
+            finally are.
         cycles_batches: what is scored together on Cycles: random controls and finished attacks on
             all detectors, as in the paper's "Blender" column.
     """
@@ -178,6 +188,8 @@ class Jobs:
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         self.batches = self._batched(self.controls, folders, late)
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
+        self.repeated = tuple(self.attacks[name] for name in finished)
+        self.repeated_batches = self._batched(self.controls, finished)
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
     def _kinds(self) -> Iterator[_Kind]:

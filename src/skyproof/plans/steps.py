@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -287,7 +288,7 @@ def score_step(
         detectors=tuple(layout.detector(detector) for detector in detectors),
         out=layout.score(name),
         original=original,
-        camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
+        camouflages=tuple(_camouflage(layout, folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
         frames=tuple(frames),
@@ -299,7 +300,7 @@ def score_step(
     inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
-    inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]
+    inputs += [_camouflage(layout, attack) / "camouflage.json" for attack in attacks]
     images = sizes.test_images * (1 + len(camouflages))
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
@@ -312,12 +313,18 @@ def score_step(
     )
 
 
-def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = ()) -> Step:
+def _camouflage(layout: Layout, folder: str) -> Path:
+    """A camouflage's folder; what is drawn and not learnt is the same for every training."""
+    drawn = CamouflageName.parse(folder.partition("/")[0]).random
+    return (layout.shared if drawn else layout).camouflage(folder)
+
+
+def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] = ()) -> Step:
     """Returns the step that merges all scores and writes the report.
 
     Args:
         layout: the run folder's.
-        scores: names of the score folders.
+        scores: the steps that leave them.
         checked: names of the detectors that are checked in this run.
     """
     checks = [layout.check(name) for name in checked]
@@ -325,7 +332,7 @@ def report_step(layout: Layout, scores: Sequence[str], checked: Sequence[str] = 
         "report",
         "report",
         Report(layout.folder),
-        (*checks, *(layout.score(name) for name in scores)),
+        (*checks, *(output for step in scores for output in step.outputs)),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

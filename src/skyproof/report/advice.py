@@ -96,10 +96,15 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
         tiles = every[0][0].row.clusters
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
+        trainings = len(results.trainings)
+        another = (
+            f"Those of {trainings} trainings of each detector are beside the paper’s tables."
+            if trainings > 1
+            else "They do not cover another training of the detectors."
+        )
         sentences.append(
             "The intervals cover which tiles and vehicles were drawn and, where there are several, "
-            "which seeds of the attack and draws of the random control. They do not cover another "
-            "training of the detectors."
+            f"which seeds of the attack and draws of the random control. {another}"
         )
         attacked = _attacked(results, every[0][0])
         if attacked:

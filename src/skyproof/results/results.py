@@ -38,6 +38,7 @@ from skyproof.results.stored import (
     read_timings,
 )
 from skyproof.results.summary import summarise
+from skyproof.results.trainings import Training, read_trainings
 from skyproof.seeds import numpy_generator
 
 __all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
@@ -194,6 +195,11 @@ class Results:
     def sample(self) -> Sample:
         """The tiles and vehicles of the test, for whatever is not in the rows."""
         return Sample.draw(self.tiles.cells, generator=np.random.default_rng(0))
+
+    @cached_property
+    def trainings(self) -> list[Training]:
+        """Every training of the detectors that was scored, the run's own first; see `Training`."""
+        return read_trainings(self.folder, Training(0, self.tiles, self.detectors))
 
     def row(
         self,
