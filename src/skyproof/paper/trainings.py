@@ -69,16 +69,19 @@ def trainings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Bl
         f"All else on this page is about one training of each detector, number 0. Number {others} "
         f"learnt from the same images by the same recipe ({_recipe(trainings[0])}), from other "
         f"seeds ({_standing(trainings)}). Every attack was learnt on each anew, "
-        f"{'once' if seeds == 1 else f'from {seeds} seeds'}, and set beside the same random draws. "
-        "EASR in percent of each training, and its mean; the 95 % interval covers tiles, vehicles "
-        "and trainings, and seeds as a part of how trainings differ. Below it, of the net EASR, "
-        "the draws of the control, too. The last columns are the standard errors by what was "
-        "drawn, in points."
+        f"{'once' if seeds == 1 else f'from {seeds} seeds'}. EASR of each training, and their mean "
+        "with an interval that covers tiles, vehicles and trainings; what seeds do is a part of "
+        "how trainings differ. SE are standard errors by what was drawn, in points."
+    )
+    net = (
+        "Net of the random control; its draws are the same for every training, and the intervals "
+        "cover them, too:"
     )
     return [
         heading,
         text,
         _grid(rows, numbers, "easr", ("tile", "vehicle", "training")),
+        net,
         _grid(
             [row for row in rows if row["net_easr"] is not None],
             numbers,
@@ -225,7 +228,7 @@ def _grid(
         "detector",
         *(f"training {each}" for each in numbers),
         words[name],
-        *(f"by {each}s" for each in errors),
+        *(f"SE by {each}s" for each in errors),
     ]
     cells = [
         [
