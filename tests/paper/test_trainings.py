@@ -95,7 +95,11 @@ def test_seeds_are_a_part_of_how_trainings_differ(folder):
     close(row["easr_seed_se"], (200 / 6) ** 0.5)
     mean = 250 / 3
     squares = sum((easr - mean) ** 2 for easr in (90, 70, 90))
-    close(row["easr_training_se"], (100 + squares) ** 0.5 / 3)
+    error = (100 + squares) ** 0.5 / 3
+    close(row["easr_training_se"], error)
+    # And are not counted once more.
+    margin = 100 * (1 - 0.025 ** (1 / 20))
+    close(row["easr_low"], mean - (margin**2 + (3.182446 * error) ** 2) ** 0.5)
 
 
 def test_the_page_tells_recipe_and_trainings(folder):
