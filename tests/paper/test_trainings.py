@@ -113,14 +113,16 @@ def test_the_page_tells_recipe_and_trainings(folder):
         ["80.0", "60.0", "100.0"],
         ["60.0", "40.0", "95.0"],
     ]
-    assert "another training of the detectors" not in (folder / "report.html").read_text()
+    said = (folder / "report.html").read_text()
+    assert "do not cover another training of the detectors" not in said
+    assert "in the section on trainings alone" in said
 
 
 def test_a_run_with_one_training_says_nothing(folder):
     for number in (1, 2):
         place = Layout(folder).training(number).score("000")
-        # Trained, and not scored yet.
-        place.rename(folder / f"kept-{number}")
+        # Trained, and being scored.
+        place.rename(place.with_name(".000.partial"))
     write_report(folder)
     assert not (folder / "tables" / "trainings.csv").exists()
     assert "Other trainings" not in (folder / "tables" / "README.md").read_text()

@@ -73,8 +73,16 @@ def advice(headline: Headline) -> list[str]:
     return sentences
 
 
-def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
-    """Says what the numbers do not cover."""
+def limits(
+    results: Results, every: Sequence[Sequence[Headline]], *, several_trainings: bool = False
+) -> list[str]:
+    """Says what the numbers do not cover.
+
+    Args:
+        results: of the run.
+        every: headlines by camouflage.
+        several_trainings: whether the page has a section on other trainings of the detectors.
+    """
     sentences = []
     if results.sources == ["procedural"]:
         sentences.append(
@@ -96,10 +104,9 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
         tiles = every[0][0].row.clusters
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
-        trainings = len(results.trainings)
         another = (
-            f"Those of {trainings} trainings of each detector are beside the paper’s tables."
-            if trainings > 1
+            "Another training of the detectors is covered in the section on trainings alone."
+            if several_trainings
             else "They do not cover another training of the detectors."
         )
         sentences.append(

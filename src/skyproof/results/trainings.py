@@ -50,7 +50,8 @@ def read_trainings(run_folder: Path, own: Training) -> list[Training]:
     trainings = [own]
     for number in sorted(int(name) for name in names if name == str(int(name)) and int(name)):
         place = layout.training(number)
-        if not any(place.scores.glob("*/score.json")):
+        # What is hidden is being made, or a kill left it.
+        if not any(path.is_dir() for path in place.scores.glob("[!.]*")):
             continue
         tiles, _ = merge_counts([score.path for score in ScoreFolder.all_of(place.folder)])
         trainings.append(Training(number, tiles, read_detectors(place.detectors)))
