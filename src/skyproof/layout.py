@@ -100,6 +100,20 @@ class Layout:
         return self.scores / name
 
     @property
+    def weather(self) -> Layout:
+        """Scores of the test scenes in weather: apart, because no scene is in two weathers here."""
+        return Layout(self.folder / "weather")
+
+    @property
+    def judges(self) -> Path:
+        """The folder of detectors that only judge, and of what they judged."""
+        return self.folder / "judges"
+
+    def judged(self, table: str) -> Layout:
+        """The places of one table of such detectors: `detectors` and `scores` alone."""
+        return Layout(self.judges / table)
+
+    @property
     def results(self) -> Path:
         """The rows of all scores, merged."""
         return self.folder / "results.json"

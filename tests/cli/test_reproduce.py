@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from skyproof.cycles.blender import Blender
+from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from tests.cli.conftest import Skyproof
@@ -29,8 +30,8 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     out = tmp_path / "run"
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--dry-run")
     assert answer.code == 0, answer.err
-    counted = "ground 1, vehicles 1, scenes 3, render 3, train 1, control 1, attack 4"
-    assert f"17 steps ({counted}, score 2, report 1)" in answer.out
+    counted = "ground 1, vehicles 1, scenes 4, render 4, train 1, control 1, attack 4"
+    assert f"19 steps ({counted}, score 2, report 1)" in answer.out
     assert "-m snakemake --snakefile" in answer.out
     assert f"--configfile {TINY}" in answer.out
     assert not out.exists()
@@ -60,8 +61,8 @@ def test_the_cycles_column_is_asked_for(
     )
     assert answer.code == 0, answer.err
     assert asked == [Path("mine")]
-    assert "20 steps" in answer.out
-    assert "render 4, train 1, control 1, attack 4, score 4, report 1" in answer.out
+    assert "22 steps" in answer.out
+    assert "render 5, train 1, control 1, attack 4, score 4, report 1" in answer.out
     # Jobs run in the run folder: the path must not depend on where the command was given.
     assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
     assert not out.exists()
@@ -95,8 +96,8 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     said = [line.strip() for line in answer.out.splitlines() if line.startswith("  ")][1:]
     # The report was written again, in another time.
     assert [line.partition(" s (")[0] for line in said] == ["score cycles-000: 9", "report: 4"]
-    assert "(6 of 20 steps" not in answer.out
-    assert "(5 of 20 steps" in said[-1]
+    assert "(6 of 22 steps" not in answer.out
+    assert "(5 of 22 steps" in said[-1]
     assert json.loads((out / "config.json").read_text()).keys() == {
         "preset",
         *json.loads(TINY.read_text()),
@@ -138,6 +139,61 @@ def test_bad_input_is_refused_before_anything_is_written(
         "pip install 'skyproof[reproduce]'", "--cores 1"
     )
     assert not out.exists()
+
+
+def judge(place: Path, images: str, *, name: str = "retinanet") -> Path:
+    """A detector folder as far as it is read before anything is computed."""
+    place.mkdir()
+    training = {"images": 60, "data_sha256": images}
+    card = DetectorCard(name, threshold=0.4, gsd_m=0.125, training=training, trained_on=images)
+    write_card(place / "detector.json", card, images)
+    return place
+
+
+def test_judges_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
+    out = tmp_path / "run"
+    first = judge(tmp_path / "first", "photographs")
+    asked = ("reproduce", "--preset", TINY, "--out", out, "--judges", f"real={first}")
+    answer = skyproof(*asked, "--dry-run")
+    assert answer.code == 0, answer.err
+    assert "21 steps" in answer.out
+    assert "score 4, report 1" in answer.out
+    # By hand they are put where the run has them.
+    place = out / "judges" / "real" / "detectors"
+    assert f"mkdir -p {place}\n" in answer.out
+    assert f"cp -r {first} {place / 'retinanet'}\n" in answer.out
+    assert not out.exists()
+
+
+def test_judges_of_different_images_in_one_table_are_refused(
+    tmp_path: Path, skyproof: Skyproof
+) -> None:
+    first = judge(tmp_path / "first", "photographs")
+    second = judge(tmp_path / "second", "renders", name="faster_rcnn")
+    given = ("reproduce", "--preset", TINY, "--out", tmp_path / "run", "--judges", first)
+    skyproof(*given, second).refused("learnt from different images", "photographs", "renders")
+    skyproof(*given, tmp_path / "nowhere").refused("nowhere", "detector.json")
+    skyproof(*given, f"a b={second}").refused("--judges", "TABLE=")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
+    tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    first = judge(tmp_path / "first", "photographs")
+    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", stub_snakemake(tmp_path, out))
+    given = ("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
+    answer = skyproof(*given, "--judges", first)
+    assert answer.code == 0, answer.err
+    assert "21 steps" in answer.out
+    stored = out / "judges" / "judges" / "detectors" / "retinanet" / "detector.json"
+    assert stored.read_text() == (first / "detector.json").read_text()
+    # They belong to the run from then on, asked for or not.
+    assert "21 steps" in skyproof(*given).out
+    other = judge(tmp_path / "other", "other photographs")
+    skyproof(*given, "--judges", other).refused("table judges of other judges", "OTHER=")
+    assert "23 steps" in skyproof(*given, "--judges", f"more={other}").out
 
 
 def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:

@@ -155,6 +155,19 @@ def test_tiles_of_imagery_name_their_sources(tmp_path):
     assert data.origin == "train: tiles of real imagery (a.tif, b.tif, c.tif and 1 more)"
 
 
+def test_the_digest_tells_sets_apart_and_not_where_they_lie(tmp_path):
+    _write(tmp_path / "here")
+    _write(tmp_path / "there")
+    digest = Dataset.open(tmp_path / "here").digest
+    assert Dataset.open(tmp_path / "there").digest == digest
+    path = tmp_path / "there" / "annotations.json"
+    written = path.read_text()
+    for before, after in (("scene-a", "scene-c"), ("0.125\n", "0.25\n"), ("0.5,", "0.75,")):
+        assert before in written
+        path.write_text(written.replace(before, after))
+        assert Dataset.open(tmp_path / "there").digest != digest, before
+
+
 def test_sets_in_memory_and_joined_ones_have_no_scenes(tmp_path):
     _write(tmp_path)
     alone = Dataset.of_images([_image(2)], [torch.zeros(1, 4)], gsd_m=0.125)

@@ -99,6 +99,7 @@ def test_a_killed_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     assert weights_digest(resumed) == weights_digest(straight)
     assert resumed_card == card
     assert card.validation_vehicles == sum(map(len, VALIDATION.boxes))
+    assert card.training["data_sha256"] == TRAINING.digest != VALIDATION.digest
 
     def rows(name: str) -> list[dict[str, Any]]:
         lines = (tmp_path / name / "steps.jsonl").read_text().splitlines()

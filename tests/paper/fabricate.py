@@ -26,7 +26,16 @@ CELLS = tuple(
 
 
 def write_scores(
-    folder, rates, *, found=1.0, spread=None, renderer="torch", detectors=DETECTORS, tiles=TILES
+    folder,
+    rates,
+    *,
+    found=1.0,
+    spread=None,
+    renderer="torch",
+    by_overlap=None,
+    checks=(),
+    detectors=DETECTORS,
+    tiles=TILES,
 ):
     """Writes one score folder.
 
@@ -37,6 +46,8 @@ def write_scores(
         found: the share of vehicles found before.
         spread: generator that scatters the lost vehicles.
         renderer: that drew the images.
+        by_overlap: the rates by the other criterion, where they differ.
+        checks: of the detectors on images without camouflage.
         detectors: that judge.
         tiles: how many of the tiles show vehicles.
     """
@@ -48,7 +59,7 @@ def write_scores(
     for detector in detectors:
         for match in ("centre_1m", "iou_50"):
             sets.append(SetScore("original", renderer, detector, match, 0.9, 1.0))
-            for name, rate in rates.items():
+            for name, rate in (by_overlap if match == "iou_50" and by_overlap else rates).items():
                 if spread is None:
                     lost = (turn < round(rate * before.sum() / TILES)).ravel()
                 else:
@@ -60,7 +71,7 @@ def write_scores(
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
-    write_checks(folder / "checks.json", [])
+    write_checks(folder / "checks.json", checks)
     thresholds = dict.fromkeys(detectors, 0.5)
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 

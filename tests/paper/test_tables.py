@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 
 import pytest
 
@@ -10,7 +11,9 @@ from skyproof.files import write_json
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
 from skyproof.report.report import write_report
+from skyproof.results.checks import Check
 from skyproof.results.results import Results
+from skyproof.results.statistics.intervals import Interval
 from tests.paper.fabricate import write_attack, write_scores
 
 
@@ -169,6 +172,43 @@ def test_an_attack_that_still_gets_stronger_is_named(folder):
     assert "| T-U-1 | 30 | 40.0 | 60 | 45.0 |" in page
     report = (folder / "report.html").read_text()
     assert "T-U: the second half of the attack’s steps still hid over 2 points more" in report
+
+
+def test_rates_by_overlap_and_false_alarms(folder):
+    nothing = Interval(math.nan, math.nan, math.nan)
+    empty = Check(
+        detector="yolov5",
+        dataset="ground without vehicles",
+        images=10,
+        vehicles=0,
+        real=False,
+        ap_centre_1m=nothing,
+        clustered_by="images",
+        clusters=10,
+        ap_iou_50=math.nan,
+        precision=nothing,
+        recall=nothing,
+        threshold=0.5,
+        false_alarms_per_km2=17.4,
+    )
+    write_scores(
+        folder / "scores" / "002",
+        {"T-Ma-0": 0.5, "R-Ma-0": 0.0},
+        by_overlap={"T-Ma-0": 0.7, "R-Ma-0": 0.0},
+        checks=[empty],
+    )
+    page = write_reproduction(folder).read_text()
+    found = table(folder, "criteria")
+    # Neither controls nor rungs, nor attacks on some detectors.
+    assert set(found) == {"T-U", "T-Fc", "T-Ma", "S-O@0.2", "S-O@0.4", "S-O@1", "C-Fc-seq@0.2"}
+    close(found["T-Ma"]["easr"], 50)
+    close(found["T-Ma"]["easr_iou_50"], 70)
+    close(found["T-Ma"]["ap_iou_50_original"], 90)
+    close(found["T-Ma"]["ap_iou_50_adversarial"], 55)
+    close(found["T-Ma"]["false_alarms_per_km2_original"], 1)
+    close(found["T-Ma"]["false_alarms_per_km2_adversarial"], 2)
+    assert "On test ground without vehicles, false alarms per km²: YOLOv5 17." in page
+    assert "17 false alarms per km²" in (folder / "report.html").read_text()
 
 
 def test_transfer(folder):
@@ -342,7 +382,9 @@ def test_the_page_says_what_the_cycles_column_is(folder):
 
 def test_undefined_success_is_a_dash(tmp_path):
     write_scores(
-        tmp_path / "scores" / "000", {"T-U-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0}, found=0.0
+        tmp_path / "scores" / "000",
+        {"T-U-0": 0.0, "T-Fc-0": 0.0, "R-U-0": 0.0, "S-O@0.4-0": 0.0},
+        found=0.0,
     )
     write_reproduction(tmp_path)
     assert table(tmp_path, "textures")["T-U"]["easr"] == "–"
@@ -371,7 +413,14 @@ def test_files_and_the_same_bytes_again(folder):
     names = {"README.md", "textures.md", "shape_combined.md", "easr_vs_pr.svg", "easr_vs_pr.png"}
     names |= {
         f"{name}.csv"
-        for name in ("textures", "shape_combined", "curves", "agreement", "practicality")
+        for name in (
+            "textures",
+            "shape_combined",
+            "curves",
+            "agreement",
+            "criteria",
+            "practicality",
+        )
     }
     names |= {f"{name}.csv" for name in ("transfer", "ladder", "convergence", "signs", "gap")}
     first = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}

@@ -20,7 +20,7 @@ OTHERS = {"T-Fc-0": 0.4, "R-Fc-0": 0.1, "S-O@0.4-0": 0.3}
 
 def write_cards(layout, weights, **changes):
     """What is recorded of the detectors; their weights differ in every training."""
-    training = {"images": 3000, "annotations_sha256": "a" * 64, "validation_sha256": "b" * 64}
+    training = {"images": 3000, "data_sha256": "a" * 64, "validation_sha256": "b" * 64}
     training["identity"] = {"settings": {"steps": 1800, "batch_size": 8}}
     training |= changes
     for name in DETECTORS:
@@ -132,7 +132,7 @@ def test_a_run_with_one_training_says_nothing(folder):
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"annotations_sha256": "c" * 64}, r"differ in their training images \(aaaaaaaaaaaa and c"),
+        ({"data_sha256": "c" * 64}, r"differ in their training images \(aaaaaaaaaaaa and c"),
         ({"validation_sha256": "c" * 64}, "differ in their validation images"),
         ({"images": 400}, r"number of training images \(3000 and 400\)"),
         ({"identity": {"settings": {"steps": 600}}}, "differ in their settings"),

@@ -101,7 +101,7 @@ def test_killed_in_an_attack_and_finished(tmp_path):
         "C-Fc-par@0.4",
     }
     times = json.loads((folder / "timings.json").read_text())
-    assert len({(row["stage"], row["name"]) for row in times}) == len(times) == 17
+    assert len({(row["stage"], row["name"]) for row in times}) == len(times) == 19
     environment = json.loads((folder / "environment.json").read_text())
     assert environment["finished"]
     assert len(environment["commands"]) == 1

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_type_hints, is_typeddict
 
@@ -20,12 +20,14 @@ from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.layout import Layout
 from skyproof.main import load_command
 from skyproof.plans.demo import Demo, demo_plan
+from skyproof.plans.jobs import Jobs
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
-from skyproof.plans.reproduction import Jobs, plan_of_config, reproduction_plan
+from skyproof.plans.reproduction import plan_of_config, reproduction_plan
 from skyproof.plans.snakemake import SNAKEFILE, shell_line, step_words
 from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Fraction
+from skyproof.scenes.weather import CONDITIONS
 
 TINY_FILE = Path(__file__).with_name("tiny.json")
 TINY = json.loads(TINY_FILE.read_text())
@@ -161,6 +163,63 @@ def test_further_trainings_repeat_the_attacks_on_the_same_world():
     assert scored.camouflages[0] == Path("r/camouflages/R-Fc-0")
     assert Path("r/camouflages/R-Fc-0/camouflage.json") in steps["score/training-2-000"].inputs
     assert Path("r/trainings/2/scores/001") in plan.steps[-1].inputs
+
+
+def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
+    more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
+    plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
+    asked = {step.name: step.command.features for step in plan.steps if step.kind == "score"}
+    # Each in the batch in which it is scored anyway: nothing is rendered for it.
+    assert asked["000"] == ("R-Ma-0",)
+    assert sorted(name for names in asked.values() for name in names) == [
+        "R-Ma-0",
+        "R-Ma_plain",
+        "T-Ma-0",
+    ]
+    assert not any(
+        step.command.features
+        for step in reproduction_plan(Preset.parse(TINY), Path(), cycles=True).steps
+        if step.kind == "score"
+    )
+    for wrong in ("R-U", "S-O@0.4", "T-U-0"):
+        with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
+            Preset.parse({**TINY, "features": [wrong]})
+
+
+def test_weather_is_learnt_in_and_judged_apart():
+    more = {"textures": ["U", "Fc"], "repeats": 2, "draws": 3, "magnitudes": [], "score_batch": 4}
+    preset = Preset.parse({**TINY, **more, "weather": ["T-U"], "weather_images": 7})
+    own = Jobs(preset)
+    learnt = own.attacks["T-U_weather-1"]
+    clear = own.attacks["T-U-1"]
+    # The same but for the weather; no copies on the way.
+    assert learnt.conditions == tuple(CONDITIONS)
+    assert clear.conditions == own.attacks["T-Fc-0"].conditions == ("clear",)
+    assert (learnt.settings, learnt.detectors) == (clear.settings, clear.detectors)
+    assert own.attacks["T-U_weather-0"].kept == ()
+    assert own.weather_batches == {
+        "000": ("R-U-0", "R-U-1", "R-U-2"),
+        "001": ("T-U-0", "T-U_weather-0", "T-U-1", "T-U_weather-1"),
+    }
+    # It is scored on clear days, too, and has the control of its texture.
+    assert "T-U_weather-0" in {name for batch in own.batches.values() for name in batch}
+    assert not any("weather" in name for name in own.controls)
+    plan = reproduction_plan(preset, Path("run"), cycles=True)
+    steps = {step.id: step for step in plan.steps}
+    assert steps["attack/T-U_weather-0"].command.conditions == tuple(CONDITIONS)
+    drawn = steps["scenes/weather"].command
+    usual = steps["scenes/test"].command
+    assert set(drawn.settings.conditions) == {*CONDITIONS} - {"clear"}
+    # But for the weather they are the usual scenes.
+    assert replace(drawn.settings, conditions=("clear",)) == usual.settings
+    assert (drawn.seed, drawn.split, drawn.count) == (usual.seed, "test", 7)
+    scored = steps["score/weather-001"]
+    assert scored.outputs == (Path("run/weather/scores/001"),)
+    assert scored.command.original == Path("run/datasets/weather")
+    assert set(scored.outputs) <= set(plan.steps[-1].inputs)
+    assert Jobs(Preset.parse(TINY)).weather_batches == {}
+    with pytest.raises(ConfigurationError, match="weather names T-Pix, but textures has no Pix"):
+        Preset.parse({**TINY, "weather": ["T-Pix"]})
 
 
 def test_repeats_seeds_transfer_and_masked():

@@ -27,11 +27,11 @@ def test_two_trainings(tmp_path):
     layout = Layout(folder)
     further = layout.training(1)
     cards = [read_card(place.detector("retinanet")) for place in (layout, further)]
-    facts = ("images", "annotations_sha256", "validation_sha256")
+    facts = ("images", "data_sha256", "validation_sha256")
     assert [cards[0].training[name] for name in facts] == [
         cards[1].training[name] for name in facts
     ]
-    assert len(cards[0].training["annotations_sha256"]) == 64
+    assert len(cards[0].training["data_sha256"]) == 64
     assert cards[0].training["identity"]["seed"] != cards[1].training["identity"]["seed"]
     # World and draws are the run's; the training's folder holds what is its own.
     assert {path.name for path in further.folder.iterdir()} == {
@@ -47,7 +47,7 @@ def test_two_trainings(tmp_path):
 
     # A training on other images is no repeat of the first.
     card = further.detector("retinanet") / "detector.json"
-    other = cards[0].training["annotations_sha256"][::-1]
-    card.write_text(card.read_text().replace(cards[0].training["annotations_sha256"], other))
+    other = cards[0].training["data_sha256"][::-1]
+    card.write_text(card.read_text().replace(cards[0].training["data_sha256"], other))
     with pytest.raises(ConfigurationError, match="differ in their training images"):
         write_report(folder)

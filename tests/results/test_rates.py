@@ -53,5 +53,5 @@ def test_undefined_when_nothing_was_detected_before():
 
 def test_false_alarms_per_area():
     # 20 images of 48 m x 48 m.
-    assert rates.false_alarms_per_km2(3, 20, 48.0**2) == pytest.approx(3 / (20 * 48 * 48) * 1e6)
-    assert math.isnan(rates.false_alarms_per_km2(0, 0, 48.0**2))
+    assert rates.false_alarms_per_km2(3, 20 * 48.0**2) == pytest.approx(3 / (20 * 48 * 48) * 1e6)
+    assert math.isnan(rates.false_alarms_per_km2(0, 0.0))

@@ -10,12 +10,15 @@ from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
-__all__ = ["CHOICES", "CamouflageName", "Choice", "Order"]
+__all__ = ["CHOICES", "IN_WEATHER", "CamouflageName", "Choice", "Order"]
 
 Choice = Literal["plain", "best", "search"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
 """How a control is chosen without learning: the best plain one (of 27 paints, a shape being out as
 far as it may), the best of many random draws, or what a random search finds."""
+
+IN_WEATHER = "weather"
+"""The variant of what was learnt in all weathers, and not on clear days alone: "T-U_weather"."""
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
@@ -45,8 +48,8 @@ class CamouflageName:
             control, unless that is the attack's own texture under a random shape
             ("R-C-Fc-seq@0.2").
         random: whether it is a random control, drawn and not learnt.
-        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed"; empty for
-            none.
+        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed", "weather";
+            empty for none.
         repeat: digits that number the attack's seed or the random draw; empty where the name has
             none.
         label: the base of a name of kind "other".

@@ -49,6 +49,9 @@ class Score(Rendering):
             NAME are one set of several places.
         frame_classes: class names that count as vehicles in the frames; other classes are
             ignored, not counted as mistakes.
+        features: of the camouflages those whose vehicles are looked at in the detectors' feature
+            pyramids, for the report's picture of them, such as T-U-0 R-U-0; vehicles without
+            camouflage and bare ground are looked at with them.
         seed: of the bootstrap.
         device: auto, cpu or cuda.
     """
@@ -62,6 +65,7 @@ class Score(Rendering):
     fleet: Path | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
+    features: tuple[str, ...] = ()
     seed: Seed = 0
     device: str = "auto"
 
@@ -94,6 +98,7 @@ class Score(Rendering):
                 original=self.original,
                 camouflaged={**rendered, **given},
                 clean=clean,
+                features=self.features,
                 seed=self.seed,
                 sources=self._sources(),
                 add=self._add_patterns,
@@ -149,6 +154,16 @@ class Score(Rendering):
             raise ConfigurationError(
                 f"--camouflages expects folders whose names can name a camouflage, got {unfit!r}; "
                 "give each by its own name."
+            )
+        from skyproof.results.pairs.features import GROUND
+        from skyproof.results.pairs.sets import ORIGINAL
+
+        fit = [name for name in names if name not in (GROUND, ORIGINAL)]
+        unknown = next((name for name in self.features if name not in fit), None)
+        if unknown is not None:
+            raise ConfigurationError(
+                f"--features expects names of camouflages that are scored here, got "
+                f"{unknown[:300]!r}; choose from {', '.join(fit)[:300] or '(none)'}."
             )
         if len(set(names)) != len(names):
             raise ConfigurationError(
@@ -275,7 +290,7 @@ class Score(Rendering):
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results
-        from skyproof.words import interval, percent
+        from skyproof.words import interval, number, percent
 
         results = Results.open(self.out)
         for headline in results.headlines():
@@ -287,6 +302,12 @@ class Score(Rendering):
                 )
         for check in results.checks:
             ap = check.ap_centre_1m
+            if not check.vehicles:
+                say(
+                    f"  {check.dataset:<24} {check.detector:<14} "
+                    f"{number(check.false_alarms_per_km2)} false alarms per km², no vehicles"
+                )
+                continue
             say(
                 f"  {check.dataset:<24} {check.detector:<14} AP {percent(ap.estimate)} "
                 f"({interval(ap.low, ap.high)}, over {check.clusters} {check.clustered_by}), "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -17,7 +18,6 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.datasets.annotations import (
-    ANNOTATIONS,
     AnnotationFile,
     AnnotationRow,
     Information,
@@ -140,6 +140,11 @@ class Dataset:
         """Per image its width and height, known without decoding."""
         return [picture.size_px for picture in self.pictures]
 
+    @property
+    def area_m2(self) -> float:
+        """How much ground all images show together."""
+        return sum(width * height for width, height in self.sizes_px) * self.gsd_m**2
+
     def image(self, index: int) -> UInt8[Tensor, "3 H W"]:
         """Decodes one image, as sRGB bytes.
 
@@ -182,19 +187,18 @@ class Dataset:
         return {} if self.info is None else dict(self.info.rendering)
 
     @property
-    def annotations_sha256(self) -> str:
-        """Of the file that says what stands where; empty for images of several places or in memory.
+    def digest(self) -> str:
+        """SHA-256 of the images' names, sizes and labels and of how they were made, not of pixels.
 
-        Raises:
-            StoredFileError: the file is gone.
+        Sets of one digest teach a detector the same; it is the same wherever the folder lies.
         """
-        if self.folder is None:
-            return ""
-        path = self.folder / ANNOTATIONS
-        try:
-            return hashlib.sha256(path.read_bytes()).hexdigest()
-        except OSError as error:
-            raise StoredFileError(f"{path} is missing; make the dataset again.") from error
+        images = zip(self.ids, self.pictures, self.boxes, self.ignore, strict=True)
+        told = [
+            [name, picture.size_px, boxes.tolist(), ignored.tolist()]
+            for name, picture, boxes, ignored in images
+        ]
+        about = [self.gsd_m, self.renderer, self.rendering, told]
+        return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
     @property
     def origin(self) -> str:

@@ -83,6 +83,15 @@ class ImportedDetector(TrainableDetector):
         """See `Detector.detect`."""
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`; boxes in pixels of `images`."""
+        height, width = self._size_px(images)
+        ratio = images.new_tensor([width / images.shape[-1], height / images.shape[-2]]).repeat(2)
+        scaled = [own.to(images) * ratio for own in boxes]
+        return self.network.features(self._scaled(images), scaled)
+
     def _size_px(self, images: Tensor) -> tuple[int, int]:
         return max(1, round(images.shape[-2] * self.image_scale)), max(
             1, round(images.shape[-1] * self.image_scale)

@@ -23,6 +23,7 @@ __all__ = [
     "covering_windows",
     "detect_all",
     "detect_batch",
+    "to_detector",
 ]
 
 LARGEST_WHOLE_PX = 1024
@@ -75,10 +76,15 @@ def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
 
 def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[Detections]:
     """Runs `detect` on sRGB bytes, on the detector's own device."""
+    return detector.detect(to_detector(detector, images))
+
+
+def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+    """Brings sRGB bytes onto a detector's own device, as numbers in [0, 1]."""
     parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
     device = parameter.device if parameter is not None else torch.device("cpu")
     batch = images.to(device).float() / 255
-    return detector.detect(batch.contiguous(memory_format=torch.channels_last))
+    return batch.contiguous(memory_format=torch.channels_last)
 
 
 def covering_windows(

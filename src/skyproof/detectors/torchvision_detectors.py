@@ -33,6 +33,7 @@ from skyproof.detectors.common import (
     suppress,
 )
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.features import Levels, anchor_levels, area_levels, pool_boxes
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import WIDTHS, SlimBackbone
 
@@ -91,6 +92,19 @@ class TorchvisionDetector(TrainableDetector):
         """See `Detector.detect`."""
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
+    @torch.no_grad()
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`."""
+        pyramid, image_list = self._features(images)
+        width_px = image_list.tensors.shape[-1]
+        strides_px = [width_px / level.shape[-1] for level in pyramid]
+        return pool_boxes(pyramid, width_px, boxes, self._levels(strides_px))
+
+    def _levels(self, strides_px: Sequence[float]) -> Levels:
+        return area_levels(strides_px)
+
 
 class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
@@ -141,6 +155,9 @@ class RetinaNetDetector(TorchvisionDetector):
         )
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
+
+    def _levels(self, strides_px: Sequence[float]) -> Levels:
+        return anchor_levels(self.model.anchor_generator.cell_anchors)
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         features, image_list = self._features(images)

@@ -307,8 +307,8 @@ def _card(
         training={
             "identity": json.loads(json.dumps(identity)),
             "images": len(training),
-            "annotations_sha256": training.annotations_sha256,
-            "validation_sha256": validation.annotations_sha256,
+            "data_sha256": training.digest,
+            "validation_sha256": validation.digest,
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},

@@ -29,6 +29,7 @@ from torch.nn import functional
 from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.features import finest_level, pool_boxes
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
@@ -124,6 +125,13 @@ class YoloV5Detector(TrainableDetector):
         """See `Detector.detect`."""
         return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
+    @torch.no_grad()
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`; of what the head is given."""
+        return _finest_features(self._outputs(images), self.model, boxes)
+
     def _outputs(self, images: Tensor) -> dict[str, Any]:
         """Runs the network; the answer is the same in both modes.
 
@@ -215,6 +223,13 @@ class YoloNetwork(TrainableDetector):
         scores = outputs["scores"][:, self.vehicle_classes].amax(dim=1).sigmoid()
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
+    @torch.no_grad()
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`; of what the head is given."""
+        return _finest_features(self._outputs(images), self.model, boxes)
+
     def _outputs(self, images: Tensor) -> dict[str, Any]:
         check_images(images)
         stride_px = int(self.model.stride.max())
@@ -222,6 +237,20 @@ class YoloNetwork(TrainableDetector):
         if "one2one" in raw:
             return raw["one2one" if self.model.model[-1].end2end else "one2many"]
         return raw
+
+
+def _finest_features(
+    outputs: Mapping[str, Any], model: Any, boxes: Sequence[Float[Tensor, "_ 4"]]
+) -> list[Float[Tensor, "_ C"]]:
+    """Pools the finest level alone.
+
+    The assigner picks points of every level by what the network answers there, so that size alone
+    gives a box no level, and the levels differ in channels. On the finest one every vehicle has
+    points.
+    """
+    finest = outputs["feats"][0]
+    width_px = round(finest.shape[-1] * float(model.stride.min()))
+    return pool_boxes([finest], width_px, boxes, finest_level)
 
 
 def _refuse_giants(architecture: Mapping[str, Any]) -> None:

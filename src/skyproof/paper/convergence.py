@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from skyproof.paper.cells import Block, Grid, Table, number
+from skyproof.paper.cells import Block, Grid, Heading, Table, number
 from skyproof.paper.reproduction import Reproduction
 
 __all__ = ["convergence_section", "convergence_table"]
@@ -35,15 +35,16 @@ def convergence_table(run: Reproduction) -> Table:
 def convergence_section(table: Table) -> list[Block]:
     """Says how many have converged, and shows the others."""
     if not table.rows:
-        return ["Nothing is recorded of these attacks."]
+        return []
     others = [row for row in table.rows if not row["converged"]]
     text = (
         f"In {len(table.rows) - len(others)} of {len(table.rows)} attacks the second half of the "
         f"steps hid at most 2 points more, on {table.rows[0]['scenes']} scenes of the attack’s own "
         "world that no step saw. More steps may make the others stronger."
     )
+    heading = Heading("Convergence", 3)
     if not others:
-        return [text]
+        return [heading, text]
     cells = [
         [
             row["attack"],
@@ -54,4 +55,4 @@ def convergence_section(table: Table) -> list[Block]:
         ]
         for row in sorted(others, key=lambda row: -row["added"])
     ]
-    return [text, Grid(["not converged", "steps", "EASR", "steps", "EASR"], cells)]
+    return [heading, text, Grid(["not converged", "steps", "EASR", "steps", "EASR"], cells)]

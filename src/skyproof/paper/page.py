@@ -18,11 +18,15 @@ from skyproof.paper.cells import (
     word,
 )
 from skyproof.paper.convergence import convergence_section
+from skyproof.paper.criteria import criteria_section
 from skyproof.paper.cycles import cycles_section
+from skyproof.paper.embeddings import embeddings_section
+from skyproof.paper.judges import judges_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
 from skyproof.paper.trainings import trainings_section
+from skyproof.paper.weather import weather_section
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
@@ -48,29 +52,24 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         + (explained if run.cycles else ""),
         Heading("Textures"),
         texture_table(tables["textures"]),
-        Heading("Shape and combinations"),
-        "At PM*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is "
-        "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many "
-        "percent of replicates over tiles it would be. PM 0 is the texture alone.",
-        shape_table(tables["shape_combined"]),
-        *_learnt_shapes(tables["shape_combined"]),
-        Figure("easr_vs_pr", "EASR against practicality"),
+        *_shapes(tables["shape_combined"]),
         Heading("Does our order agree with the paper’s?"),
         *_agreement(tables["agreement"]),
         *_order(run),
         *cycles_section(run, tables),
+        *judges_section(run, tables),
         Heading("Can the attacks be trusted?"),
         _tests(run, [*tables["textures"].rows, *tables["shape_combined"].rows]),
         *_signs(tables["signs"]),
-        Heading("Strength ladder", 3),
         *_ladder(tables["ladder"]),
-        Heading("Convergence", 3),
         *convergence_section(tables["convergence"]),
-        Heading("Rounding to few colours", 3),
-        _gap(tables["gap"]),
-        Heading("Transfer"),
-        _transfer(tables["transfer"], run),
+        *_gap(tables["gap"]),
+        Heading("By overlap, and false alarms"),
+        *criteria_section(tables["criteria"], run),
+        *_transfer(tables["transfer"], run),
         *trainings_section(run, tables),
+        *weather_section(run, tables),
+        *embeddings_section(run, tables),
         Heading("Practicality"),
         *_practicality(tables["practicality"]),
     ]
@@ -103,6 +102,20 @@ def shape_table(table: Table) -> Grid:
             ]
         )
     return Grid([*first, *_header(table), "paper PM*", "our EASR there"], rows)
+
+
+def _shapes(table: Table) -> list[Block]:
+    if not table.rows:
+        return []
+    return [
+        Heading("Shape and combinations"),
+        "At PM*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is "
+        "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many "
+        "percent of replicates over tiles it would be. PM 0 is the texture alone.",
+        shape_table(table),
+        *_learnt_shapes(table),
+        Figure("easr_vs_pr", "EASR against practicality"),
+    ]
 
 
 def _learnt_shapes(table: Table) -> list[Block]:
@@ -320,19 +333,21 @@ def _ladder(table: Table) -> list[Block]:
         for row in table.rows
     ]  # fmt: skip
     steps = [column[6:].replace("all", "all steps") for column in columns]
-    return [text, Grid(["attack", *steps, "never falls", "no certain fall"], rows)]
+    grid = Grid(["attack", *steps, "never falls", "no certain fall"], rows)
+    return [Heading("Strength ladder", 3), text, grid]
 
 
-def _gap(table: Table) -> Block:
+def _gap(table: Table) -> list[Block]:
     rows = [
         [row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in table.rows
     ]
     if not rows:
-        return "No attack on few colours was kept."
-    return Grid(["attack", "EASR before", "EASR after"], rows)
+        return []
+    grid = Grid(["attack", "EASR before", "EASR after"], rows)
+    return [Heading("Rounding to few colours", 3), grid]
 
 
-def _transfer(table: Table, run: Reproduction) -> Block:
+def _transfer(table: Table, run: Reproduction) -> list[Block]:
     rows = [
         [
             row["attack"],
@@ -346,7 +361,7 @@ def _transfer(table: Table, run: Reproduction) -> Block:
         "learnt on",
         *(f"EASR on {detector_name(detector)}" for detector in run.detectors),
     ]
-    return Grid(header, rows) if rows else "Not part of this preset."
+    return [Heading("Transfer"), Grid(header, rows)] if rows else []
 
 
 def _practicality(table: Table) -> list[Block]:

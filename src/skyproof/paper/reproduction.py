@@ -11,11 +11,14 @@ from functools import cached_property
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.files import is_leftover
+from skyproof.layout import Layout
 from skyproof.paper.curves import Curve, curve_families, practicality_curve
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH, Row
 from skyproof.results.stored import AttackRecord, Practicality
+from skyproof.results.trainings import Training, read_trainings
 
 __all__ = ["Reproduction", "point_name"]
 
@@ -34,6 +37,7 @@ class Reproduction:
         cycles: whether anything was scored on Cycles.
         names: of all camouflages, without repeats.
         records: by attack with its repeat, what was recorded while it was learnt.
+        judges: by table, the results of detectors that only judge, as far as they are there.
     """
 
     def __init__(self, results: Results) -> None:
@@ -42,11 +46,13 @@ class Reproduction:
         self.cycles = CYCLES in results.renderers
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
+        self.judges = _judges(Layout(results.folder))
 
     @property
     def comparable(self) -> bool:
-        """Whether enough of the paper's attacks were scored to set them beside the paper's."""
-        ours = {*self.names, *(name.family for name in self.results.names)}
+        """Whether enough of the paper's attacks were scored to set them beside its tables."""
+        learnt = [name for name in self.results.names if not name.random]
+        ours = {*map(str, learnt), *(name.family for name in learnt)}
         return RENDERER in self.results.renderers and len(ours & set(PAPER_RESULTS)) >= _FEWEST
 
     def row(
@@ -86,6 +92,16 @@ class Reproduction:
         """Per attack with a shape, the name of what stands at its PM*."""
         return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
 
+    @cached_property
+    def trainings(self) -> list[Training]:
+        """Every training of the detectors that was scored, the run's own first.
+
+        Raises:
+            ConfigurationError: they do not belong together.
+        """
+        results = self.results
+        return read_trainings(results.folder, Training(0, results.tiles, results.detectors))
+
     @property
     def hours(self) -> float | None:
         """The hours that all stages took together; None where not known."""
@@ -101,6 +117,15 @@ def point_name(family: str, magnitude: float) -> str:
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]
+
+
+def _judges(layout: Layout) -> dict[str, Results]:
+    """Reads what was scored of each table; one whose scores are still to come is left out."""
+    if not layout.judges.is_dir():
+        return {}
+    tables = sorted(path for path in layout.judges.iterdir() if not is_leftover(path))
+    scored = [path for path in tables if any(Layout(path).scores.glob("*/score.json"))]
+    return {path.name: Results.open(path) for path in scored}
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

@@ -16,11 +16,15 @@ from skyproof.errors import ConfigurationError
 from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
 from skyproof.paper.convergence import convergence_table
+from skyproof.paper.criteria import criteria_table
 from skyproof.paper.cycles import cycles_columns, cycles_tables
+from skyproof.paper.embeddings import embeddings_tables
+from skyproof.paper.judges import judges_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.trainings import trainings_tables
 from skyproof.paper.transfer import transfer_matrix
+from skyproof.paper.weather import weather_tables
 from skyproof.results.stored import Discretisation
 
 __all__ = ["comparison", "reproduction_tables"]
@@ -37,6 +41,8 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("curves", _curves(run)),
         Table("agreement", _agreement(run)),
         *cycles_tables(run),
+        *judges_tables(run),
+        criteria_table(run),
         *trainings_tables(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
@@ -44,6 +50,8 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         convergence_table(run),
         Table("signs", _signs(run)),
         Table("gap", _gap(run)),
+        *embeddings_tables(run),
+        *weather_tables(run),
     ]
     return {table.name: table for table in made}
 

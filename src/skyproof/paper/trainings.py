@@ -36,7 +36,7 @@ def trainings_tables(run: Reproduction) -> list[Table]:
     Raises:
         ConfigurationError: the trainings do not belong together.
     """
-    trainings = run.results.trainings
+    trainings = run.trainings
     if len(trainings) < 2:
         return []
     beside = _Beside.of(trainings)
@@ -58,7 +58,7 @@ def trainings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Bl
     if "trainings" not in tables:
         return []
     rows = tables["trainings"].rows
-    trainings = run.results.trainings
+    trainings = run.trainings
     heading = Heading("Other trainings of the detectors")
     if not rows:
         return [heading, "No attack was learnt on every training yet."]

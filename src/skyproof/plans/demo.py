@@ -325,7 +325,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
     if controls:
         steps.append(control_step(layout, controls, seed))
     camouflages = [*(job.name for job in jobs), *controls]
-    steps.append(
+    scores = [
         score_step(
             layout,
             sizes,
@@ -337,11 +337,12 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
             frame_classes=demo.frame_classes,
             device=device,
         )
-    )
+    ]
+    steps += scores
     if demo.cycles:
         rendering = Rendering(renderer="cycles", blender=demo.blender)
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
-        steps.append(
+        scores.append(
             score_step(
                 layout,
                 sizes,
@@ -353,7 +354,7 @@ def demo_plan(demo: Demo, layout: Layout) -> Plan:
                 device=device,
             )
         )
-    scores = [step for step in steps if step.kind == "score"]
+        steps.append(scores[-1])
     steps.append(report_step(layout, scores, checked))
     return Plan(steps)
 

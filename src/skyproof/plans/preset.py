@@ -36,6 +36,7 @@ _Magnitude = Annotated[float, Meta(gt=0, le=1)]
 _Magnitudes = Annotated[tuple[_Magnitude, ...], Meta(max_length=100)]
 _Few = Annotated[int, Meta(ge=1, le=100)]
 _Word = Annotated[str, Meta(max_length=100)]
+_Textures = Annotated[tuple[_Word, ...], Meta(max_length=50)]
 _REMEDY = "start from quick.json or paper.json"
 
 
@@ -89,6 +90,11 @@ class Preset:
         magnitudes: PM of shapes alone and of combinations (section 5.5).
         combined_magnitudes: by texture, PM of its combinations where they are others.
         transfer: textures that are also attacked on single detectors, and on all but one.
+        features: textures at whose vehicles the detectors' features are stored, of the first repeat
+            and with a random control and the best plain paint beside it; the report shows them.
+        weather: textures that are also learnt in all weathers; they, those learnt on clear days and
+            their random controls are judged in every weather.
+        weather_images: how many test images that takes, one weather each.
         check_scenes: test scenes on which detectors are checked before the attacks, with as many
             draws of each control; 0 for no check.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
@@ -124,7 +130,7 @@ class Preset:
     cycles_repeats: _Few
     magnitudes: _Magnitudes
     combined_magnitudes: Mapping[_Word, _Magnitudes]
-    transfer: Annotated[tuple[_Word, ...], Meta(max_length=50)]
+    transfer: _Textures
     ladder_steps: Annotated[tuple[Count, ...], Meta(max_length=100)]
     ladder_magnitude: _Magnitude
     score_batch: Count
@@ -133,6 +139,9 @@ class Preset:
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     trainings: Annotated[int, Meta(ge=1, le=10)] = 1
+    features: _Textures = ()
+    weather: _Textures = ()
+    weather_images: Count = 160
     blur_sigma_px: BlurChoice | None = None
     title: Annotated[str, Meta(max_length=300)] = ""
     check_scenes: WholeNumber = 60
@@ -143,12 +152,19 @@ class Preset:
             reference_folder(architecture)
         for texture in (*self.textures, *self.combined_magnitudes):
             TextureConstraints.parse(texture)
-        for text in self.transfer:
-            name = CamouflageName.parse(text)
-            if name.kind != "texture" or name.random or name.variant or name.repeat:
-                raise ConfigurationError(
-                    f"transfer expects learnt textures such as T-U, got {text!r}."
-                )
+        for setting in ("transfer", "features", "weather"):
+            for text in getattr(self, setting):
+                name = CamouflageName.parse(text)
+                if name.kind != "texture" or name.random or name.variant or name.repeat:
+                    raise ConfigurationError(
+                        f"{setting} expects learnt textures such as T-U, got {text!r}."
+                    )
+                # Transfer may be asked of one detector alone; these compare with what is learnt.
+                texture = text.removeprefix("T-")
+                if setting != "transfer" and texture not in self.textures:
+                    raise ConfigurationError(
+                        f"{setting} names {text}, but textures has no {texture}; name it there."
+                    )
         strangers = [name for name in self.reference if name not in self.detectors]
         if strangers:
             raise ConfigurationError(

@@ -6,17 +6,20 @@ import os
 import shlex
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
 from skyproof.plans.plan import Plan
+
+if TYPE_CHECKING:
+    from skyproof.plans.judges import Judge
 
 __all__ = ["Reproduce"]
 
@@ -46,6 +49,10 @@ class Reproduce:
         cycles: also score finished attacks and random controls as Blender's path tracer Cycles
             draws them, the paper's "Blender" column. A finished run may be given again with it:
             only that column is added then.
+        judges: further detectors that only judge, [TABLE=]FOLDER, such as some that learnt from
+            photographs: no attack learns on them. Detectors of one TABLE have learnt from the same
+            images, and have a mean. They are copied into the run folder and stay in its report; a
+            finished run may be given again with more of them: only their part is added then.
         blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not
             given, what `make blender` made, then `blender` on the PATH.
         dry_run: only check, and say what would be done and how.
@@ -57,6 +64,7 @@ class Reproduce:
     slurm_jobs: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     device: str = "auto"
     cycles: bool = False
+    judges: tuple[str, ...] = ()
     blender: Path | None = None
     dry_run: bool = False
 
@@ -64,7 +72,9 @@ class Reproduce:
         """Runs what is not finished yet."""
         from skyproof.cli.device import choose_device
         from skyproof.files import alone
+        from skyproof.layout import Layout
         from skyproof.plans.demo import check_detectors
+        from skyproof.plans.judges import new_judges, read_judges, store_judges, stored_judges
         from skyproof.plans.preset import Preset, read_preset
         from skyproof.plans.reproduction import reproduction_plan
         from skyproof.plans.run_folder import RunFolder
@@ -78,6 +88,11 @@ class Reproduce:
         check_detectors(preset.detectors, preset.size)
         more = self._cycles()
         blender = Path(more["blender"]) if more else None
+        layout = Layout(self.out)
+        judges = read_judges(self.judges)
+        added = new_judges(layout, preset, judges)
+        names = {table: sorted(judge.name for judge in its) for table, its in added.items()}
+        tables = dict(sorted({**stored_judges(layout), **names}.items()))
 
         def plan_of(config: Mapping[str, Any]) -> Plan:
             return reproduction_plan(
@@ -86,13 +101,14 @@ class Reproduce:
                 device=self.device,
                 cycles=self.cycles,
                 blender=blender,
+                judges=tables,
             )
 
         config = {"preset": name, **values}
         plan = plan_of(config)
         run = RunFolder(self.out, config, plan, plan_of)
         if self.dry_run:
-            self._check(path, plan, more)
+            self._check(path, plan, more, added)
             return
         with alone(self.out) as hold:
             if self.slurm_jobs is not None:
@@ -100,6 +116,7 @@ class Reproduce:
             # Somebody else may have begun meanwhile.
             run = RunFolder(self.out, config, plan, plan_of)
             run.start(self.device)
+            store_judges(layout, new_judges(layout, preset, judges))
             where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
             say(
                 f"skyproof reproduce, preset {name}: {_listed(plan)}; {where}, "
@@ -171,7 +188,14 @@ class Reproduce:
         # followed.
         return {"cycles": "1", "blender": str(find_blender(self.blender).path.absolute())}
 
-    def _check(self, path: Path, plan: Plan, more: Mapping[str, str]) -> None:
+    def _check(
+        self,
+        path: Path,
+        plan: Plan,
+        more: Mapping[str, str],
+        added: Mapping[str, Sequence[Judge]],
+    ) -> None:
+        from skyproof.layout import Layout
         from skyproof.plans.slurm import slurm_words
         from skyproof.plans.snakemake import snakemake_words
 
@@ -187,6 +211,11 @@ class Reproduce:
             )
         say(f"Steps: {_listed(plan)}.")
         say("By hand, or with options for a cluster's executor:")
+        for table, judges in added.items():
+            folder = Layout(self.out).judged(table).detectors
+            say("  " + shlex.join(["mkdir", "-p", str(folder)]))
+            for judge in judges:
+                say("  " + shlex.join(["cp", "-r", str(judge.folder), str(folder / judge.name)]))
         where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
         say("  " + shlex.join([*snakemake_words(self.out, path, more), *where]))
 

@@ -18,7 +18,7 @@ from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.plans.world import WorldSizes, render_s
+from skyproof.plans.world import GSD_M, WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 __all__ = [
@@ -40,7 +40,8 @@ _TRIALS = 62
 """Changes that a check tries on every scene, but for random controls."""
 _CONTROLS = 6
 _PAINTS = 27
-_CHOICE_SCENES = 64
+_CHOICE_SCENES = 32
+"""On average: all are shown 16, the best quarter of them 64 more."""
 _WITHOUT_GRADIENT = 0.4
 
 
@@ -55,6 +56,7 @@ class AttackJob:
         texture: name of the finished texture under a sequential attack's shape.
         kept: names of the copies that it leaves in `snapshots/`.
         best_of: of how many draws the best is taken, where it is the best of some.
+        conditions: weather and light that its scenes are drawn from.
     """
 
     name: str
@@ -63,6 +65,7 @@ class AttackJob:
     texture: str | None = None
     kept: tuple[str, ...] = ()
     best_of: int = BEST_OF
+    conditions: tuple[str, ...] = ("clear",)
 
     @property
     def images(self) -> float:
@@ -200,6 +203,7 @@ def attack_step(
         fleet=layout.fleets / "attack",
         texture=texture,
         image_px=image_px,
+        conditions=job.conditions,
         places=places,
         draws=job.best_of,
         settings=job.settings,
@@ -263,7 +267,11 @@ def score_step(
     *,
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
+    empty: bool = False,
+    features: Sequence[str] = (),
     rendering: Rendering | None = None,
+    weather: bool = False,
+    judged: Layout | None = None,
     device: str = "auto",
 ) -> Step:
     """Returns the step that judges detectors on the test scenes, with and without camouflages.
@@ -277,27 +285,39 @@ def score_step(
         seed: of the bootstrap.
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
+        empty: whether false alarms are also counted on ground without vehicles, in place of frames.
+        features: names of the camouflages at whose vehicles the detectors' features are stored.
         rendering: the renderer; the differentiable one where not given.
+        weather: whether the test scenes in weather are meant.
+        judged: where detectors that only judge lie, and what they judged; where not given, the
+            run's own do.
         device: auto, cpu or cuda.
     """
     chosen = rendering or Rendering()
+    own = judged or layout
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
-    original = layout.dataset(drawn)
+    original = layout.dataset("weather" if weather else drawn)
+    out = (layout.weather if weather else own).score(name)
+    if empty:
+        frames = (f"ground without vehicles={layout.dataset('empty')}@{GSD_M}",)
+        frame_classes = ("vehicle",)
     command = Score(
         **vars(chosen),
-        detectors=tuple(layout.detector(detector) for detector in detectors),
-        out=layout.score(name),
+        detectors=tuple(own.detector(detector) for detector in detectors),
+        out=out,
         original=original,
         camouflages=tuple(_camouflage(layout, folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
         frames=tuple(frames),
         frame_classes=tuple(frame_classes),
+        features=tuple(features),
         seed=seed,
         device=device,
     )
     inputs = [original, layout.backgrounds, layout.fleets]
-    inputs += [layout.detector(detector) / "detector.json" for detector in detectors]
+    inputs += [own.detector(detector) / "detector.json" for detector in detectors]
+    inputs += [layout.dataset("empty")] if empty else []
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
     inputs += [_camouflage(layout, attack) / "camouflage.json" for attack in attacks]
@@ -305,10 +325,11 @@ def score_step(
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
         "score",
-        name,
+        # No table's name has a dot, so that no two steps have one name.
+        f"judges.{judged.folder.name}.{name}" if judged else f"weather-{name}" if weather else name,
         command,
         tuple(inputs),
-        (layout.score(name),),
+        (out,),
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
@@ -324,7 +345,7 @@ def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] =
 
     Args:
         layout: the run folder's.
-        scores: the steps that leave them.
+        scores: the steps that leave the score folders.
         checked: names of the detectors that are checked in this run.
     """
     checks = [layout.check(name) for name in checked]
@@ -332,7 +353,7 @@ def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] =
         "report",
         "report",
         Report(layout.folder),
-        (*checks, *(output for step in scores for output in step.outputs)),
+        (*checks, *(folder for step in scores for folder in step.outputs)),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -21,16 +21,30 @@ from skyproof.ranges import Count, Fraction, check_ranges
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.weather import MIXED_CONDITIONS
+from skyproof.scenes.splits import Split
+from skyproof.scenes.weather import CONDITIONS, MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = ["GSD_M", "RENDERED", "Rendered", "WorldSizes", "render_s", "render_step", "world_steps"]
+__all__ = [
+    "GSD_M",
+    "RENDERED",
+    "Rendered",
+    "WorldSizes",
+    "render_s",
+    "render_step",
+    "scene_step",
+    "world_steps",
+]
 
 GSD_M = 0.125
 
-Rendered = Literal["train", "validation", "test"]
-RENDERED: tuple[Rendered, ...] = get_args(Rendered)
-"""The splits of which there are images; an attack draws its own as it goes."""
+Rendered = Literal["train", "validation", "test", "empty", "weather"]
+"""What there can be images of: the splits but for "attack", which draws its own as it goes; test
+ground without vehicles, where every detection is a false alarm; and the test scenes in weather, as
+far as they go, each under one of all conditions but a clear day."""
+
+RENDERED: tuple[Rendered, ...] = ("train", "validation", "test")
+"""The splits of which every run has images."""
 
 # Seconds on one core for a million pixels, and for a vehicle; for the time left alone.
 _GROUND_S = 2.6
@@ -101,6 +115,11 @@ class WorldSizes:
                 parked_share=self.parked_share if self.training_places == "uniform" else 0.0,
                 conditions=self.training_conditions,
             )
+        if split == "empty":
+            return replace(usual, vehicles_minimum=0, vehicles_maximum=0)
+        if split == "weather":
+            conditions = tuple(name for name in CONDITIONS if name != "clear")
+            return replace(usual, conditions=conditions)
         return replace(usual, vehicles_maximum=1) if split == "attack" else usual
 
     def count(self, split: Rendered) -> int:
@@ -109,6 +128,8 @@ class WorldSizes:
             "train": self.training_images,
             "validation": self.validation_images,
             "test": self.test_images,
+            "empty": self.test_images,
+            "weather": self.test_images,
         }
         return counts[split]
 
@@ -183,11 +204,12 @@ def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
 
 def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) -> Step:
     """Returns the step that draws the scenes of a split."""
+    ground = _ground_of(split)
     command = Scenes(
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
+        fleet=layout.fleets / ground,
         out=layout.scenes(split),
-        split=split,
+        split=ground,
         count=sizes.count(split),
         settings=sizes.scenes(split),
         seed=seed,
@@ -216,10 +238,17 @@ def render_step(
         **vars(chosen),
         scenes=layout.scenes(split),
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
+        fleet=layout.fleets / _ground_of(split),
         out=layout.dataset(name),
         device=device,
     )
     effort_s = START_S + render_s(chosen) * sizes.megapixels(sizes.count(split))
     inputs = (layout.backgrounds, layout.fleets, layout.scenes(split))
     return Step("render", name, command, inputs, (layout.dataset(name),), effort_s=effort_s)
+
+
+def _ground_of(split: Rendered) -> Split:
+    """The split whose ground and vehicles are shown."""
+    if split == "empty" or split == "weather":
+        return "test"
+    return split

@@ -20,7 +20,7 @@ from skyproof.results.rows import Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
-__all__ = ["condition_figure", "forest_figure", "loss_figure", "many_figure"]
+__all__ = ["both_forms", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
@@ -200,6 +200,18 @@ def condition_figure(panels: Sequence[Panel]) -> str:
         for axes in list(grid.flat)[len(panels) :]:
             axes.set_visible(False)
         return _svg(figure)
+
+
+def both_forms(figure: Figure) -> dict[str, bytes]:
+    """Gives a figure as SVG and as PNG, by file ending, and closes it."""
+    written = {}
+    for ending in ("svg", "png"):
+        stream = io.BytesIO()
+        metadata = {"Date": None} if ending == "svg" else {}
+        figure.savefig(stream, format=ending, dpi=130, metadata=metadata)
+        written[ending] = stream.getvalue()
+    plt.close(figure)
+    return written
 
 
 def _svg(figure: Figure) -> str:

@@ -12,8 +12,11 @@ from skyproof.paper.cells import Block, Figure, Grid, Heading, as_markdown
 from skyproof.paper.page import paper_sections, shape_table, standing, texture_table
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import reproduction_tables
+from skyproof.report.embedding_figure import embedding_figure
 from skyproof.report.gate import read_gate
+from skyproof.report.judges_figure import judges_figure
 from skyproof.report.practicality_figure import easr_against_practicality
+from skyproof.report.weather_figure import weather_figure
 from skyproof.results.results import Results
 
 __all__ = ["PaperPart", "paper_part"]
@@ -42,15 +45,24 @@ def paper_part(results: Results) -> PaperPart | None:
     if not run.comparable:
         return None
     tables = reproduction_tables(run)
-    pictures = easr_against_practicality(run)
+    drawn = {"easr_vs_pr": easr_against_practicality(run)}
+    drawn |= {f"judges-{table}": judges_figure(run, table) for table in run.judges}
+    if "embedding_points" in tables:
+        drawn["embeddings"] = embedding_figure(tables["embedding_points"], tables["embeddings"])
+    if "weather" in tables:
+        drawn["weather"] = weather_figure(tables["weather"])
     blocks = paper_sections(run, tables)
     files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
     files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
     files["shape_combined.md"] = (shape_table(tables["shape_combined"]).markdown() + "\n").encode()
-    files |= {f"easr_vs_pr.{ending}": picture for ending, picture in pictures.items()}
+    files |= {
+        f"{name}.{ending}": picture
+        for name, pictures in drawn.items()
+        for ending, picture in pictures.items()
+    }
     files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(list(tables))]).encode()
-    drawn = {"easr_vs_pr": Markup(_inline(pictures["svg"].decode()))}
-    return PaperPart(Markup("\n").join(_html(block, drawn) for block in blocks), files)
+    shown = {name: Markup(_inline(pictures["svg"].decode())) for name, pictures in drawn.items()}
+    return PaperPart(Markup("\n").join(_html(block, shown) for block in blocks), files)
 
 
 def _preamble(run: Reproduction) -> list[Block]:

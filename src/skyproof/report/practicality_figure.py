@@ -5,7 +5,6 @@ It shows our curves with their intervals, and the paper's best points beside the
 
 from __future__ import annotations
 
-import io
 import math
 from typing import Any
 
@@ -18,7 +17,7 @@ from matplotlib.lines import Line2D
 from skyproof.paper.curves import Curve
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
-from skyproof.report.figures import GREY, INK, STYLE
+from skyproof.report.figures import GREY, INK, STYLE, both_forms
 
 __all__ = ["easr_against_practicality"]
 
@@ -66,15 +65,7 @@ def easr_against_practicality(run: Reproduction) -> dict[str, bytes]:
         left.set_ylabel("EASR, % of the vehicles found before")
         left.set_ylim(top=103)
         figure.legend(handles=_legend(run), loc="outside lower center", ncols=6, fontsize=10)
-        written = {}
-        for ending in ("svg", "png"):
-            stream = io.BytesIO()
-            figure.savefig(
-                stream, format=ending, dpi=130, metadata={"Date": None} if ending == "svg" else {}
-            )
-            written[ending] = stream.getvalue()
-        plt.close(figure)
-    return written
+        return both_forms(figure)
 
 
 def _curve(axes: Any, curve: Curve, texture: str, line: str) -> None:

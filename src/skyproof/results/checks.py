@@ -46,6 +46,8 @@ class Check:
         precision, recall: at the frozen threshold with their intervals, over the same places or
             images; nan where undefined.
         threshold: the detector's frozen threshold.
+        false_alarms_per_km2: detections on no vehicle, from that threshold on, by centre distance;
+            nan where it is not known.
         note: where the images come from and what was done to them.
         best: what another threshold would have given here; None where it is not known.
     """
@@ -62,6 +64,7 @@ class Check:
     precision: Interval
     recall: Interval
     threshold: float
+    false_alarms_per_km2: float = math.nan
     note: str = ""
     best: BestF1 | None = None
 
@@ -102,6 +105,7 @@ class Check:
             "recall_low": self.recall.low,
             "recall_high": self.recall.high,
             "threshold": self.threshold,
+            "false_alarms_per_km2": self.false_alarms_per_km2,
             "best_threshold": best.threshold,
             "best_precision": best.precision,
             "best_recall": best.recall,
@@ -137,6 +141,7 @@ def check_of(row: Mapping[str, Any]) -> Check:
     plain = ("detector", "dataset", "images", "vehicles", "real", "clustered_by", "clusters")
     return Check(
         **{name: row[name] for name in (*plain, "ap_iou_50", "threshold", "note")},
+        false_alarms_per_km2=row["false_alarms_per_km2"],
         ap_centre_1m=sure("ap_centre_1m"),
         precision=sure("precision"),
         recall=sure("recall"),
@@ -173,6 +178,7 @@ class StoredCheck:
     precision_high: Fraction = math.nan
     recall_low: Fraction = math.nan
     recall_high: Fraction = math.nan
+    false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)] = math.nan
     best_threshold: _Threshold = math.nan
     best_precision: Fraction = math.nan
     best_recall: Fraction = math.nan

@@ -24,6 +24,7 @@ from skyproof.results.statistics.intervals import (
     cluster_interval,
     resample,
 )
+from skyproof.results.statistics.rates import false_alarms_per_km2
 
 __all__ = ["CleanSet", "ap_interval", "check_clean", "threshold_intervals"]
 
@@ -83,6 +84,9 @@ def check_clean(
         precision=precision,
         recall=recall,
         threshold=judge.threshold,
+        false_alarms_per_km2=false_alarms_per_km2(
+            centre.counts_at(judge.threshold)[1], clean.images.area_m2
+        ),
         note=clean.note,
         best=_best(centre),
     )

@@ -19,7 +19,7 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.sample import Sample
 from skyproof.words import body_name
 
-__all__ = ["Bin", "Panel", "condition_panels"]
+__all__ = ["Bin", "Panel", "condition_panels", "shared_groups"]
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,24 @@ def _heading_label(outcome: Outcome) -> str:
 
 
 def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interval:
-    cells = sorted({(outcome.background, outcome.vehicle) for outcome in outcomes})
+    sample, (group,) = shared_groups([outcomes], generator=generator)
+    return mean_interval(group, sample)
+
+
+def shared_groups(
+    parts: Sequence[Sequence[Outcome]], *, generator: np.random.Generator
+) -> tuple[Sample, list[Group]]:
+    """Gives the outcomes of several camouflages as groups over the tiles and vehicles of all.
+
+    A group has one series per repeat and detector.
+    """
+    cells = sorted({(outcome.background, outcome.vehicle) for part in parts for outcome in part})
     row_of = {cell: row for row, cell in enumerate(cells)}
-    series: dict[tuple[str, str], list[Outcome]] = {}
-    for outcome in outcomes:
-        series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
-    group = Group(
-        np.stack([count_cells(each, row_of) for each in series.values()]),
-        [[repeat_of(camouflage)] for camouflage, _ in series],
-    )
-    return mean_interval(group, Sample.draw(cells, generator=generator))
+    groups = []
+    for part in parts:
+        series: dict[tuple[str, str], list[Outcome]] = {}
+        for outcome in part:
+            series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
+        counts = np.stack([count_cells(each, row_of) for each in series.values()])
+        groups.append(Group(counts, [[repeat_of(camouflage)] for camouflage, _ in series]))
+    return Sample.draw(cells, generator=generator), groups

@@ -15,6 +15,7 @@ from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.checks import Check, read_checks
 from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.features import Features
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
@@ -38,7 +39,6 @@ from skyproof.results.stored import (
     read_timings,
 )
 from skyproof.results.summary import summarise
-from skyproof.results.trainings import Training, read_trainings
 from skyproof.seeds import numpy_generator
 
 __all__ = ["CYCLES", "RENDERER", "Change", "Headline", "Results"]
@@ -196,11 +196,6 @@ class Results:
         """The tiles and vehicles of the test, for whatever is not in the rows."""
         return Sample.draw(self.tiles.cells, generator=np.random.default_rng(0))
 
-    @cached_property
-    def trainings(self) -> list[Training]:
-        """Every training of the detectors that was scored, the run's own first; see `Training`."""
-        return read_trainings(self.folder, Training(0, self.tiles, self.detectors))
-
     def row(
         self,
         name: CamouflageName,
@@ -257,6 +252,20 @@ class Results:
             for pair in score.pairs()
             if CamouflageName.read(pair.camouflage).pooled == name
         ]
+
+    def features(self) -> list[Features]:
+        """Gives what is stored of the detectors' features, images without camouflage once each.
+
+        Only images of the attacks' own renderer count.
+
+        Raises:
+            StoredFileError: a table of features is damaged.
+        """
+        found: dict[tuple[str, str], Features] = {}
+        for score in self.scores:
+            for each in score.features() if score.record.renderer == RENDERER else ():
+                found.setdefault((each.detector, each.shown), each)
+        return list(found.values())
 
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
         """Gives a picture or log of the first repeat of a camouflage; None where there is none."""

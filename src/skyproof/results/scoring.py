@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +17,9 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside, write_jsonl
 from skyproof.results.checks import Check, write_checks
 from skyproof.results.clean import CleanSet, check_clean
+from skyproof.results.embedded import gather_features
 from skyproof.results.pairs.compare import Comparison, compare
+from skyproof.results.pairs.features import write_features
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.pairs.sets import ORIGINAL, SetScore, write_sets
 from skyproof.results.pairs.tiles import count_tiles, write_tiles
@@ -45,6 +47,7 @@ def score_detectors(
     original: str | Path | None = None,
     camouflaged: Mapping[str, str | Path] | None = None,
     clean: Sequence[CleanSet] = (),
+    features: Collection[str] = (),
     seed: int = 0,
     sources: Sequence[str] = (),
     add: Callable[[Path], None] | None = None,
@@ -58,7 +61,9 @@ def score_detectors(
         original: dataset without camouflage; it says the scenes and the renderer.
         camouflaged: datasets of the same scenes by camouflage name.
         clean: further images to check the detectors on.
-        seed: of the bootstrap.
+        features: names of the camouflages at whose vehicles the detectors' features are stored,
+            and with them those at vehicles without camouflage and at bare ground.
+        seed: of the bootstrap, and of the places of that ground.
         sources: what the ground was cut from, or ["procedural"]; empty where it is not known.
         add: writes more into the folder before it is finished.
         progress: called with (detector runs done, runs in all).
@@ -84,6 +89,10 @@ def score_detectors(
             write_tiles(partial / "tiles.parquet", count_tiles(scored.outcomes))
             write_sets(partial / "sets.json", scored.sets)
             write_pairs(partial, scored.pairs)
+            worn = {name: pairs.camouflaged[name] for name in features}
+            if worn:
+                found = gather_features(judges, pairs.original, worn, seed=seed)
+                write_features(partial / "features.parquet", found)
         scored.check(clean)
         write_checks(partial / "checks.json", scored.checks)
         if add is not None:
@@ -276,12 +285,10 @@ def _outcomes(
 
 
 def _set_scores(camouflage: str, judge: Judge, images: Dataset, seen: _Seen) -> list[SetScore]:
-    camera = images.scenes[0].camera
-    area_m2 = (camera.size_px * camera.gsd_m) ** 2
     scores = []
     for match, matches in seen.matches.items():
         _, false_alarms = matches.counts_at(judge.threshold)
-        density = false_alarms_per_km2(false_alarms, len(images), area_m2)
+        density = false_alarms_per_km2(false_alarms, images.area_m2)
         precision = average_precision(matches)
         scores.append(SetScore(camouflage, images.renderer, judge.name, match, precision, density))
     return scores

@@ -97,13 +97,13 @@ class Recipe(Struct, frozen=True):
     Attributes:
         identity: the settings of the training.
         images: how many it learnt from.
-        annotations_sha256, validation_sha256: of what stands where in the images that it learnt
-            from, and in those that chose its threshold; empty on cards from before it was kept.
+        data_sha256, validation_sha256: of what stands where in the images that it learnt from, and
+            in those that chose its threshold; empty on cards from before it was kept.
     """
 
     identity: _Identity = _Identity()
     images: WholeNumber | None = None
-    annotations_sha256: _Digest = ""
+    data_sha256: _Digest = ""
     validation_sha256: _Digest = ""
 
 

@@ -102,7 +102,7 @@ def _learnt_from(facts: DetectorFacts) -> dict[str, Any]:
     recipe = facts.training
     return {
         "number of training images": recipe.images,
-        "training images": recipe.annotations_sha256,
+        "training images": recipe.data_sha256,
         "validation images": recipe.validation_sha256,
         "origin of the training images": facts.trained_on,
         "size": facts.size,

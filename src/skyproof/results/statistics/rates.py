@@ -43,10 +43,9 @@ def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np
     return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
 
 
-def false_alarms_per_km2(false_alarms: int, images: int, image_area_m2: float) -> float:
+def false_alarms_per_km2(false_alarms: int, area_m2: float) -> float:
     """Detections on no vehicle per square kilometre of imaged ground; nan without images."""
-    area_km2 = images * image_area_m2 / 1e6
-    return false_alarms / area_km2 if area_km2 > 0 else float("nan")
+    return 1e6 * false_alarms / area_m2 if area_m2 > 0 else float("nan")
 
 
 def _divide(numerator: npt.ArrayLike, denominator: npt.ArrayLike) -> Float[np.ndarray, "*shape"]:

@@ -1,0 +1,100 @@
+"""By another rule of what is found, and what the detectors report where nothing is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.paper.cells import Block, Grid, Table, bracket, number
+from skyproof.paper.reproduction import Reproduction
+from skyproof.results.rows import Row
+from skyproof.words import detector_name
+
+__all__ = ["criteria_section", "criteria_table"]
+
+_OVERLAP = "iou_50"
+
+
+def criteria_table(run: Reproduction) -> Table:
+    """Gives every learnt camouflage's EASR by both rules, and the false alarms, mean of detectors.
+
+    Attacks that end on the way or see some detectors only are left out.
+    """
+    rows: list[dict[str, Any]] = []
+    for name in run.names:
+        camouflage = CamouflageName.read(name)
+        centre = run.row(name)
+        if camouflage.random or camouflage.variant or centre is None:
+            continue
+        overlap = run.results.row(camouflage, match=_OVERLAP)
+        rows.append(
+            {
+                "attack": name,
+                **_rates("easr", centre),
+                **_rates("easr_iou_50", overlap),
+                "ap_iou_50_original": _percent(overlap.ap_original if overlap else None),
+                "ap_iou_50_adversarial": _percent(overlap.ap_adversarial if overlap else None),
+                "false_alarms_per_km2_original": centre.false_alarms_per_km2_original,
+                "false_alarms_per_km2_adversarial": centre.false_alarms_per_km2_adversarial,
+            }
+        )
+    return Table("criteria", rows)
+
+
+def criteria_section(table: Table, run: Reproduction) -> list[Block]:
+    """Says what changes by overlap, and how many false alarms there are."""
+    text = (
+        "Above, a vehicle counts as found where a detection’s centre lies within 1 m of its own; "
+        "here also where the boxes’ intersection over union is at least 0.5. False alarms are "
+        "detections on no vehicle at the frozen threshold, per square kilometre of test ground, "
+        "beside vehicles without and with the camouflage."
+    )
+    cells = [
+        [
+            row["attack"],
+            bracket(row, "easr"),
+            bracket(row, "easr_iou_50"),
+            number(row["ap_iou_50_original"]),
+            number(row["ap_iou_50_adversarial"]),
+            number(row["false_alarms_per_km2_original"], 0),
+            number(row["false_alarms_per_km2_adversarial"], 0),
+        ]
+        for row in table.rows
+    ]
+    header = [
+        "attack",
+        "EASR",
+        "EASR, IoU ≥ 0.5",
+        "AP, IoU ≥ 0.5",
+        "AP then",
+        "false alarms per km²",
+        "then",
+    ]
+    return [text, Grid(header, cells), *_on_empty_ground(run)]
+
+
+def _on_empty_ground(run: Reproduction) -> list[Block]:
+    """Says what is found on images without vehicles; nothing where none were shown."""
+    found = [
+        f"{detector_name(check.detector)} {number(check.false_alarms_per_km2, 0)}"
+        for check in run.results.checks
+        if not check.vehicles and not math.isnan(check.false_alarms_per_km2)
+    ]
+    if not found:
+        return []
+    return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
+
+
+def _rates(label: str, row: Row | None) -> dict[str, float | None]:
+    if row is None:
+        return dict.fromkeys((label, f"{label}_low", f"{label}_high"))
+    limits = (row.easr.estimate, row.easr.low, row.easr.high)
+    return {
+        f"{label}{end}": _percent(value)
+        for end, value in zip(("", "_low", "_high"), limits, strict=True)
+    }
+
+
+def _percent(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else 100 * value
