@@ -19,7 +19,12 @@ TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
 def test_two_trainings(tmp_path):
     preset = tmp_path / "preset.json"
     steps = {"texture": 1, "shape": 1, "sequential": 1, "parallel": 1}
-    less = {"attack_steps": steps, "magnitudes": [], "textures": ["U", "Fc"], "ladder_steps": []}
+    less = {
+        "attack_steps": steps,
+        "magnitudes": [],
+        "textures": ["U", "Pix", "Fc"],
+        "ladder_steps": [],
+    }
     preset.write_text(json.dumps({**TINY, **less, "trainings": 2}))
     folder = tmp_path / "run"
     with everything_counts():
@@ -39,10 +44,10 @@ def test_two_trainings(tmp_path):
         "detectors",
         "scores",
     }
-    assert {path.name for path in further.camouflages.iterdir()} == {"T-U-0", "T-Fc-0"}
+    assert {path.name for path in further.camouflages.iterdir()} == {"T-U-0", "T-Pix-0", "T-Fc-0"}
     with open(layout.tables / "trainings.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [row["attack"] for row in rows] == ["T-U", "T-Fc"]
+    assert [row["attack"] for row in rows] == ["T-U", "T-Pix", "T-Fc"]
     assert all(float(row["easr_training_se"]) >= 5 for row in rows)
 
     # A training on other images is no repeat of the first.
