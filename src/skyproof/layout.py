@@ -14,9 +14,26 @@ class Layout:
 
     Attributes:
         folder: the run folder, as the steps of a plan are to name it.
+        world: of a further training, the run folder whose ground, vehicles, scenes, images and
+            random draws it shares; None of a run, which has its own.
     """
 
     folder: Path
+    world: Path | None = None
+
+    @property
+    def shared(self) -> Layout:
+        """The run's own places, of a further training, too."""
+        return self if self.world is None else Layout(self.world)
+
+    @property
+    def trainings(self) -> Path:
+        """The folder of all further trainings of the detectors."""
+        return self.folder / "trainings"
+
+    def training(self, number: int) -> Layout:
+        """The places of a further training; number 0 is the run itself."""
+        return Layout(self.trainings / str(number), self.folder) if number else self
 
     @property
     def config(self) -> Path:
@@ -36,20 +53,20 @@ class Layout:
     @property
     def backgrounds(self) -> Path:
         """The background set."""
-        return self.folder / "backgrounds"
+        return self.shared.folder / "backgrounds"
 
     @property
     def fleets(self) -> Path:
         """The four fleets."""
-        return self.folder / "fleets"
+        return self.shared.folder / "fleets"
 
     def scenes(self, split: str) -> Path:
         """The scene file of a split."""
-        return self.folder / "scenes" / f"{split}.jsonl"
+        return self.shared.folder / "scenes" / f"{split}.jsonl"
 
     def dataset(self, name: str) -> Path:
         """A rendered dataset: the scenes of a split, perhaps by another renderer."""
-        return self.folder / "datasets" / name
+        return self.shared.folder / "datasets" / name
 
     @property
     def detectors(self) -> Path:

@@ -21,18 +21,27 @@ def test_the_answer_and_the_table(skyproof: Skyproof):
     # 32 vehicles alone leave ±3.3 points.
     assert [line[-2:] for line in table[2:]] == [["–", "–"]] * 2
     assert "tiles 58 %, vehicles 42 %: more tiles narrow it most." in said.out
-    assert "It says nothing of other seeds of the attack." in said.out
+    assert (
+        "It says nothing of other seeds of the attack or other trainings of the detector."
+        in said.out
+    )
 
 
 def test_seeds_and_draws_are_planned_for(skyproof: Skyproof):
     said = skyproof("sample-size", *flags("--half-width 0.15 --seeds 5 --draws 20"))
+    assert "says nothing of other trainings of the detector." in said.out
     assert "interval of the net of an EASR of 80 % is about ±15" in said.out
     assert "draws 50 %, tiles 35 %, seeds 10 %, vehicles 5 %: more draws narrow it" in said.out
-    assert "says nothing" not in said.out
     assert "5 seeds of standard deviation 0.03; 20 draws of standard deviation 0.20" in said.out
+    trained = skyproof("sample-size", *flags("--half-width 0.25 --draws 20 --trainings 3"))
+    assert "says nothing" not in trained.out
+    assert "trainings 54 %, tiles 26 %, draws 18 %, vehicles 2 %: more trainings" in trained.out
+    assert "20 draws of standard deviation 0.20; 3 trainings of standard deviation 0.10" in (
+        trained.out
+    )
     one = skyproof("sample-size", *flags("--half-width 0.15 --draws 1 --fleet 1"))
     assert (
-        "nothing of other vehicles or other seeds of the attack or other draws of the control"
+        "nothing of other vehicles or other seeds of the attack or other draws of the control or"
         in one.out
     )
 

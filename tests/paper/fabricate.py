@@ -26,7 +26,16 @@ CELLS = tuple(
 
 
 def write_scores(
-    folder, rates, *, found=1.0, spread=None, renderer="torch", by_overlap=None, checks=()
+    folder,
+    rates,
+    *,
+    found=1.0,
+    spread=None,
+    renderer="torch",
+    by_overlap=None,
+    checks=(),
+    detectors=DETECTORS,
+    tiles=TILES,
 ):
     """Writes one score folder.
 
@@ -39,12 +48,15 @@ def write_scores(
         renderer: that drew the images.
         by_overlap: the rates by the other criterion, where they differ.
         checks: of the detectors on images without camouflage.
+        detectors: that judge.
+        tiles: how many of the tiles show vehicles.
     """
     # Every fourth tile shows the same vehicles; who is found and lost goes round.
     turn = (np.arange(PER_TILE)[None] + np.arange(TILES)[:, None]) % PER_TILE
     before = (turn < round(found * PER_TILE)).ravel()
     series, sets = {}, []
-    for detector in DETECTORS:
+    shown = (np.arange(TILES).repeat(PER_TILE) < tiles)[:, None]
+    for detector in detectors:
         for match in ("centre_1m", "iou_50"):
             sets.append(SetScore("original", renderer, detector, match, 0.9, 1.0))
             for name, rate in (by_overlap if match == "iou_50" and by_overlap else rates).items():
@@ -53,14 +65,14 @@ def write_scores(
                 else:
                     lost = before & (spread.random(len(CELLS)) < rate)
                 columns = [np.ones(len(CELLS)), before & ~lost, lost, np.zeros(len(CELLS))]
-                counts = np.stack(columns, axis=1).astype(np.int64)
+                counts = np.stack(columns, axis=1).astype(np.int64) * shown
                 series[Series(name, renderer, detector, match)] = counts
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
     write_checks(folder / "checks.json", checks)
-    thresholds = dict.fromkeys(DETECTORS, 0.5)
+    thresholds = dict.fromkeys(detectors, 0.5)
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 
 

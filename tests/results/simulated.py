@@ -6,13 +6,14 @@ python -m tests.results.simulated RUNS
 import math
 import sys
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from scipy import optimize, special
 
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import resample
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, Kind, Repeat
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Kind, Repeat
 from skyproof.results.statistics.sample import Sample
 
 REPLICATES = 400
@@ -29,6 +30,9 @@ class Side:
         repeat_sd: standard deviation of their rates.
         kind: what sort of repeats.
         detectors: which share the repeats' rates, and nothing of what single vehicles do.
+        trainings: of the detectors. Seeds are each training's own, all trainings judge the same
+            draws.
+        training_sd: standard deviation of the trainings' rates.
     """
 
     rate: float
@@ -36,6 +40,21 @@ class Side:
     repeat_sd: float = 0.0
     kind: Kind = SEEDS
     detectors: int = 1
+    trainings: int = 1
+    training_sd: float = 0.0
+
+    @property
+    def series(self):
+        """Training, repeat and detector of every series."""
+        return list(product(range(self.trainings), range(self.repeats), range(self.detectors)))
+
+    def repeats_of(self, of, training, repeat):
+        """What a series is one of, as results say it: seeds lie within trainings."""
+        own = Repeat(of, str(repeat), self.kind)
+        if self.trainings == 1:
+            return [own]
+        within = [] if self.kind == SEEDS else [own]
+        return [*within, Repeat("detectors", str(training), TRAININGS)]
 
 
 @dataclass(frozen=True)
@@ -85,9 +104,8 @@ def coverage(world, *, runs, seed):
             Group(
                 _counts(rng, _rates(rng, world, side, scale, shared, tile, vehicle), cell, world),
                 [
-                    Repeat(str(number), str(repeat), side.kind)
-                    for repeat in range(side.repeats)
-                    for _ in range(side.detectors)
+                    side.repeats_of(str(number), training, repeat)
+                    for training, repeat, _ in side.series
                 ],
             )
             for number, (side, scale) in enumerate(zip(world.sides, scales, strict=True))
@@ -117,27 +135,29 @@ def _cells(tile, vehicle, cell):
 
 def _rates(rng, world, side, scales, shared, tile, vehicle):
     """The probability that each vehicle is lost: `[S, M]`."""
-    series = (side.repeats * side.detectors, 1)
     tiles, vehicles = shared
-    own = rng.normal(size=(series[0], world.tiles))
+    own = rng.normal(size=(len(side.series), world.tiles))
     tiles = math.sqrt(world.shared) * tiles + math.sqrt(1 - world.shared) * own
     if world.correlation:
         spread = (1 - world.correlation) / world.correlation
         ends = (side.rate * spread, (1 - side.rate) * spread)
         return special.betaincinv(*ends, special.ndtr(tiles))[:, tile]
-    by_repeat, by_tile, by_vehicle = scales
-    middle = special.ndtri(side.rate) * math.sqrt(1 + by_repeat**2 + by_tile**2 + by_vehicle**2)
-    repeats = np.repeat(rng.normal(size=(side.repeats, 1)), side.detectors, axis=0)
-    return special.ndtr(
-        middle + by_repeat * repeats + by_tile * tiles[:, tile] + by_vehicle * vehicles[vehicle]
-    )
+    by_training, by_repeat, by_tile, by_vehicle = scales
+    middle = special.ndtri(side.rate) * math.sqrt(1 + sum(scale**2 for scale in scales))
+    training, repeat, _ = np.array(side.series).T
+    seeds_lie_within = 0 if side.kind == DRAWS else training
+    repeats = rng.normal(size=(side.trainings, side.repeats))[seeds_lie_within, repeat]
+    trainings = rng.normal(size=side.trainings)[training] if by_training else 0 * repeats
+    places = by_tile * tiles[:, tile] + by_vehicle * vehicles[vehicle]
+    return special.ndtr(middle + (by_repeat * repeats + by_training * trainings)[:, None] + places)
 
 
 def _scales(world, side):
-    """On the normal scale, how much repeats, tiles and vehicles move the rate."""
+    """On the normal scale, how much trainings, repeats, tiles and vehicles move the rate."""
     if world.correlation:
         return []
-    return [_scale(sd, side.rate) for sd in (side.repeat_sd, world.tile_sd, world.vehicle_sd)]
+    sds = (side.training_sd, side.repeat_sd, world.tile_sd, world.vehicle_sd)
+    return [_scale(sd, side.rate) for sd in sds]
 
 
 def _scale(sd, rate):
@@ -169,6 +189,7 @@ def _before(rate, gained=0.0, **given):
 WIDE = Side(0.4, 30, 0.4, DRAWS)
 FEW = Side(0.4, 3, 0.4, DRAWS)
 LEARNT = Side(0.8, 3, 0.1)
+TRAINED = Side(0.8, trainings=3, training_sd=0.1)
 
 WORLDS = {
     "40 tiles, 0.5": _before(0.5, correlation=0.2),
@@ -204,6 +225,16 @@ WORLDS = {
     "3 draws of SD 0.4": World((FEW,)),
     "net of 30 draws, all together": World((LEARNT, WIDE), vehicle_sd=0.3),
     "net of 3 draws, all together": World((LEARNT, FEW), vehicle_sd=0.3),
+    "3 trainings of SD 0.1, 0.8": World((TRAINED,)),
+    "3 trainings of SD 0.1, 0.9, 100 like tiles": World(
+        (Side(0.9, trainings=3, training_sd=0.1),), 100, tile_sd=0.05
+    ),
+    "3 trainings of SD 0.1 with 3 seeds of SD 0.1 each, 0.8": World(
+        (Side(0.8, 3, 0.1, trainings=3, training_sd=0.1),)
+    ),
+    "net of 10 draws before 3 trainings": World(
+        (TRAINED, Side(0.2, 10, 0.1, DRAWS, trainings=3, training_sd=0.05)), vehicle_sd=0.3
+    ),
 }
 
 STUDIED = {
@@ -217,6 +248,21 @@ STUDIED = {
     "30 draws of SD 0.38, 0.2": World((Side(0.2, 30, 0.38, DRAWS),)),
     "3 draws of SD 0.38, 0.2": World((Side(0.2, 3, 0.38, DRAWS),)),
     "30 draws of SD 0.02, 0.1": World((Side(0.1, 30, 0.02, DRAWS),)),
+    "3 trainings of SD 0.1, 0.5, 100 like tiles": World(
+        (Side(0.5, trainings=3, training_sd=0.1),), 100, tile_sd=0.05
+    ),
+    "3 trainings of SD 0.15, 0.7, 100 like tiles": World(
+        (Side(0.7, trainings=3, training_sd=0.15),), 100, tile_sd=0.05
+    ),
+    "3 trainings of SD 0.2, 0.7": World((Side(0.7, trainings=3, training_sd=0.2),)),
+    "3 trainings of SD 0.2, 0.7, 100 like tiles": World(
+        (Side(0.7, trainings=3, training_sd=0.2),), 100, tile_sd=0.05
+    ),
+    "3 trainings of SD 0.03, 0.9": World((Side(0.9, trainings=3, training_sd=0.03),)),
+    "2 trainings of SD 0.1, 0.8": World((Side(0.8, trainings=2, training_sd=0.1),)),
+    "3 trainings of SD 0.1, 3 detectors, 0.8": World(
+        (Side(0.8, detectors=3, trainings=3, training_sd=0.1),)
+    ),
 }
 """Beyond what every run of the tests asks."""
 

@@ -11,7 +11,7 @@ import pytest
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import cluster_interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, Repeat
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat
 from skyproof.results.statistics.sample import Sample
 
 TILES, VEHICLES = 40, 6
@@ -127,7 +127,7 @@ def test_holds_the_truth(own, other, rng):
 
 
 def labels(of, kind, count, detectors=1):
-    return [Repeat(of, str(number), kind) for number in range(count) for _ in range(detectors)]
+    return [[Repeat(of, str(number), kind)] for number in range(count) for _ in range(detectors)]
 
 
 def test_repeats_by_hand(sample, rng):
@@ -195,6 +195,69 @@ def test_what_repeats_share_is_paired(sample, rng):
     # The same shuffled is not the same.
     other = stack(lost + 4, lost + 2, lost + 1, repeats=seeds)
     assert difference_interval([other], [first], sample).errors["seeds"] > 0.1
+
+
+def trained(*own):
+    """Which training each series is before, and which draw of a control where it is one."""
+    return [
+        [Repeat("detectors", str(training), TRAININGS)]
+        + ([] if draw is None else [Repeat("R-U", str(draw), DRAWS)])
+        for training, draw in own
+    ]
+
+
+def test_trainings_by_hand(sample, rng):
+    lost = rng.integers(1, 4, TILES)
+    rates = (lost, lost + 1, lost + 2)
+    plain = mean_interval(stack(*rates), sample)
+    found = mean_interval(stack(*rates, repeats=trained((0, None), (1, None), (2, None))), sample)
+    # Rates a sixth apart, and a training that was expected 0.1 off: three of them, three degrees.
+    variance = (0.1**2 + 2 / 36) / 9
+    assert found.errors == plain.errors | {"trainings": pytest.approx(variance**0.5)}
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(plain.high - plain.estimate, 3.182446 * variance**0.5)
+    )
+
+
+def test_draws_are_crossed_with_trainings(sample, rng):
+    """A control's draw is one for all trainings, and a training one for all draws."""
+    lost = rng.integers(1, 3, TILES)
+    places = [(training, draw) for training in range(2) for draw in range(2)]
+    control = stack(
+        *(lost + 2 * draw + training for training, draw in places), repeats=trained(*places)
+    )
+    plain = mean_interval(Group(control.counts), sample)
+    found = mean_interval(control, sample)
+    # Draws lie two sixths apart and trainings one, each about a mean of two.
+    draws = (0.5**2 + 2 * (1 / 6) ** 2) / 4
+    trainings = (0.1**2 + 2 * (1 / 12) ** 2) / 4
+    assert found.errors == plain.errors | {
+        "draws": pytest.approx(draws**0.5),
+        "trainings": pytest.approx(trainings**0.5),
+    }
+
+
+def test_a_net_rate_is_paired_by_training(sample, rng):
+    """Detectors that lose more to everything leave the net rate as it is."""
+    lost = rng.integers(0, 2, TILES)
+    learnt = stack(lost + 2, lost + 3, lost + 4, repeats=trained((0, None), (1, None), (2, None)))
+    control = stack(lost, lost + 1, lost + 2, repeats=trained((0, 0), (1, 0), (2, 0)))
+    found = difference_interval([learnt], [control], sample)
+    assert found.errors["trainings"] == pytest.approx(0.1 / 3)
+    assert "draws" not in found.errors
+    # The same trainings in another order lie far apart.
+    other = stack(lost + 4, lost + 3, lost + 2, repeats=learnt.repeats)
+    found = difference_interval([other], [control], sample)
+    variance = (0.1**2 + 2 * (2 / 6) ** 2) / 9
+    assert found.errors["trainings"] == pytest.approx(variance**0.5)
+
+
+def test_one_group_may_have_repeats_and_another_none(sample, rng):
+    lost = rng.integers(0, 2, TILES)
+    seeds = stack(lost + 1, lost + 2, repeats=labels("T-U", SEEDS, 2))
+    found = difference_interval([stack(lost)], [seeds], sample)
+    variance = (0.07**2 + 2 * (1 / 12) ** 2) / 4
+    assert found.errors["seeds"] == pytest.approx(variance**0.5)
 
 
 def test_vehicles_that_fare_alike_on_every_tile_widen_the_interval(rng):

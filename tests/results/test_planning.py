@@ -100,6 +100,18 @@ def test_vehicles_seeds_and_draws_count():
         vehicles_needed(0.05, several)
 
 
+def test_trainings_count():
+    # Three trainings of standard deviation 0.15 and one of 0.1 that was expected. Seeds are part of
+    # how they differ.
+    trainings = 3.182446 * ((0.1**2 + 2 * 0.15**2) / 9) ** 0.5
+    width = expected_half_width(100, Assumptions(0.8, fleet=1))
+    several = Assumptions(0.8, fleet=1, seeds=3, trainings=3, training_sd=0.15)
+    assert expected_half_width(100, several) == pytest.approx(math.hypot(width, trainings))
+    assert set(parts_of_width(100, several)) == {"tiles", "trainings"}
+    with pytest.raises(ConfigurationError, match=r"with so few trainings at best.*more trainings"):
+        vehicles_needed(0.05, several)
+
+
 def test_the_planned_test_with_a_fleet_gives_the_wanted_half_width():
     # Tiles and vehicles differ by standard deviations 0.2 and 0.15 of a rate of 0.7: correlations
     # of 0.04 / 0.21 and 0.0225 / 0.21, and 1 + 6.5 · 0.9 · 0.04 / 0.21 for 6.5 vehicles a tile,

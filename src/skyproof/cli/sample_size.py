@@ -28,7 +28,7 @@ class SampleSize:
 
     The precision is the half-width of the 95 % interval of EASR, or with --draws of the net EASR,
     for one detector. The interval is over background tiles and the vehicles of the fleet and, where
-    there are several, over seeds of the attack and draws of the control.
+    there are several, over seeds of the attack, draws of the control and trainings of the detector.
 
     Attributes:
         half_width: the wanted half-width, as a fraction: 0.05 is plus or minus 5 percentage points.
@@ -46,6 +46,9 @@ class SampleSize:
         seed_sd: standard deviation of their EASRs; the pilot's, or 0.03, where not given.
         draws: of the random control, for the net EASR; 0 for the EASR.
         draw_sd: standard deviation of their EASRs; the pilot's, or 0.2, where not given.
+        trainings: of the detector, each attacked for itself; 1 for what is true of this one.
+        training_sd: standard deviation of their EASRs, or of their net EASRs with --draws; 0.1
+            where not given, as a pilot is of one training.
     """
 
     half_width: Annotated[float, Meta(ge=0.001, lt=1)] = 0.05
@@ -60,6 +63,8 @@ class SampleSize:
     seed_sd: Fraction | None = None
     draws: Annotated[int, Meta(ge=0, le=1000)] = 0
     draw_sd: Fraction | None = None
+    trainings: Annotated[int, Meta(ge=1, le=1000)] = 1
+    training_sd: Fraction | None = None
 
     def run(self) -> None:
         """Prints the answer and what other half-widths would need."""
@@ -115,6 +120,8 @@ class SampleSize:
             "seed_sd": self.seed_sd,
             "draws": self.draws,
             "draw_sd": self.draw_sd,
+            "trainings": self.trainings,
+            "training_sd": self.training_sd,
         }
         known: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         assumptions = replace(start, **known)
@@ -145,8 +152,9 @@ def _limiting(tiles: int, assumptions: Assumptions) -> str:
         name
         for name, given in (
             ("other vehicles", assumptions.fleet > 1),
-            ("other seeds of the attack", assumptions.seeds > 1),
+            ("other seeds of the attack", max(assumptions.seeds, assumptions.trainings) > 1),
             ("other draws of the control", assumptions.draws != 1),
+            ("other trainings of the detector", assumptions.trainings > 1),
         )
         if not given
     ]
@@ -155,9 +163,11 @@ def _limiting(tiles: int, assumptions: Assumptions) -> str:
 
 
 def _repeats(assumptions: Assumptions) -> str:
-    said = ""
-    if assumptions.seeds > 1:
-        said += f"; {assumptions.seeds} seeds of standard deviation {assumptions.seed_sd:.2f}"
-    if assumptions.draws > 1:
-        said += f"; {assumptions.draws} draws of standard deviation {assumptions.draw_sd:.2f}"
-    return said
+    told = (
+        ("seeds", assumptions.seeds if assumptions.trainings == 1 else 1, assumptions.seed_sd),
+        ("draws", assumptions.draws, assumptions.draw_sd),
+        ("trainings", assumptions.trainings, assumptions.training_sd),
+    )
+    return "".join(
+        f"; {count} {what} of standard deviation {sd:.2f}" for what, count, sd in told if count > 1
+    )

@@ -308,6 +308,7 @@ def _card(
             "identity": json.loads(json.dumps(identity)),
             "images": len(training),
             "data_sha256": training.digest,
+            "validation_sha256": validation.digest,
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},

@@ -133,7 +133,7 @@ def practicality_curve(
     stacks = {
         pm: Group(
             np.stack([counts[shown, 1:] for _, counts in groups[pm]]),
-            [repeat_of(key.camouflage) for key, _ in groups[pm]],
+            [[repeat_of(key.camouflage)] for key, _ in groups[pm]],
         )
         for pm in sorted(groups)
     }

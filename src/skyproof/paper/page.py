@@ -27,6 +27,7 @@ from skyproof.paper.looks import looks_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.paper.tables import comparison
+from skyproof.paper.trainings import trainings_section
 from skyproof.paper.variability import variability_section
 from skyproof.paper.weather import weather_section
 from skyproof.results.results import RENDERER
@@ -69,6 +70,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         Heading("By overlap, and false alarms"),
         *criteria_section(tables["criteria"], run),
         *_transfer(tables["transfer"], run),
+        *trainings_section(run, tables),
         *weather_section(run, tables),
         *embeddings_section(run, tables),
         Heading("Practicality"),

@@ -18,6 +18,7 @@ from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH, Row
 from skyproof.results.stored import AttackRecord, Practicality
+from skyproof.results.trainings import Training, read_trainings
 
 __all__ = ["Reproduction", "point_name"]
 
@@ -90,6 +91,16 @@ class Reproduction:
     def best(self) -> dict[str, str]:
         """Per attack with a shape, the name of what stands at its PM*."""
         return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
+
+    @cached_property
+    def trainings(self) -> list[Training]:
+        """Every training of the detectors that was scored, the run's own first.
+
+        Raises:
+            ConfigurationError: they do not belong together.
+        """
+        results = self.results
+        return read_trainings(results.folder, Training(0, results.tiles, results.detectors))
 
     @property
     def hours(self) -> float | None:

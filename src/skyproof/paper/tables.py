@@ -23,6 +23,7 @@ from skyproof.paper.embeddings import embeddings_tables
 from skyproof.paper.judges import judges_tables
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
+from skyproof.paper.trainings import trainings_tables
 from skyproof.paper.transfer import transfer_matrix
 from skyproof.paper.variability import variability_tables
 from skyproof.paper.weather import weather_tables
@@ -44,6 +45,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         *cycles_tables(run),
         *judges_tables(run),
         criteria_table(run),
+        *trainings_tables(run),
         Table("practicality", _practicality(run)),
         Table("transfer", _transfer(run)),
         Table("ladder", _ladder(run)),

@@ -46,6 +46,9 @@ class Jobs:
             what was learnt on clear days and in all weathers.
         judged_batches: what detectors that only judge score together: `batches` but for what tells
             how attacks were learnt, which are copies kept on the way and attacks on some detectors.
+        repeated: the attacks on all detectors, which are made again on every further training.
+        repeated_batches: what is scored together there: random controls, and these attacks as they
+            finally are.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -76,6 +79,8 @@ class Jobs:
         finished = [name for name in self.attacks if not CamouflageName.parse(name).variant]
         self.weather_batches = self._batched(*self._in_weather())
         self.judged_batches = self._batched(self.controls, finished, late)
+        self.repeated = tuple(self.attacks[name] for name in finished)
+        self.repeated_batches = self._batched(self.controls, finished)
         self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
 
     def _is_looked_at(self, name: CamouflageName) -> bool:

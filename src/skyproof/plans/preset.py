@@ -25,9 +25,11 @@ from skyproof.scenes.sensor import BlurChoice
 __all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
 
 PRESETS = {
-    name: Path(__file__).with_name(f"{name}.json") for name in ("quick", "paper", "reference")
+    name: Path(__file__).with_name(f"{name}.json")
+    for name in ("quick", "paper", "reference", "trainings")
 }
-"""The paper's tables in small and in full, and the training of the shipped detectors."""
+"""The paper's tables in small and in full, the training of the shipped detectors, and the headline
+attacks on three trainings of each detector."""
 
 Known = Literal["retinanet", "faster_rcnn", "yolov5"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
@@ -107,6 +109,8 @@ class Preset:
             check found; the others are trained and checked in the run.
         best_of: of how many random draws the best is taken as a control of its own, beside the best
             plain paint and a random search; 0 for no such controls, which older runs have not.
+        trainings: of every detector, from different seeds. On each the attacks on all detectors are
+            learnt and scored anew, beside the same random draws; everything else is of the first.
         blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
             None for that of the ground under them.
         title: of the report.
@@ -135,6 +139,7 @@ class Preset:
     resources: Resources
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
+    trainings: Annotated[int, Meta(ge=1, le=10)] = 1
     features: _Textures = ()
     weather: _Textures = ()
     weather_images: Count = 160
@@ -173,6 +178,11 @@ class Preset:
             raise ConfigurationError(
                 f"reference names {strangers[0]}, which is none of the preset's detectors "
                 f"({', '.join(self.detectors)}); name it there, too."
+            )
+        if self.trainings > 1 and self.reference:
+            raise ConfigurationError(
+                f"trainings {self.trainings} expects detectors that the run trains, all by one "
+                f"recipe, but {self.reference[0]} comes trained once; take it out of reference."
             )
         tile_px = tiling_for_images(self.world.image_px, gsd_m=GSD_M, imagery=False).size_px
         if math.ceil(self.attack_image_px * math.sqrt(2)) + 2 > tile_px:

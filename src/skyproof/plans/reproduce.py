@@ -38,8 +38,8 @@ class Reproduce:
 
     Attributes:
         preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), reference
-            (training and check of the detectors that skyproof brings along), or a JSON
-            file like theirs.
+            (training and check of the detectors that skyproof brings along), trainings (the
+            headline attacks on three short trainings of each detector), or a JSON file like theirs.
         out: run folder.
         cores: CPU cores to use; all where not given. With 1, the steps are done one after the other
             in this process, without Snakemake.

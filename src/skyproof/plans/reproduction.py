@@ -24,6 +24,7 @@ from skyproof.plans.steps import (
     score_step,
     train_step,
 )
+from skyproof.plans.trainings import training_steps
 from skyproof.plans.world import RENDERED, render_step, scene_step, world_steps
 
 __all__ = ["plan_of_config", "reproduction_plan"]
@@ -182,5 +183,11 @@ def reproduction_plan(
     if jobs.looked_at:
         scores.append(looks_step(layout, jobs.looked_at, preset.seed))
     steps += scores
+    for number in range(1, preset.trainings):
+        further = training_steps(
+            layout, preset, number, jobs.repeated, jobs.repeated_batches, device=device
+        )
+        steps += further
+        scores += [step for step in further if step.kind == "score"]
     steps.append(report_step(layout, scores, checked))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())

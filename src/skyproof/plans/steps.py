@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -307,7 +308,7 @@ def score_step(
         detectors=tuple(own.detector(detector) for detector in detectors),
         out=out,
         original=original,
-        camouflages=tuple(layout.camouflage(folder) for folder in camouflages),
+        camouflages=tuple(_camouflage(layout, folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
         frames=tuple(frames),
@@ -321,7 +322,7 @@ def score_step(
     inputs += [layout.dataset("empty")] if empty else []
     # Copies kept on the way lie inside the folder of their attack.
     attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
-    inputs += [layout.camouflage(attack) / "camouflage.json" for attack in attacks]
+    inputs += [_camouflage(layout, attack) / "camouflage.json" for attack in attacks]
     images = sizes.test_images * (1 + len(camouflages))
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
     return Step(
@@ -363,6 +364,12 @@ def looks_step(layout: Layout, camouflages: Sequence[str], seed: int) -> Step:
         (layout.score("looks"),),
         effort_s=2 * START_S + _LOOK_S * len(folders),
     )
+
+
+def _camouflage(layout: Layout, folder: str) -> Path:
+    """A camouflage's folder; what is drawn and not learnt is the same for every training."""
+    drawn = CamouflageName.parse(folder.partition("/")[0]).random
+    return (layout.shared if drawn else layout).camouflage(folder)
 
 
 def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] = ()) -> Step:

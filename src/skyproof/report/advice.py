@@ -73,8 +73,16 @@ def advice(headline: Headline) -> list[str]:
     return sentences
 
 
-def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
-    """Says what the numbers do not cover."""
+def limits(
+    results: Results, every: Sequence[Sequence[Headline]], *, several_trainings: bool = False
+) -> list[str]:
+    """Says what the numbers do not cover.
+
+    Args:
+        results: of the run.
+        every: headlines by camouflage.
+        several_trainings: whether the page has a section on other trainings of the detectors.
+    """
     sentences = []
     if results.sources == ["procedural"]:
         sentences.append(
@@ -96,10 +104,14 @@ def limits(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
         tiles = every[0][0].row.clusters
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
+        another = (
+            "Another training of the detectors is covered in the section on trainings alone."
+            if several_trainings
+            else "They do not cover another training of the detectors."
+        )
         sentences.append(
             "The intervals cover which tiles and vehicles were drawn and, where there are several, "
-            "which seeds of the attack and draws of the random control. They do not cover another "
-            "training of the detectors."
+            f"which seeds of the attack and draws of the random control. {another}"
         )
         attacked = _attacked(results, every[0][0])
         if attacked:

@@ -164,7 +164,7 @@ def _write(results: Results, layout: Layout) -> Path:
             paper=paper,
             training=_training(results),
             advice=advice(every[0][0]) if every else [],
-            limits=limits(results, every),
+            limits=limits(results, every, several_trainings=_several_trainings(paper)),
             settings=list(_flat(results.config.every)),
         )
     )
@@ -172,6 +172,10 @@ def _write(results: Results, layout: Layout) -> Path:
     if paper is not None:
         _write_tables(layout.tables, paper)
     return layout.report
+
+
+def _several_trainings(paper: PaperPart | None) -> bool:
+    return paper is not None and "trainings.csv" in paper.files
 
 
 def _environment() -> jinja2.Environment:

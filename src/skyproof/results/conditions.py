@@ -125,5 +125,5 @@ def shared_groups(
         for outcome in part:
             series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
         counts = np.stack([count_cells(each, row_of) for each in series.values()])
-        groups.append(Group(counts, [repeat_of(camouflage) for camouflage, _ in series]))
+        groups.append(Group(counts, [[repeat_of(camouflage)] for camouflage, _ in series]))
     return Sample.draw(cells, generator=generator), groups

@@ -356,7 +356,7 @@ class Results:
         if not after:
             return None, None
         before = [self.tiles.series[key][:, 1:] for key in after]
-        repeats = [repeat_of(key.camouflage) for key in after]
+        repeats = [[repeat_of(key.camouflage)] for key in after]
         return Group(np.stack(before), repeats), Group(np.stack(list(after.values())), repeats)
 
     def _group(self, camouflage: str) -> Group | None:
@@ -364,7 +364,7 @@ class Results:
         known = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
         if len(known) < len(keys):
             return None
-        return Group(np.stack(known), [repeat_of(camouflage)] * len(known))
+        return Group(np.stack(known), [[repeat_of(camouflage)]] * len(known))
 
 
 def _easr(group: Group) -> float:

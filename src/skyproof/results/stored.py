@@ -45,6 +45,8 @@ Label = Annotated[str, Meta(min_length=1, max_length=300)]
 Text = Annotated[str, Meta(max_length=10_000)]
 """Some sentences, or a command."""
 
+_Digest = Annotated[str, Meta(max_length=64)]
+
 _REMEDY = "copy the whole folder again, or move this file away"
 
 
@@ -85,6 +87,26 @@ class Validation(Struct, frozen=True):
     f1: Fraction | None = None
 
 
+class _Identity(Struct, frozen=True):
+    settings: dict[Label, Finite] = {}
+
+
+class Recipe(Struct, frozen=True):
+    """How a detector was trained, and on what.
+
+    Attributes:
+        identity: the settings of the training.
+        images: how many it learnt from.
+        data_sha256, validation_sha256: of what stands where in the images that it learnt from, and
+            in those that chose its threshold; empty on cards from before it was kept.
+    """
+
+    identity: _Identity = _Identity()
+    images: WholeNumber | None = None
+    data_sha256: _Digest = ""
+    validation_sha256: _Digest = ""
+
+
 class DetectorFacts(Struct, frozen=True):
     """What the page shows of a `detector.json`."""
 
@@ -95,6 +117,8 @@ class DetectorFacts(Struct, frozen=True):
     validation_vehicles: WholeNumber | None = None
     trained_on: Text = ""
     brought: Any = None
+    training: Recipe = Recipe()
+    weights_sha256: _Digest = ""
 
     def doubts(self, name: str) -> list[str]:
         """What speaks against attacking it at all, in a sentence each; see `find_doubts`."""

@@ -188,7 +188,7 @@ class _Table:
 
     def group(self, camouflages: list[str], detectors: list[str]) -> Group:
         series = [(camouflage, d) for camouflage in camouflages for d in detectors]
-        repeats = [repeat_of(camouflage) for camouflage, _ in series]
+        repeats = [[repeat_of(camouflage)] for camouflage, _ in series]
         return Group(np.stack([self.counts[each] for each in series]), repeats)
 
     def _mean(

@@ -36,11 +36,11 @@ class Group:
 
     Attributes:
         counts: `[S, N, 3]` (both, lost, gained) per series and cell of the sample.
-        repeats: of each series; empty where they are taken as given.
+        repeats: what each series is one of several of; empty where they are taken as given.
     """
 
     counts: Int[np.ndarray, "S N 3"]
-    repeats: Sequence[Repeat] = ()
+    repeats: Sequence[Sequence[Repeat]] = ()
 
 
 def mean_interval(
@@ -52,8 +52,8 @@ def mean_interval(
 ) -> Interval:
     """Gives the interval of a rate's mean over series, no surer than they are.
 
-    It covers which tiles and vehicles were drawn and, where there are several, which seeds or draws
-    (`spread_of_repeats`).
+    It covers which tiles and vehicles were drawn and, where there are several, which seeds, draws
+    or trainings (`spread_of_repeats`).
 
     Args:
         group: the series.
@@ -103,7 +103,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: S
         low = min(whole.low, whole.estimate - lower)
         high = max(whole.high, whole.estimate + upper)
         whole = replace(whole, low=low, high=high, unanimous=True)
-    repeats = [repeat for group in groups for repeat in group.repeats]
+    repeats = [own for group in groups for own in group.repeats or [()] * len(group.counts)]
     return _with_repeats(whole, together.points, factors, repeats, limits)
 
 
@@ -177,7 +177,7 @@ def _with_repeats(
     whole: Interval,
     values: Float[np.ndarray, " S"],
     factors: Float[np.ndarray, " S"],
-    repeats: Sequence[Repeat],
+    repeats: Sequence[Sequence[Repeat]],
     limits: tuple[float, float],
 ) -> Interval:
     """Adds what repeats leave open: half-widths are squared and added."""

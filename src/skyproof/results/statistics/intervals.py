@@ -52,8 +52,8 @@ class Interval:
     Attributes:
         estimate, low, high: the rate and its limits.
         unanimous: whether every tile agreed in some part, so that exact binomial limits entered.
-        errors: the standard error by what was drawn: "tiles", "vehicles", "seeds", "draws". What is
-            not named is not in the interval.
+        errors: the standard error by what was drawn: "tiles", "vehicles", "seeds", "draws",
+            "trainings". What is not named is not in the interval.
     """
 
     estimate: float

@@ -20,7 +20,7 @@ from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
 from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, Kind, expected_margin
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Kind, expected_margin
 from skyproof.results.statistics.sample import Sample
 
 __all__ = [
@@ -41,6 +41,9 @@ SEED_SD = 0.03
 DRAW_SD = 0.2
 """Of the draws of a control: the same over 12 controls of three draws each (docs/results/quick)."""
 
+TRAINING_SD = TRAININGS.usual_sd
+"""Of the trainings of a detector, where a run tells nothing: what intervals expect of them."""
+
 
 @dataclass(frozen=True)
 class Assumptions:
@@ -57,11 +60,15 @@ class Assumptions:
             this one.
         vehicle_correlation: how alike one vehicle of the fleet fares on different tiles, in [0, 1].
         seeds: attacks from different seeds whose mean is wanted; with 1 the answer is about this
-            one.
+            one. Where there are several trainings, what seeds add is part of how these differ.
         seed_sd: standard deviation of their EASRs.
         draws: of the random control, whose mean is subtracted for the net EASR; with 0 there is no
             control, with 1 the answer is about this one.
         draw_sd: standard deviation of their EASRs.
+        trainings: of the detector, each with attacks of its own, whose mean is wanted; with 1 the
+            answer is about this one.
+        training_sd: standard deviation of their EASRs, or net EASRs where there are draws, each the
+            mean over its seeds.
     """
 
     easr: Annotated[float, Meta(ge=-1, le=1)]
@@ -75,6 +82,8 @@ class Assumptions:
     seed_sd: Fraction = SEED_SD
     draws: Annotated[int, Meta(ge=0, le=1000)] = 0
     draw_sd: Fraction = DRAW_SD
+    trainings: Annotated[int, Meta(ge=1, le=1000)] = 1
+    training_sd: Fraction = TRAINING_SD
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -139,8 +148,8 @@ def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
     It holds for one detector with so many tiles. The variance of EASR is that of a ratio,
     linearised: of the vehicles found before, a share ASR is lost (influence 1 − EASR) and the rest
     kept (−EASR), and ER as many are gained (−1). That is multiplied by the design effect, and
-    vehicles add their correlated part of it. Half-widths of seeds and draws are squared and added.
-    Of the control only the draws count: it hides little, so that tiles move it less.
+    vehicles add their correlated part of it. Half-widths of seeds, draws and trainings are squared
+    and added. Of the control only the draws count: it hides little, so that tiles move it less.
     """
     easr = assumptions.easr
     by_tiles, by_vehicles = _variances(tiles, assumptions)
@@ -187,8 +196,9 @@ def _repeat_margins(assumptions: Assumptions) -> dict[str, float]:
     margins = {
         kind.name: expected_margin(kind, count, sd)
         for kind, count, sd in (
-            (SEEDS, assumptions.seeds, assumptions.seed_sd),
+            (SEEDS, assumptions.seeds if assumptions.trainings == 1 else 1, assumptions.seed_sd),
             (DRAWS, assumptions.draws, assumptions.draw_sd),
+            (TRAININGS, assumptions.trainings, assumptions.training_sd),
         )
     }
     return {name: margin for name, margin in margins.items() if margin}
