@@ -52,9 +52,10 @@ def training_steps(
         )
         for name in preset.detectors
     ]
+    repeats = max([preset.repeats, *preset.texture_repeats.values()])
     for job in attacks:
         # Of every repeat on every training another one.
-        attack_seed = next_seed(job.settings.seed, number * preset.repeats)
+        attack_seed = next_seed(job.settings.seed, number * repeats)
         settings = replace(job.settings, seed=attack_seed, keep_at=())
         again = replace(job, settings=settings, kept=())
         steps.append(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
@@ -26,8 +25,7 @@ from skyproof.results.looks import Strip, read_looks
 __all__ = ["looks_figures"]
 
 _REMEDY = "copy the whole folder again, or score again"
-_COLUMNS = 4
-_CELLS = 3
+_ACROSS = 12
 # Of a portrait: its second row shows the camouflage from above, 6 m a side.
 _PORTRAIT_ROWS = 4
 
@@ -117,21 +115,27 @@ def _maps(run: Reproduction) -> dict[str, bytes]:
             cells.append((name, flat, worn[side : 2 * side, :side]))
     if not cells:
         return {}
-    columns = min(_COLUMNS, len(cells))
-    lines = math.ceil(len(cells) / columns)
+    # Each takes as many places of a line as it has pictures.
+    places: list[tuple[int, int]] = []
+    line = column = 0
+    for _, flat, _ in cells:
+        wide = len(flat) + 1
+        if column + wide > _ACROSS:
+            line, column = line + 1, 0
+        places.append((line, column))
+        column += wide
     figure, grid = plt.subplots(
-        lines,
-        _CELLS * columns,
-        figsize=(1.05 * _CELLS * columns, 1.28 * lines),
+        line + 1,
+        _ACROSS,
+        figsize=(1.05 * _ACROSS, 1.28 * (line + 1)),
         squeeze=False,
         layout="constrained",
     )
     for axes in grid.flat:
         axes.set_axis_off()
-    for place, (name, flat, worn) in enumerate(cells):
-        start = _CELLS * (place % columns)
-        shown = grid[place // columns, start : start + _CELLS]
-        for axes, pixels in zip(shown, [*flat, worn], strict=False):
+    for (line, column), (name, flat, worn) in zip(places, cells, strict=True):
+        shown = grid[line, column : column + len(flat) + 1]
+        for axes, pixels in zip(shown, [*flat, worn], strict=True):
             axes.imshow(pixels, interpolation="antialiased")
         shown[0].set_title(str(name), loc="left", fontsize=8, fontweight="bold")
     return as_files(figure)
