@@ -87,6 +87,22 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     }
 
 
+def test_the_cycles_column_has_more_of_the_headlines():
+    more = {"textures": ["U", "Ma"], "magnitudes": [], "repeats": 3, "draws": 5, "best_of": 4}
+    batches = jobs(**more, cycles_headlines=["T-Ma"], score_batch=50).cycles_batches
+    # As many draws as repeats, and what was chosen; of all else the first.
+    assert batches == {
+        "000": ("R-U-0", "R-Ma-0", "R-Ma-1", "R-Ma-2"),
+        "001": (
+            *("T-U-0", "T-Ma-0", "T-Ma-1", "T-Ma-2"),
+            *("R-Ma_plain", "R-Ma_best", "R-Ma_search"),
+        ),
+    }
+    for wrong in ("R-U", "T-U-0", "T-U_on_yolov5"):
+        with pytest.raises(ConfigurationError, match=f"cycles_headlines expects .* '{wrong}'"):
+            Preset.parse({**TINY, "cycles_headlines": [wrong]})
+
+
 def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
     none = jobs()
     assert (none.chosen, none.shapes) == ({}, {})

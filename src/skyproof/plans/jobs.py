@@ -81,7 +81,9 @@ class Jobs:
         self.judged_batches = self._batched(self.controls, finished, late)
         self.repeated = tuple(self.attacks[name] for name in finished)
         self.repeated_batches = self._batched(self.controls, finished)
-        self.cycles_batches = self._batched(self._first(self.controls), self._first(finished))
+        self.cycles_batches = self._batched(
+            self._on_cycles(self.controls), self._on_cycles([*finished, *self.chosen])
+        )
 
     def _is_looked_at(self, name: CamouflageName) -> bool:
         """Says so of every texture, and of what is shown of learnt shapes and combinations."""
@@ -154,10 +156,19 @@ class Jobs:
             conditions=kind.conditions,
         )
 
-    def _first(self, names: Sequence[str]) -> list[str]:
-        """The repeats and draws that the Cycles column has."""
-        count = self._preset.cycles_repeats
-        return [name for name in names if int(CamouflageName.parse(name).repeat) < count]
+    def _on_cycles(self, names: Sequence[str]) -> list[str]:
+        """The repeats and draws that the Cycles column has: more of the headlines."""
+        preset = self._preset
+        headlines = [CamouflageName.parse(text) for text in preset.cycles_headlines]
+        wanted = {each for name in headlines for each in (name, name.control, *name.unlearnt)}
+
+        def has(name: CamouflageName) -> bool:
+            if name.choice is not None:
+                return name in wanted
+            count = preset.repeats if name.pooled in wanted else preset.cycles_repeats
+            return int(name.repeat) < count
+
+        return [name for name in names if has(CamouflageName.parse(name))]
 
     def _chosen(self) -> Iterator[AttackJob]:
         """The choices that stand beside the attacks, with as many steps as the longest of them."""

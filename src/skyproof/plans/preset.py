@@ -99,6 +99,8 @@ class Preset:
         check_scenes: test scenes on which detectors are checked before the attacks, with as many
             draws of each control; 0 for no check.
         cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
+        cycles_headlines: learnt camouflages of which the Cycles column has all repeats, as many
+            draws of their controls, and the controls that are chosen and not learnt.
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done, and at which
             combinations are set beside their textures under random shapes.
@@ -140,6 +142,7 @@ class Preset:
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     trainings: Annotated[int, Meta(ge=1, le=10)] = 1
+    cycles_headlines: _Textures = ()
     features: _Textures = ()
     weather: _Textures = ()
     weather_images: Count = 160
@@ -172,6 +175,12 @@ class Preset:
                 raise ConfigurationError(
                     f"texture_repeats expects at least the {self.repeats} repeats that every "
                     f"attack has, got {repeats} of {texture}; give more, or leave it out."
+                )
+        for text in self.cycles_headlines:
+            name = CamouflageName.parse(text)
+            if name.random or name.variant or name.repeat:
+                raise ConfigurationError(
+                    f"cycles_headlines expects learnt camouflages such as T-U, got {text!r}."
                 )
         strangers = [name for name in self.reference if name not in self.detectors]
         if strangers:
