@@ -30,7 +30,12 @@ STEPS = flags(
     "--training.checkpoint-every 2 --attack.steps 4 --attack.batch-size 2 "
     "--attack.checkpoint-every 2"
 )
-WORN = ("T-U", "T-PixFcMa", "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
+# Controls that are chosen by the detectors and not learnt.
+CHOSEN = (
+    *("R-U_plain", "R-U_best", "R-U_search"),
+    *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"),
+)
+WORN = ("T-U", "T-PixFcMa", *CHOSEN, "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
 TINY = [*SIZES, *STEPS, "--train", "--detectors", "retinanet", "--device", "cpu"]
 
 # The same of detectors that come trained; they take larger networks' time, but see well.

@@ -148,6 +148,6 @@ def test_a_preset_cannot_name_options(sandbox: Sandbox) -> None:
     preset = json.loads((sandbox.inputs / "preset.json").read_text())
     for place in ("attack", "training", "world"):
         changed = json.loads(json.dumps(preset))
-        within = changed[place]["retinanet"] if place == "training" else changed[place]
+        within = changed[place]["yolov5"] if place == "training" else changed[place]
         within["steps; touch injected #"] = 1
         assert sandbox.try_document(kinds.PRESETS[0], json.dumps(changed).encode()) == 2

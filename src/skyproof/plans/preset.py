@@ -182,6 +182,10 @@ class Preset:
                 raise ConfigurationError(
                     f"cycles_headlines expects learnt camouflages such as T-U, got {text!r}."
                 )
+        if len(set(self.reference)) < len(self.reference):
+            raise ConfigurationError(
+                f"reference expects each detector once, got {', '.join(self.reference)}."
+            )
         strangers = [name for name in self.reference if name not in self.detectors]
         if strangers:
             raise ConfigurationError(

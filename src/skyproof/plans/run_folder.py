@@ -110,7 +110,7 @@ class RunFolder:
 
     def seconds(self) -> dict[str, float]:
         """Returns by step id how long steps took so far, stopped ones included."""
-        return {f"{row['stage']}/{row['name']}": row["seconds"] for row in self._times()}
+        return {f"{row['stage']}/{row.get('name', '')}": row["seconds"] for row in self._times()}
 
     def note_times(self, jobs: Iterable[FinishedJob]) -> None:
         """Writes the times of steps that others did."""
@@ -140,7 +140,7 @@ class RunFolder:
 
     def _add_time(self, step: Step, seconds: float) -> None:
         rows = self._times()
-        known = [row for row in rows if (row["stage"], row["name"]) == (step.kind, step.name)]
+        known = [row for row in rows if (row["stage"], row.get("name")) == (step.kind, step.name)]
         if not known:
             known = [{"stage": step.kind, "name": step.name, "seconds": 0.0}]
             rows += known
