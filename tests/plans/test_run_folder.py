@@ -7,6 +7,7 @@ import pytest
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.errors import RunFolderError
+from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.plans.demo import Demo, demo_plan
 from skyproof.plans.run_folder import RunFolder
@@ -32,3 +33,19 @@ def test_a_demo_takes_corrected_settings_of_what_is_not_begun(
         opened(replace(demo, seed=1))
     with pytest.raises(RunFolderError, match=r"other settings \(imagery\)"):
         opened(replace(demo, imagery=(Path("e.tif"),)))
+
+
+def test_a_time_without_a_name_belongs_to_no_step(tmp_path: Path) -> None:
+    demo = Demo(tmp_path / "run")
+    run = opened(demo)
+    run.start("cpu")
+    drawn = {"stage": "ground", "name": "ground", "seconds": 1.0}
+    rows = [{"stage": "scenes", "seconds": 2.0}, drawn]
+        {"stage": "scenes", "seconds": 2.0},
+        {"stage": "ground", "name": "ground", "seconds": 1},
+    ]
+    write_json(Layout(demo.out).timings, rows)
+    assert run.seconds()["ground/ground"] == 1.0
+    (ground,) = (step for step in demo_plan(demo, Layout(demo.out)).steps if step.kind == "ground")
+    run.timed(ground, lambda: None)
+    assert run.seconds()["ground/ground"] == pytest.approx(1.0, abs=0.5)
