@@ -41,9 +41,6 @@ def test_a_time_without_a_name_belongs_to_no_step(tmp_path: Path) -> None:
     run.start("cpu")
     drawn = {"stage": "ground", "name": "ground", "seconds": 1.0}
     rows = [{"stage": "scenes", "seconds": 2.0}, drawn]
-        {"stage": "scenes", "seconds": 2.0},
-        {"stage": "ground", "name": "ground", "seconds": 1},
-    ]
     write_json(Layout(demo.out).timings, rows)
     assert run.seconds()["ground/ground"] == 1.0
     (ground,) = (step for step in demo_plan(demo, Layout(demo.out)).steps if step.kind == "ground")
