@@ -20,6 +20,7 @@ from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 __all__ = [
     "Hold",
     "alone",
+    "drop_empty_folder",
     "finished_folder",
     "inside",
     "is_leftover",
@@ -196,6 +197,15 @@ def is_leftover(path: Path) -> bool:
     return path.name.startswith(".") and (
         path.name.endswith((".partial", ".lock")) or path.stem.endswith(".partial")
     )
+
+
+def drop_empty_folder(path: Path) -> None:
+    """Removes a folder if it is empty.
+
+    Snakemake makes the folder of a file that a step is to leave; one that holds anything stays.
+    """
+    with suppress(OSError):
+        path.rmdir()
 
 
 def refuse_existing(path: Path) -> None:

@@ -141,6 +141,18 @@ def test_the_command_copies_them_whole_and_overwrites_nothing(
     assert not (tmp_path / "one" / "retinanet").exists()
 
 
+def test_an_empty_folder_as_snakemake_makes_it_is_not_in_the_way(
+    tmp_path: Path, skyproof: Skyproof
+) -> None:
+    (tmp_path / "detectors" / "retinanet").mkdir(parents=True)
+    (tmp_path / "detectors" / "faster_rcnn").mkdir()
+    (tmp_path / "detectors" / "faster_rcnn" / "mine.txt").touch()
+    call = ["reference", "--out", tmp_path / "detectors", "--detectors"]
+    assert skyproof(*call, "retinanet").code == 0
+    assert (tmp_path / "detectors" / "retinanet" / "detector.json").exists()
+    skyproof(*call, "faster_rcnn").refused("faster_rcnn", "not overwritten")
+
+
 def test_names_that_do_not_come_trained(tmp_path: Path, skyproof: Skyproof) -> None:
     for names in (["yolov5"], ["retinanet", "../x"], []):
         skyproof("reference", "--out", tmp_path / "out", "--detectors", *names).refused(

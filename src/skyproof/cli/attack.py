@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -278,10 +277,8 @@ class Attack:
 def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:
     """Writes a camouflage's folder, whole or not at all."""
     from skyproof.camouflage.folder import save_camouflage
-    from skyproof.files import finished_folder
+    from skyproof.files import drop_empty_folder, finished_folder
 
-    # Snakemake makes the folder of a file that a step is to leave; only an empty one goes.
-    with suppress(OSError):
-        folder.rmdir()
+    drop_empty_folder(folder)
     with finished_folder(folder) as partial:
         save_camouflage(partial, camouflage, record)

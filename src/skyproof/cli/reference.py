@@ -34,7 +34,12 @@ class Reference:
         """Copies the detectors, and prints what was found of them and where they lie."""
         from skyproof.cli.check_words import lines
         from skyproof.detectors.reference_detectors import reference_detector, reference_folder
-        from skyproof.files import finished_folder, refuse_existing, write_bytes
+        from skyproof.files import (
+            drop_empty_folder,
+            finished_folder,
+            refuse_existing,
+            write_bytes,
+        )
         from skyproof.gate.record import RECORD_FILE, read_record
 
         names = tuple(dict.fromkeys(self.detectors))
@@ -47,6 +52,7 @@ class Reference:
         for name in names:
             card = reference_detector(name).card
             found.append(lines(read_record(reference_folder(name)), card.doubts))
+            drop_empty_folder(self.out / name)
             refuse_existing(self.out / name)
         for name, told in zip(names, found, strict=True):
             with finished_folder(self.out / name) as folder:
