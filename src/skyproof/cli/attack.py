@@ -21,10 +21,10 @@ from skyproof.scenes.settings import SceneSettings
 if TYPE_CHECKING:
     import torch
 
+    from skyproof.attacks.held_out import HeldOut
     from skyproof.attacks.world import AttackWorld
     from skyproof.camouflage.camouflage import Camouflage
     from skyproof.detectors.detector import TrainableDetector
-    from skyproof.detectors.loaded import LoadedDetector
 
 __all__ = ["BEST_OF", "Attack"]
 
@@ -159,6 +159,7 @@ class Attack:
 
     def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
+        from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
@@ -175,21 +176,21 @@ class Attack:
             places=self.places,
         )
         ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
+        held_out = HeldOut(ensemble, world, self.settings)
         for name in names:
             if name.choice in ("plain", "best"):
-                self._choose(name, ensemble, world, palette, device)
+                self._choose(name, held_out, palette, device)
             else:
-                self._attack(name, ensemble, world, palette, device)
+                models = [each.detector for each in ensemble]
+                self._attack(name, models, world, held_out, palette, device)
 
     def _choose(
         self,
         name: CamouflageName,
-        ensemble: Sequence[LoadedDetector[TrainableDetector]],
-        world: AttackWorld,
+        held_out: HeldOut,
         palette: torch.Tensor | None,
         device: torch.device,
     ) -> None:
-        from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.search import choose
         from skyproof.camouflage.make import make_candidates
 
@@ -209,7 +210,7 @@ class Attack:
         with progress_bar(f"choose {name}") as update:
             chosen = choose(
                 candidates,
-                HeldOut(ensemble, world, self.settings),
+                held_out,
                 on_candidate=lambda number: update(number, len(candidates)),
             )
         record = {
@@ -231,13 +232,13 @@ class Attack:
     def _attack(
         self,
         name: CamouflageName,
-        ensemble: Sequence[LoadedDetector[TrainableDetector]],
+        models: Sequence[TrainableDetector],
         world: AttackWorld,
+        held_out: HeldOut,
         palette: torch.Tensor | None,
         device: torch.device,
     ) -> None:
         from skyproof.attacks.attack import attack
-        from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.sign_test import sign_test
         from skyproof.camouflage.make import make_camouflage
         from skyproof.randomness import generator_of
@@ -249,8 +250,6 @@ class Attack:
             texture=self._finished_texture(),
             settings=self.camouflage,
         ).to(device)
-
-        models = [each.detector for each in ensemble]
 
         def signs() -> dict[str, Any]:
             if name.random:
@@ -268,7 +267,7 @@ class Attack:
                 world,
                 self.settings,
                 self.out / str(name),
-                held_out=HeldOut(ensemble, world, self.settings),
+                held_out=held_out,
                 record=signs,
                 on_step=show,
             )

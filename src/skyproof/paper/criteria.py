@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.paper.cells import Block, Grid, Table, bracket, number
+from skyproof.paper.cells import Block, Grid, Table, bracket, interval_cells, number
 from skyproof.paper.reproduction import Reproduction
 from skyproof.results.rows import Row
 from skyproof.words import detector_name
@@ -31,10 +31,8 @@ def criteria_table(run: Reproduction) -> Table:
         rows.append(
             {
                 "attack": name,
-                **_rates("easr", centre),
-                **_rates("easr_iou_50", overlap),
-                "ap_iou_50_original": _percent(overlap.ap_original if overlap else None),
-                "ap_iou_50_adversarial": _percent(overlap.ap_adversarial if overlap else None),
+                **interval_cells("easr", centre.easr, 100.0),
+                **({} if overlap is None else _by_overlap(overlap)),
                 "false_alarms_per_km2_original": centre.false_alarms_per_km2_original,
                 "false_alarms_per_km2_adversarial": centre.false_alarms_per_km2_adversarial,
             }
@@ -55,8 +53,8 @@ def criteria_section(table: Table, run: Reproduction) -> list[Block]:
             row["attack"],
             bracket(row, "easr"),
             bracket(row, "easr_iou_50"),
-            number(row["ap_iou_50_original"]),
-            number(row["ap_iou_50_adversarial"]),
+            number(row.get("ap_iou_50_original")),
+            number(row.get("ap_iou_50_adversarial")),
             number(row["false_alarms_per_km2_original"], 0),
             number(row["false_alarms_per_km2_adversarial"], 0),
         ]
@@ -86,15 +84,9 @@ def _on_empty_ground(run: Reproduction) -> list[Block]:
     return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
 
 
-def _rates(label: str, row: Row | None) -> dict[str, float | None]:
-    if row is None:
-        return dict.fromkeys((label, f"{label}_low", f"{label}_high"))
-    limits = (row.easr.estimate, row.easr.low, row.easr.high)
+def _by_overlap(row: Row) -> dict[str, float]:
     return {
-        f"{label}{end}": _percent(value)
-        for end, value in zip(("", "_low", "_high"), limits, strict=True)
+        **interval_cells("easr_iou_50", row.easr, 100.0),
+        "ap_iou_50_original": 100 * row.ap_original,
+        "ap_iou_50_adversarial": 100 * row.ap_adversarial,
     }
-
-
-def _percent(value: float | None) -> float | None:
-    return None if value is None or math.isnan(value) else 100 * value

@@ -12,7 +12,17 @@ from typing import Any
 from skyproof.camouflage.name import CamouflageName
 from skyproof.gate.record import read_records
 from skyproof.layout import Layout
-from skyproof.paper.cells import Block, Figure, Grid, Heading, Table, bracket, in_percent, number
+from skyproof.paper.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Table,
+    bracket,
+    in_percent,
+    interval_cells,
+    number,
+)
 from skyproof.paper.reproduction import Reproduction
 from skyproof.results.checks import Check
 from skyproof.results.results import CYCLES, RENDERER, Results
@@ -125,8 +135,7 @@ def _check(check: Check) -> dict[str, Any]:
     }
     shown = {"ap": check.ap_centre_1m, "recall": check.recall, "precision": check.precision}
     for name, rate in shown.items():
-        ends = {name: rate.estimate, f"{name}_low": rate.low, f"{name}_high": rate.high}
-        values |= {key: 100 * value for key, value in ends.items()}
+        values |= interval_cells(name, rate, 100.0)
     return values
 
 
