@@ -96,7 +96,9 @@ class UniversalTexture(Camouflage):
         grid = (self.blocks, self.blocks)
         if kind == "free":
             self.cells = nn.Parameter(torch.rand(3, *grid, generator=generator))
-            self.learning_rates = {}
+            # At the attack's own rate a hundred steps leave free colours unfinished
+            # (docs/attacks.md).
+            self.learning_rates = {"cells": 3.0}
             return
         drawn = torch.rand(colours, *grid, generator=generator).clamp(min=1e-6)
         self.cells = nn.Parameter(drawn.log())
