@@ -428,12 +428,15 @@ def test_finished_is_what_left_its_outputs(tmp_path):
 
 def test_time_left_by_effort():
     plan = Plan(
-        [step(str(number), effort_s=effort) for number, effort in enumerate((1.0, 2.0, 5.0))]
+        [step(str(number), effort_s=effort) for number, effort in enumerate((1.0, 1999.0, 5000.0))]
     )
     assert plan.time_left_s({}) is None
-    # Half as fast as thought: 10 s are left for one core.
-    assert plan.time_left_s({"kind/0": 2.0, "kind/1": 4.0}) == 10.0
-    assert plan.time_left_s({"kind/0": 2.0, "kind/1": 4.0}, cores=2) == 5.0
+    # Half as fast as thought: 10,000 s are left for one core.
+    seconds = {"kind/0": 2.0, "kind/1": 3998.0}
+    assert plan.time_left_s(seconds) == pytest.approx(10_000, rel=0.03)
+    assert plan.time_left_s(seconds, cores=2) == plan.time_left_s(seconds) / 2
+    # A first short step that took ten times as long says little about the others.
+    assert plan.time_left_s({"kind/0": 10.0}) == pytest.approx(7_000, rel=0.2)
 
 
 def dry_run(folder, preset, *more):

@@ -21,6 +21,9 @@ START_S = 5.0
 
 _MOST_STEPS = 20_000
 
+# What the efforts are trusted for: how long steps took counts for more once it is longer than this.
+_TRUSTED_S = 60.0
+
 
 @runtime_checkable
 class Command(Protocol):
@@ -147,6 +150,7 @@ class Plan:
         done = [step for step in self.steps if step.id in seconds]
         if not done:
             return None
-        speed = sum(seconds[step.id] for step in done) / sum(step.effort_s for step in done)
+        took_s = sum(seconds[step.id] for step in done)
+        speed = (_TRUSTED_S + took_s) / (_TRUSTED_S + sum(step.effort_s for step in done))
         rest_s = sum(step.effort_s for step in self.steps if step.id not in seconds)
         return speed * rest_s / cores
