@@ -19,6 +19,8 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["close_up", "portrait"]
 
+_PORTRAIT_SIDE_M = 6.0
+_SHADOW_M = 0.4
 _SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
 
 
@@ -67,6 +69,9 @@ def portrait(
 ) -> UInt8[Tensor, "3 H W"]:
     """Draws a sheet of one column per body type, as built and camouflaged, from above and aslant.
 
+    Every picture shows the same square of ground: 6 m a side, or more where a changed body is
+    longer.
+
     Args:
         fleet: the first vehicle of each body type is shown.
         camouflage: what they wear below.
@@ -77,11 +82,14 @@ def portrait(
         first.setdefault(name.rpartition("-")[0], name)
     chosen = [first[body] for body in (body_types or sorted(first)) if body in first][:4]
     vehicles = fleet.batch(chosen)
+    camouflaged = camouflage(vehicles)
+    reach_m = float(camouflaged.vertices[..., :2].norm(dim=-1).max())
+    side_m = max(_PORTRAIT_SIDE_M, 2 * reach_m + _SHADOW_M)
     rows = []
     for tilt_rad in (0.0, math.radians(40)):
-        for worn in (vehicles, camouflage(vehicles)):
+        for worn in (vehicles, camouflaged):
             pictures = close_up(
-                worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=6.0
+                worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=side_m
             )
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)

@@ -26,7 +26,7 @@ __all__ = ["looks_figures"]
 
 _REMEDY = "copy the whole folder again, or score again"
 _ACROSS = 12
-# Of a portrait: its second row shows the camouflage from above, 6 m a side.
+# Of a portrait: its second row shows the camouflage from above.
 _PORTRAIT_ROWS = 4
 
 
