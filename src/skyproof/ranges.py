@@ -27,6 +27,7 @@ __all__ = [
     "Metres",
     "Name",
     "Radians",
+    "Risk",
     "Seed",
     "WholeNumber",
     "check_ranges",
@@ -48,6 +49,9 @@ Seed = Annotated[int, Meta(ge=_SIGNED_64_BITS[0], le=_SIGNED_64_BITS[1])]
 
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 """A share of a whole."""
+
+Risk = Annotated[float, Meta(ge=1e-6, le=0.5)]
+"""The chance of a wrong answer that is put up with."""
 
 Metres = Annotated[float, Meta(ge=0, le=1e6)]
 """A length."""

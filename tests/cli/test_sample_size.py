@@ -1,9 +1,13 @@
 """The command that says how large a test must be."""
 
+import re
+
 import numpy as np
 import pytest
 
 from skyproof.results.pairs.tiles import Series, write_tiles
+from skyproof.results.statistics.acceptance import Requirement
+from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import Assumptions, vehicles_needed
 from tests.cli.conftest import Skyproof, flags
 from tests.results.counted import on_tiles
@@ -46,6 +50,20 @@ def test_seeds_and_draws_are_planned_for(skyproof: Skyproof):
     )
 
 
+def test_a_requirement_asks_for_a_test_that_decides(skyproof: Skyproof):
+    said = skyproof("sample-size", *flags("--accept 0.2 --reject 0.3"))
+    assert said.code == 0
+    tiles = tiles_to_decide(Requirement(0.2, 0.3), Assumptions(0.8, design_effect=1.8))
+    assert f"About {9 * tiles} test vehicles on {tiles} background tiles" in said.out
+    assert (
+        "accept a detector that loses 20 % of its found vehicles, and reject one that" in said.out
+    )
+    # The fixed plan for independent vehicles, and 1.8 times as many.
+    assert re.search(r"at most 50 are lost +204 \| +368", said.out)
+    stricter = skyproof("sample-size", *flags("--accept 0.2 --reject 0.3 --consumer-risk 0.01"))
+    assert "at most 5 and 1 % err" in stricter.out
+
+
 def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     lost = np.tile([1, 2, 3, 4], 10)
     counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
@@ -78,6 +96,10 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
         ("--fleet 0", "--fleet"),
         ("--seeds 3 --half-width 0.01", "with so few seeds at best"),
         ("--pilot nowhere", "tiles.parquet is missing"),
+        ("--accept 0.2", "expects two shares, --accept and --reject, got only one"),
+        ("--accept 0.3 --reject 0.2", "exchange them"),
+        ("--accept 0.2 --reject 0.201", "set the two shares farther apart"),
+        ("--accept 0.2 --reject 0.3 --producer-risk 0.6", "--producer-risk"),
     ],
 )
 def test_bad_input_is_refused(skyproof: Skyproof, arguments, word):

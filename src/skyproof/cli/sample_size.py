@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,7 @@ from msgspec import Meta
 
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import Fraction
+from skyproof.ranges import Fraction, Risk
 
 if TYPE_CHECKING:
     from skyproof.results.statistics.planning import Assumptions
@@ -49,6 +50,11 @@ class SampleSize:
         trainings: of the detector, each attacked for itself; 1 for what is true of this one.
         training_sd: standard deviation of their EASRs, or of their net EASRs with --draws; 0.1
             where not given, as a pilot is of one training.
+        accept: instead of a precision, the share of found vehicles that a detector may lose; with
+            `reject`. The answer is the test that decides between the two.
+        reject: the share lost from which on it is refused.
+        producer_risk: chance at most that a detector which loses `accept` is rejected.
+        consumer_risk: chance at most that one which loses `reject` is accepted.
     """
 
     half_width: Annotated[float, Meta(ge=0.001, lt=1)] = 0.05
@@ -65,9 +71,16 @@ class SampleSize:
     draw_sd: Fraction | None = None
     trainings: Annotated[int, Meta(ge=1, le=1000)] = 1
     training_sd: Fraction | None = None
+    accept: Fraction | None = None
+    reject: Fraction | None = None
+    producer_risk: Risk = 0.05
+    consumer_risk: Risk = 0.05
 
     def run(self) -> None:
-        """Prints the answer and what other half-widths would need."""
+        """Prints the answer, and what other half-widths would need."""
+        if self.accept is not None or self.reject is not None:
+            self._say_what_decides()
+            return
         from skyproof.results.statistics.planning import SMALLEST, vehicles_needed
 
         assumptions, source = self._assumptions()
@@ -92,14 +105,50 @@ class SampleSize:
                 say(f"  {f'±{100 * wanted:.3g} %':>10}  {counts[0]:>8}  {counts[1]:>7}")
         say("")
         say(
-            f"For one detector, {source}: {assumptions.vehicles_per_tile:.3g} vehicles a tile, "
-            f"{100 * assumptions.found_before:.0f} % of them found before, "
-            f"ER {100 * assumptions.enhancement_rate:.1f} %, "
-            f"design effect {assumptions.design_effect:.2f}; a fleet of {assumptions.fleet:,} "
+            f"For one detector, {source}: {_tiles_told(assumptions)}, "
+            f"ER {100 * assumptions.enhancement_rate:.1f} %; a fleet of {assumptions.fleet:,} "
             f"whose vehicles fare alike by {assumptions.vehicle_correlation:.2f}"
             + _repeats(assumptions)
             + ". A dash: no number of tiles is enough."
         )
+
+    def _say_what_decides(self) -> None:
+        """Prints the test of a requirement, and the plans of the standard."""
+        from skyproof.results.statistics.acceptance import Requirement
+        from skyproof.results.statistics.compliance import (
+            fixed_plan,
+            sequential_plan,
+            tiles_to_decide,
+        )
+
+        if self.accept is None or self.reject is None:
+            raise ConfigurationError(
+                "A requirement expects two shares, --accept and --reject, got only one; give both."
+            )
+        requirement = Requirement(self.accept, self.reject, self.producer_risk, self.consumer_risk)
+        assumptions, source = self._assumptions()
+        tiles = tiles_to_decide(requirement, assumptions)
+        good, bad = f"{100 * self.accept:.3g} %", f"{100 * self.reject:.3g} %"
+        say(
+            f"About {math.ceil(tiles * assumptions.vehicles_per_tile):,} test vehicles on "
+            f"{tiles:,} background tiles: then nine of ten tests accept a detector that loses "
+            f"{good} of its found vehicles, and reject one that loses {bad}; at most "
+            f"{100 * self.producer_risk:.3g} and {100 * self.consumer_risk:.3g} % err."
+        )
+        fixed = fixed_plan(requirement)
+        sequential = sequential_plan(requirement, fixed)
+        effect = assumptions.design_effect
+        say("")
+        say("Plans after IEC 61123, in vehicles found before, were they independent | like these:")
+        for name, trials in (
+            (f"all at once, accepted if at most {fixed.most_lost} are lost", fixed.trials),
+            (f"one by one, on average at {good}", sequential.chances(self.accept).trials),
+            (f"one by one, on average at {bad}", sequential.chances(self.reject).trials),
+            ("one by one, at most", sequential.last),
+        ):
+            say(f"  {name:<52} {math.ceil(trials):>6,} | {math.ceil(trials * effect):>6,}")
+        say("")
+        say(f"For one detector, {source}: {_tiles_told(assumptions)}.")
 
     def _assumptions(self) -> tuple[Assumptions, str]:
         correlation = self.intra_tile_correlation
@@ -160,6 +209,14 @@ def _limiting(tiles: int, assumptions: Assumptions) -> str:
     ]
     without = f" It says nothing of {' or '.join(left_out)}." if left_out else ""
     return f"Of its square, {shares}: more {ordered[0]} narrow it most.{without}"
+
+
+def _tiles_told(assumptions: Assumptions) -> str:
+    return (
+        f"{assumptions.vehicles_per_tile:.3g} vehicles a tile, "
+        f"{100 * assumptions.found_before:.0f} % of them found before, "
+        f"design effect {assumptions.design_effect:.2f}"
+    )
 
 
 def _repeats(assumptions: Assumptions) -> str:

@@ -1,0 +1,169 @@
+"""Verdicts keep their risks, on tiles whose vehicles fare alike, however often one looks."""
+
+import numpy as np
+import pytest
+
+from skyproof.errors import ConfigurationError
+from skyproof.results.statistics.acceptance import (
+    Requirement,
+    evidence_above,
+    evidence_below,
+    judge,
+)
+
+RUNS = 300
+
+
+def simulate(rate, tiles, *, correlation=0.1, runs=RUNS, seed=0):
+    """Vehicles found and lost per tile; 2 to 11 of them fare alike."""
+    generator = np.random.default_rng(seed)
+    found = generator.integers(2, 12, (runs, tiles))
+    certainty = 1 / correlation - 1
+    inside = generator.beta(rate * certainty, (1 - rate) * certainty, (runs, tiles))
+    return found, generator.binomial(found, inside)
+
+
+def ever(evidence, shares, limit, risk):
+    """How often the evidence reaches 1/risk at any of some looks at the growing test."""
+    looks = range(5, shares.shape[1] + 1, 5)
+    reached = [evidence(shares[:, :tiles], limit) >= 1 / risk for tiles in looks]
+    return np.any(reached, axis=0).mean()
+
+
+@pytest.mark.parametrize("correlation", [0.02, 0.1, 0.4])
+@pytest.mark.parametrize(("good", "bad", "risk"), [(0.2, 0.3, 0.05), (0.05, 0.1, 0.1)])
+def test_both_risks_hold_though_one_looks_again_and_again(good, bad, risk, correlation):
+    for rate, evidence, limit in ((bad, evidence_below, bad), (good, evidence_above, good)):
+        found, lost = simulate(rate, 150, correlation=correlation)
+        # 300 runs: three standard errors are 3.8 and 5.2 points.
+        allowed = risk + 3 * np.sqrt(risk * (1 - risk) / RUNS)
+        assert ever(evidence, lost / found, limit, risk) <= allowed
+
+
+def test_independent_trials_would_not_hold_them():
+    """Why tiles are the trials: a binomial test of the same vehicles errs far too often."""
+    from scipy import stats
+
+    found, lost = simulate(0.3, 60, correlation=0.4)
+    wrong = stats.binom.cdf(lost.sum(1), found.sum(1), 0.3) <= 0.05
+    assert wrong.mean() > 0.1
+    assert (evidence_below(lost / found, 0.3) >= 20).mean() <= 0.05
+
+
+@pytest.mark.parametrize(("rate", "answer"), [(0.1, "accepted"), (0.45, "rejected")])
+def test_clear_cases_are_decided(rate, answer):
+    found, lost = simulate(rate, 40, runs=1)
+    verdict = judge({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
+    assert (verdict.answer, verdict.more_tiles) == (answer, 0)
+    judged = verdict.attacks["T-U"]
+    assert judged.at_least < judged.share < judged.at_most
+    assert (judged.found, judged.lost) == (found.sum(), lost.sum())
+    if answer == "accepted":
+        assert judged.at_most < 0.3
+        assert judged.for_acceptance >= 20
+    else:
+        assert judged.at_least > 0.2
+        assert judged.for_rejection >= 20
+
+
+def test_the_worst_attack_decides():
+    found, lost = simulate(0.05, 40, runs=1)
+    _, worse = simulate(0.6, 40, runs=1)
+    weak, strong = (found[0], lost[0]), (found[0], np.minimum(worse[0], found[0]))
+    requirement = Requirement(0.2, 0.3)
+    assert judge({"weak": weak}, requirement).answer == "accepted"
+    assert judge({"weak": weak, "strong": strong}, requirement).answer == "rejected"
+
+
+def test_one_of_many_attacks_rejects_only_with_as_much_more_evidence():
+    """Some attack among twenty passes the line by chance; their mean does not."""
+    shares = []
+    for seed in range(20):
+        found, lost = simulate(0.2, 40, runs=RUNS, seed=seed)
+        shares.append((found, lost))
+    rejected = any_alone = 0
+    for run in range(100):
+        attacks = {str(i): (found[run], lost[run]) for i, (found, lost) in enumerate(shares)}
+        requirement = Requirement(0.2, 0.9, producer_risk=0.1)
+        verdict = judge_fast(attacks, requirement)
+        rejected += verdict
+        any_alone += any(
+            evidence_above(lost / found, 0.2) >= 10 for found, lost in attacks.values()
+        )
+    assert any_alone >= 3
+    assert rejected == 0
+
+
+def judge_fast(attacks, requirement):
+    """Whether the evidence rejects; without bounds and acceptance, which take longer."""
+    mean = np.mean(
+        [evidence_above(lost / found, requirement.accept) for found, lost in attacks.values()]
+    )
+    return mean >= 1 / requirement.producer_risk
+
+
+def test_what_is_undecided_says_how_many_tiles_decide():
+    found, lost = simulate(0.15, 12, runs=1, seed=3)
+    attacks = {"T-U": (found[0], lost[0])}
+    verdict = judge(attacks, Requirement(0.2, 0.3))
+    assert verdict.answer == "undecided"
+    assert verdict.more_tiles > 0
+    # As many tiles like these do decide, a quarter fewer do not.
+    for times, decided in ((1.0, True), (0.7, False)):
+        tiles = round(12 + times * verdict.more_tiles)
+        again = np.resize(np.arange(12), tiles)
+        repeated = {"T-U": (found[0][again], lost[0][again])}
+        assert (judge(repeated, Requirement(0.2, 0.3)).answer != "undecided") == decided
+
+
+def test_a_rate_between_the_two_shares_may_never_be_decided_soon():
+    found = np.full(40, 8)
+    verdict = judge({"T-U": (found, found // 4)}, Requirement(0.24, 0.26))
+    assert verdict.answer == "undecided"
+    assert verdict.more_tiles > 50
+
+
+def test_the_order_of_the_tiles_does_not_matter():
+    found, lost = simulate(0.2, 30, runs=1)
+    order = np.random.default_rng(1).permutation(30)
+    first = judge({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
+    second = judge({"T-U": (found[0][order], lost[0][order])}, Requirement(0.2, 0.3))
+    assert second.attacks["T-U"].for_acceptance == pytest.approx(
+        first.attacks["T-U"].for_acceptance
+    )
+
+
+def test_tiles_without_found_vehicles_say_nothing():
+    found, lost = simulate(0.1, 30, runs=1)
+    more = (np.append(found[0], [0, 0]), np.append(lost[0], [0, 0]))
+    requirement = Requirement(0.2, 0.3)
+    assert judge({"T-U": more}, requirement) == judge({"T-U": (found[0], lost[0])}, requirement)
+
+
+def test_the_borders_of_the_range():
+    found = np.full(40, 5)
+    assert judge({"a": (found, 0 * found)}, Requirement(0.0, 0.1)).answer == "accepted"
+    assert judge({"a": (found, found)}, Requirement(0.9, 1.0)).answer != "accepted"
+    assert judge({"a": (found, found)}, Requirement(0.5, 1.0)).answer == "rejected"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ((0.3, 0.2), "exchange them"),
+        ((0.2, 0.2), "set them apart"),
+        ((-0.1, 0.2), "accept"),
+        ((0.1, 1.2), "reject"),
+        ((0.1, 0.2, 0.7), "producer"),
+        ((0.1, 0.2, 0.05, 0.0), "consumer"),
+    ],
+)
+def test_impossible_requirements_are_refused(arguments, word):
+    with pytest.raises(ConfigurationError, match=word):
+        Requirement(*arguments)
+
+
+@pytest.mark.parametrize("attacks", [{}, {"T-U": (np.zeros(3, int), np.zeros(3, int))}])
+def test_no_verdict_from_nothing(attacks):
+    with pytest.raises(ConfigurationError, match="at least one attack"):
+        judge(attacks, Requirement(0.2, 0.3))
