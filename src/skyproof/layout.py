@@ -124,6 +124,11 @@ class Layout:
         return self.folder / "report.html"
 
     @property
+    def verdict(self) -> Path:
+        """Which detectors are accepted, where that was asked."""
+        return self.folder / "verdict.json"
+
+    @property
     def tables(self) -> Path:
         """The paper's tables, as Markdown and CSV."""
         return self.folder / "tables"

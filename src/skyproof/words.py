@@ -6,6 +6,7 @@ __all__ = [
     "NAMES",
     "body_name",
     "detector_name",
+    "evidence",
     "interval",
     "number",
     "percent",
@@ -73,3 +74,10 @@ def probability(value: float | int | None) -> str:
     if value is None:
         return "–"
     return "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def evidence(value: float) -> str:
+    """Evidence, a factor from 0 on, to the digits that matter."""
+    if value >= 1000:
+        return f"> 1{_THIN}000"
+    return "< 0.1" if value < 0.1 else f"{value:.{0 if value >= 10 else 1}f}"

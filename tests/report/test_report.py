@@ -452,6 +452,9 @@ def test_a_link_out_of_the_run_is_not_shown(run_folder, tmp_path):
         ("detectors/retinanet/steps.jsonl", '{"step": 1, "loss": NaN}'),
         ("detectors/retinanet/detector.json", '{"threshold": "high"}'),
         ("camouflages/T-U/camouflage.json", '{"record": {"attack": 5}}'),
+        ("verdict.json", "{}"),
+        ("verdict.json", '{"requirement": {"accept": 0.5, "reject": 0.2}}'),
+        ("verdict.json", '{"requirement": {"accept": 0.1, "reject": 20}}'),
     ],
 )
 def test_damage_is_one_sentence_with_the_file(run_folder, file, content):

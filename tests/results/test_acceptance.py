@@ -1,4 +1,4 @@
-"""Verdicts keep their risks, on tiles whose vehicles fare alike, however often one looks."""
+"""Decisions keep their risks, on tiles whose vehicles fare alike, however often one looks."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ import pytest
 from skyproof.errors import ConfigurationError
 from skyproof.results.statistics.acceptance import (
     Requirement,
+    decide,
     evidence_above,
     evidence_below,
-    judge,
 )
 
 RUNS = 300
@@ -53,17 +53,17 @@ def test_independent_trials_would_not_hold_them():
 @pytest.mark.parametrize(("rate", "answer"), [(0.1, "accepted"), (0.45, "rejected")])
 def test_clear_cases_are_decided(rate, answer):
     found, lost = simulate(rate, 40, runs=1)
-    verdict = judge({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
-    assert (verdict.answer, verdict.more_tiles) == (answer, 0)
-    judged = verdict.attacks["T-U"]
-    assert judged.at_least < judged.share < judged.at_most
-    assert (judged.found, judged.lost) == (found.sum(), lost.sum())
+    decision = decide({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
+    assert (decision.answer, decision.more_tiles) == (answer, 0)
+    said = decision.attacks["T-U"]
+    assert said.at_least < said.share < said.at_most
+    assert (said.found, said.lost) == (found.sum(), lost.sum())
     if answer == "accepted":
-        assert judged.at_most < 0.3
-        assert judged.for_acceptance >= 20
+        assert said.at_most < 0.3
+        assert said.for_acceptance >= 20
     else:
-        assert judged.at_least > 0.2
-        assert judged.for_rejection >= 20
+        assert said.at_least > 0.2
+        assert said.for_rejection >= 20
 
 
 def test_the_worst_attack_decides():
@@ -71,8 +71,8 @@ def test_the_worst_attack_decides():
     _, worse = simulate(0.6, 40, runs=1)
     weak, strong = (found[0], lost[0]), (found[0], np.minimum(worse[0], found[0]))
     requirement = Requirement(0.2, 0.3)
-    assert judge({"weak": weak}, requirement).answer == "accepted"
-    assert judge({"weak": weak, "strong": strong}, requirement).answer == "rejected"
+    assert decide({"weak": weak}, requirement).answer == "accepted"
+    assert decide({"weak": weak, "strong": strong}, requirement).answer == "rejected"
 
 
 def test_one_of_many_attacks_rejects_only_with_as_much_more_evidence():
@@ -85,8 +85,8 @@ def test_one_of_many_attacks_rejects_only_with_as_much_more_evidence():
     for run in range(100):
         attacks = {str(i): (found[run], lost[run]) for i, (found, lost) in enumerate(shares)}
         requirement = Requirement(0.2, 0.9, producer_risk=0.1)
-        verdict = judge_fast(attacks, requirement)
-        rejected += verdict
+        decision = is_rejected(attacks, requirement)
+        rejected += decision
         any_alone += any(
             evidence_above(lost / found, 0.2) >= 10 for found, lost in attacks.values()
         )
@@ -94,7 +94,7 @@ def test_one_of_many_attacks_rejects_only_with_as_much_more_evidence():
     assert rejected == 0
 
 
-def judge_fast(attacks, requirement):
+def is_rejected(attacks, requirement):
     """Whether the evidence rejects; without bounds and acceptance, which take longer."""
     mean = np.mean(
         [evidence_above(lost / found, requirement.accept) for found, lost in attacks.values()]
@@ -105,29 +105,29 @@ def judge_fast(attacks, requirement):
 def test_what_is_undecided_says_how_many_tiles_decide():
     found, lost = simulate(0.15, 12, runs=1, seed=3)
     attacks = {"T-U": (found[0], lost[0])}
-    verdict = judge(attacks, Requirement(0.2, 0.3))
-    assert verdict.answer == "undecided"
-    assert verdict.more_tiles > 0
+    decision = decide(attacks, Requirement(0.2, 0.3))
+    assert decision.answer == "undecided"
+    assert decision.more_tiles > 0
     # As many tiles like these do decide, a quarter fewer do not.
     for times, decided in ((1.0, True), (0.7, False)):
-        tiles = round(12 + times * verdict.more_tiles)
+        tiles = round(12 + times * decision.more_tiles)
         again = np.resize(np.arange(12), tiles)
         repeated = {"T-U": (found[0][again], lost[0][again])}
-        assert (judge(repeated, Requirement(0.2, 0.3)).answer != "undecided") == decided
+        assert (decide(repeated, Requirement(0.2, 0.3)).answer != "undecided") == decided
 
 
 def test_a_rate_between_the_two_shares_may_never_be_decided_soon():
     found = np.full(40, 8)
-    verdict = judge({"T-U": (found, found // 4)}, Requirement(0.24, 0.26))
-    assert verdict.answer == "undecided"
-    assert verdict.more_tiles > 50
+    decision = decide({"T-U": (found, found // 4)}, Requirement(0.24, 0.26))
+    assert decision.answer == "undecided"
+    assert decision.more_tiles > 50
 
 
 def test_the_order_of_the_tiles_does_not_matter():
     found, lost = simulate(0.2, 30, runs=1)
     order = np.random.default_rng(1).permutation(30)
-    first = judge({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
-    second = judge({"T-U": (found[0][order], lost[0][order])}, Requirement(0.2, 0.3))
+    first = decide({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3))
+    second = decide({"T-U": (found[0][order], lost[0][order])}, Requirement(0.2, 0.3))
     assert second.attacks["T-U"].for_acceptance == pytest.approx(
         first.attacks["T-U"].for_acceptance
     )
@@ -137,14 +137,14 @@ def test_tiles_without_found_vehicles_say_nothing():
     found, lost = simulate(0.1, 30, runs=1)
     more = (np.append(found[0], [0, 0]), np.append(lost[0], [0, 0]))
     requirement = Requirement(0.2, 0.3)
-    assert judge({"T-U": more}, requirement) == judge({"T-U": (found[0], lost[0])}, requirement)
+    assert decide({"T-U": more}, requirement) == decide({"T-U": (found[0], lost[0])}, requirement)
 
 
 def test_the_borders_of_the_range():
     found = np.full(40, 5)
-    assert judge({"a": (found, 0 * found)}, Requirement(0.0, 0.1)).answer == "accepted"
-    assert judge({"a": (found, found)}, Requirement(0.9, 1.0)).answer != "accepted"
-    assert judge({"a": (found, found)}, Requirement(0.5, 1.0)).answer == "rejected"
+    assert decide({"a": (found, 0 * found)}, Requirement(0.0, 0.1)).answer == "accepted"
+    assert decide({"a": (found, found)}, Requirement(0.9, 1.0)).answer != "accepted"
+    assert decide({"a": (found, found)}, Requirement(0.5, 1.0)).answer == "rejected"
 
 
 @pytest.mark.parametrize(
@@ -164,6 +164,6 @@ def test_impossible_requirements_are_refused(arguments, word):
 
 
 @pytest.mark.parametrize("attacks", [{}, {"T-U": (np.zeros(3, int), np.zeros(3, int))}])
-def test_no_verdict_from_nothing(attacks):
+def test_no_decision_from_nothing(attacks):
     with pytest.raises(ConfigurationError, match="at least one attack"):
-        judge(attacks, Requirement(0.2, 0.3))
+        decide(attacks, Requirement(0.2, 0.3))

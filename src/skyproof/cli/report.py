@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyproof.cli.console import say
+from skyproof.ranges import Fraction, Risk
 
 __all__ = ["Report"]
 
@@ -19,12 +20,25 @@ class Report:
     Attributes:
         run_folder: as demo or reproduce leaves it, or a folder with scores/NAME folders that
             score wrote.
+        accept: share of found vehicles that a detector may lose to the worst attack; with `reject`,
+            the report says which detectors are accepted, and verdict.json is written, too.
+        reject: the share lost from which on it is refused.
+        producer_risk: chance at most that a detector which loses `accept` is rejected.
+        consumer_risk: chance at most that one which loses `reject` is accepted.
     """
 
     run_folder: Path
+    accept: Fraction | None = None
+    reject: Fraction | None = None
+    producer_risk: Risk = 0.05
+    consumer_risk: Risk = 0.05
 
     def run(self) -> None:
         """Writes the results, the tables and the page."""
         from skyproof.report.report import write_report
+        from skyproof.results.statistics.acceptance import requirement_of
 
-        say(f"Report: {write_report(self.run_folder).resolve()}")
+        requirement = requirement_of(
+            self.accept, self.reject, self.producer_risk, self.consumer_risk
+        )
+        say(f"Report: {write_report(self.run_folder, requirement).resolve()}")

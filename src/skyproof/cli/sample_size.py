@@ -14,6 +14,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Risk
 
 if TYPE_CHECKING:
+    from skyproof.results.statistics.acceptance import Requirement
     from skyproof.results.statistics.planning import Assumptions
 
 __all__ = ["SampleSize"]
@@ -78,8 +79,13 @@ class SampleSize:
 
     def run(self) -> None:
         """Prints the answer, and what other half-widths would need."""
-        if self.accept is not None or self.reject is not None:
-            self._say_what_decides()
+        from skyproof.results.statistics.acceptance import requirement_of
+
+        requirement = requirement_of(
+            self.accept, self.reject, self.producer_risk, self.consumer_risk
+        )
+        if requirement is not None:
+            self._say_what_decides(requirement)
             return
         from skyproof.results.statistics.planning import SMALLEST, vehicles_needed
 
@@ -112,23 +118,17 @@ class SampleSize:
             + ". A dash: no number of tiles is enough."
         )
 
-    def _say_what_decides(self) -> None:
+    def _say_what_decides(self, requirement: Requirement) -> None:
         """Prints the test of a requirement, and the plans of the standard."""
-        from skyproof.results.statistics.acceptance import Requirement
         from skyproof.results.statistics.compliance import (
             fixed_plan,
             sequential_plan,
             tiles_to_decide,
         )
 
-        if self.accept is None or self.reject is None:
-            raise ConfigurationError(
-                "A requirement expects two shares, --accept and --reject, got only one; give both."
-            )
-        requirement = Requirement(self.accept, self.reject, self.producer_risk, self.consumer_risk)
         assumptions, source = self._assumptions()
         tiles = tiles_to_decide(requirement, assumptions)
-        good, bad = f"{100 * self.accept:.3g} %", f"{100 * self.reject:.3g} %"
+        good, bad = f"{100 * requirement.accept:.3g} %", f"{100 * requirement.reject:.3g} %"
         say(
             f"About {math.ceil(tiles * assumptions.vehicles_per_tile):,} test vehicles on "
             f"{tiles:,} background tiles: then nine of ten tests accept a detector that loses "
@@ -142,8 +142,8 @@ class SampleSize:
         say("Plans after IEC 61123, in vehicles found before, were they independent | like these:")
         for name, trials in (
             (f"all at once, accepted if at most {fixed.most_lost} are lost", fixed.trials),
-            (f"one by one, on average at {good}", sequential.chances(self.accept).trials),
-            (f"one by one, on average at {bad}", sequential.chances(self.reject).trials),
+            (f"one by one, on average at {good}", sequential.chances(requirement.accept).trials),
+            (f"one by one, on average at {bad}", sequential.chances(requirement.reject).trials),
             ("one by one, at most", sequential.last),
         ):
             say(f"  {name:<52} {math.ceil(trials):>6,} | {math.ceil(trials * effect):>6,}")

@@ -19,7 +19,7 @@ from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
-__all__ = ["as_files", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
+__all__ = ["as_files", "as_svg", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
@@ -94,7 +94,7 @@ def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row |
         axes.set_axisbelow(True)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=10)
-        return _svg(figure)
+        return as_svg(figure)
 
 
 def _point(
@@ -146,7 +146,7 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
         axes.set_ylabel("loss")
         axes.grid(color="#e3e7eb")
         axes.legend(fontsize=9)
-        return _svg(figure)
+        return as_svg(figure)
 
 
 def condition_figure(panels: Sequence[Panel]) -> str:
@@ -198,7 +198,7 @@ def condition_figure(panels: Sequence[Panel]) -> str:
             axes.set_ylabel("share hidden (%)")
         for axes in list(grid.flat)[len(panels) :]:
             axes.set_visible(False)
-        return _svg(figure)
+        return as_svg(figure)
 
 
 def as_files(figure: Figure) -> dict[str, bytes]:
@@ -213,7 +213,8 @@ def as_files(figure: Figure) -> dict[str, bytes]:
     return written
 
 
-def _svg(figure: Figure) -> str:
+def as_svg(figure: Figure) -> str:
+    """Gives a figure as SVG to be put into a page, and closes it."""
     buffer = io.StringIO()
     figure.savefig(
         buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}

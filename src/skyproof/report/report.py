@@ -21,6 +21,7 @@ from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, inside, write_bytes
 from skyproof.layout import Layout
+from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
@@ -33,6 +34,7 @@ from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Results
 from skyproof.results.rows import MAIN_MATCH, Headline, Row
+from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.stored import read_log
 
 __all__ = ["write_report"]
@@ -90,12 +92,17 @@ class _Exhibit:
     on_vehicle: str | None
 
 
-def write_report(run_folder: str | Path) -> Path:
+def write_report(run_folder: str | Path, requirement: Requirement | None = None) -> Path:
     """Writes `results.json` and `report.html` into a run folder and returns the page's path.
 
     Where the run has attacks of the paper, `tables/` is written as well. Parts of the page whose
     files are missing are left out, and the page says so. What was written before is replaced where
     it is ours: `results.json` has our form, and beside one that has, page and tables are ours, too.
+
+    Args:
+        run_folder: as a plan leaves it, or a folder of score folders.
+        requirement: what is asked of the detectors; `verdict.json` is written, too. Where not
+            given, it is what an earlier report was asked.
 
     Raises:
         StoredFileError: nothing was scored yet, or a file is damaged; names the file.
@@ -107,7 +114,8 @@ def write_report(run_folder: str | Path) -> Path:
     # No other report may be written here at the same time; a whole run has a lock of its own.
     with alone(layout.report):
         _refuse_other_files(layout)
-        return _write(results, layout)
+        asked = requirement or read_requirement(layout.verdict)
+        return _write(results, layout, asked)
 
 
 def _refuse_other_files(layout: Layout) -> None:
@@ -120,7 +128,7 @@ def _refuse_other_files(layout: Layout) -> None:
     if layout.results.exists():
         read_document(layout.results, _Known, "move it away, it is not replaced")
         return
-    for place in (layout.report, layout.tables):
+    for place in (layout.report, layout.tables, layout.verdict):
         if place.exists():
             raise RunFolderError(
                 f"{place} is there without a results.json beside it, so it may not be of skyproof "
@@ -135,8 +143,11 @@ class _Known(Struct, frozen=True):
     checks: list[dict[str, Any]]
 
 
-def _write(results: Results, layout: Layout) -> Path:
+def _write(results: Results, layout: Layout, requirement: Requirement | None) -> Path:
+    acceptance = None if requirement is None else rule(results, requirement)
     results.write()
+    if requirement is not None and acceptance is not None:
+        write_verdict(results, requirement, acceptance)
     paper = paper_part(results)
     by_camouflage: dict[str, list[Headline]] = {}
     for headline in results.headlines():
@@ -156,6 +167,7 @@ def _write(results: Results, layout: Layout) -> Path:
             overviews=[] if few else _overviews(results),
             first=every[0][0] if every else None,
             tested=_tested(results, every),
+            acceptance=acceptance,
             gate=read_gate(results),
             standing=standing(results),
             checked=checked_sets(results),
@@ -192,6 +204,7 @@ def _environment() -> jinja2.Environment:
         words.interval,
         words.number,
         words.probability,
+        words.evidence,
         words.detector_name,
         words.renderer_name,
     )

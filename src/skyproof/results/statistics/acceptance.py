@@ -27,12 +27,13 @@ from skyproof.ranges import Risk, check_ranges
 
 __all__ = [
     "Answer",
-    "Judged",
+    "Decision",
+    "Evidence",
     "Requirement",
-    "Verdict",
+    "decide",
     "evidence_above",
     "evidence_below",
-    "judge",
+    "requirement_of",
 ]
 
 Answer = Literal["accepted", "rejected", "undecided"]
@@ -71,8 +72,25 @@ class Requirement:
             )
 
 
+def requirement_of(
+    accept: float | None, reject: float | None, producer_risk: float, consumer_risk: float
+) -> Requirement | None:
+    """Gives what two options ask; None where neither is given.
+
+    Raises:
+        ConfigurationError: only one of the shares is given, or they make no requirement.
+    """
+    if accept is None and reject is None:
+        return None
+    if accept is None or reject is None:
+        raise ConfigurationError(
+            "A requirement expects two shares, --accept and --reject, got only one; give both."
+        )
+    return Requirement(accept, reject, producer_risk, consumer_risk)
+
+
 @dataclass(frozen=True)
-class Judged:
+class Evidence:
     """What one attack says of a detector.
 
     Attributes:
@@ -96,7 +114,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Decision:
     """The answer before all attacks.
 
     Attributes:
@@ -111,13 +129,13 @@ class Verdict:
 
     answer: Answer
     more_tiles: int | None
-    attacks: dict[str, Judged]
+    attacks: dict[str, Evidence]
 
 
-def judge(
+def decide(
     attacks: Mapping[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]],
     requirement: Requirement,
-) -> Verdict:
+) -> Decision:
     """Decides on a detector.
 
     Args:
@@ -143,8 +161,8 @@ def judge(
     if answer == "undecided":
         tiles = max(len(each) for each in shares.values())
         more = _more_tiles(logarithms, requirement, tiles)
-    judged = {
-        name: Judged(
+    said = {
+        name: Evidence(
             found=int(found.sum()),
             lost=int(lost.sum()),
             share=float(shares[name].mean()),
@@ -155,7 +173,7 @@ def judge(
         )
         for name, (found, lost) in attacks.items()
     }
-    return Verdict(answer, more, judged)
+    return Decision(answer, more, said)
 
 
 def evidence_below(

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from skyproof.errors import ConfigurationError
@@ -19,8 +20,10 @@ from skyproof.results.statistics.planning import Assumptions
 
 __all__ = [
     "Chances",
+    "DecisionChances",
     "FixedPlan",
     "SequentialPlan",
+    "chances_on_tiles",
     "fixed_plan",
     "sequential_plan",
     "tiles_to_decide",
@@ -160,37 +163,48 @@ def sequential_plan(requirement: Requirement, fixed: FixedPlan) -> SequentialPla
     return plan
 
 
+@dataclass(frozen=True)
+class DecisionChances:
+    """What a test of tiles does with detectors that lose more and more.
+
+    Attributes:
+        shares: lost to the one attack that decides, `[S]`.
+        accepted, rejected: chances, `[S]`; the rest is undecided.
+    """
+
+    shares: Float[np.ndarray, " S"]
+    accepted: Float[np.ndarray, " S"]
+    rejected: Float[np.ndarray, " S"]
+
+
+def chances_on_tiles(
+    requirement: Requirement, assumptions: Assumptions, tiles: int
+) -> DecisionChances:
+    """Gives the operating characteristic of a test on so many tiles, by simulation.
+
+    Tiles show 1 vehicle or more, found before, by a Poisson distribution; what they have in common
+    is a beta distribution of the design effect's correlation.
+    """
+    shares = np.linspace(0.0, 1.0, 41)
+    chances = [_chances(requirement, assumptions, tiles, float(share)) for share in shares]
+    return DecisionChances(shares, *np.array(chances).T)
+
+
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
-    """Says on how many tiles nine of ten tests decide, by simulation.
+    """Says on how many tiles nine of ten tests decide, by the simulation of `chances_on_tiles`.
 
     The detector loses as much as `accept`, or as `reject`, whichever takes longer, and one attack
-    decides. Tiles show 1 vehicle or more, found before, by a Poisson distribution; what they have
-    in common is a beta distribution of the design effect's correlation.
+    decides.
 
     Raises:
         ConfigurationError: more than 20,000 would be needed.
     """
-    found_per_tile = assumptions.vehicles_per_tile * assumptions.found_before
-    correlation = (assumptions.design_effect - 1) / max(found_per_tile - 1, 1e-9)
-    correlation = min(max(correlation, 1e-6), 1 - 1e-6)
 
     def enough(tiles: int) -> bool:
-        generator = np.random.default_rng(0)
-        shape = (_RUNS, tiles)
-        decided = []
-        for share in (requirement.accept, requirement.reject):
-            found = 1 + generator.poisson(max(found_per_tile - 1, 0.0), shape)
-            inside = min(max(share, 1e-9), 1 - 1e-9)
-            certainty = 1 / correlation - 1
-            rate = generator.beta(inside * certainty, (1 - inside) * certainty, shape)
-            shares = generator.binomial(found, rate) / found
-            decided.append(
-                np.mean(
-                    (evidence_below(shares, requirement.reject) >= 1 / requirement.consumer_risk)
-                    | (evidence_above(shares, requirement.accept) >= 1 / requirement.producer_risk)
-                )
-            )
-        return bool(min(decided) >= _DECIDED)
+        return all(
+            sum(_chances(requirement, assumptions, tiles, share)) >= _DECIDED
+            for share in (requirement.accept, requirement.reject)
+        )
 
     many = 4
     while not enough(many):
@@ -209,3 +223,22 @@ def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
         else:
             few = middle
     return many
+
+
+def _chances(
+    requirement: Requirement, assumptions: Assumptions, tiles: int, share: float
+) -> tuple[float, float]:
+    """Gives the chances of acceptance and of rejection of a detector that loses this share."""
+    generator = np.random.default_rng(0)
+    found_per_tile = assumptions.vehicles_per_tile * assumptions.found_before
+    correlation = (assumptions.design_effect - 1) / max(found_per_tile - 1, 1e-9)
+    certainty = 1 / min(max(correlation, 1e-6), 1 - 1e-6) - 1
+    # A beta distribution has no rate of exactly 0 or 1.
+    inside = min(max(share, 1e-9), 1 - 1e-9)
+    shape = (_RUNS, tiles)
+    found = 1 + generator.poisson(max(found_per_tile - 1, 0.0), shape)
+    rate = generator.beta(inside * certainty, (1 - inside) * certainty, shape)
+    shares = generator.binomial(found, rate) / found
+    accepted = evidence_below(shares, requirement.reject) >= 1 / requirement.consumer_risk
+    rejected = evidence_above(shares, requirement.accept) >= 1 / requirement.producer_risk
+    return float(accepted.mean()), float((rejected & ~accepted).mean())

@@ -1,0 +1,280 @@
+"""Is a detector accepted? The first part of a report that was asked it, and `verdict.json`."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from markupsafe import Markup
+from msgspec import Struct
+
+import skyproof
+from skyproof.camouflage.name import CamouflageName
+from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError
+from skyproof.files import write_json
+from skyproof.gate.record import read_records
+from skyproof.gate.verdict import findings, worst
+from skyproof.layout import Layout
+from skyproof.report.acceptance_figure import chances_figure
+from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.results import RENDERER, Results
+from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
+from skyproof.results.statistics.compliance import chances_on_tiles
+from skyproof.results.statistics.planning import assume_from_pilot
+from skyproof.scenes.scene import Scene, read_scenes, scenes_digest
+from skyproof.words import body_name, detector_name, percent, renderer_name
+
+__all__ = ["Acceptance", "Ruling", "read_requirement", "rule", "write_verdict"]
+
+_REMEDY = "move it away, or report again with --accept and --reject"
+
+
+@dataclass(frozen=True)
+class Ruling:
+    """What is decided of one detector.
+
+    Attributes:
+        detector: its name.
+        answer: accepted, rejected, undecided; or not applicable, where it did not pass the check.
+        sentences: the answer and its reason.
+        more_vehicles: how many more in sight would decide, on tiles like these; 0 where it is
+            decided, None where none would or the question does not arise.
+        attacks: by camouflage and renderer, the most hidden first; empty where not applicable.
+    """
+
+    detector: str
+    answer: Literal["accepted", "rejected", "undecided", "not applicable"]
+    sentences: Sequence[str]
+    more_vehicles: int | None
+    attacks: dict[str, Evidence]
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """The part of the page.
+
+    Attributes:
+        asked: the requirement, in a sentence.
+        rulings: detector by detector.
+        figure: what this test does with better and worse detectors; None where it tells nothing.
+        validity: what the answer holds for, in a sentence.
+    """
+
+    asked: str
+    rulings: Sequence[Ruling]
+    figure: Markup | None
+    validity: str
+
+
+class _Asked(Struct, frozen=True):
+    requirement: Requirement
+
+
+def read_requirement(path: Path) -> Requirement | None:
+    """Reads what an earlier report was asked; None where none was.
+
+    Raises:
+        StoredFileError: the file is damaged.
+    """
+    return read_document(path, _Asked, _REMEDY).requirement if path.exists() else None
+
+
+def rule(results: Results, requirement: Requirement) -> Acceptance:
+    """Decides on every detector of a run that passed its check.
+
+    Attacks are all camouflages of the run on all renderers, learnt ones and those that were chosen
+    as controls, every repeat for itself; not single random draws, and no copies of unfinished ones.
+
+    Raises:
+        ConfigurationError: no camouflage of the run is such an attack.
+        StoredFileError: a file of the run is damaged.
+    """
+    checked = read_records(Layout(results.folder).detectors)
+    rulings = []
+    for name in results.judges:
+        attacks = _attacks(results.tiles, name)
+        if not attacks:
+            raise ConfigurationError(
+                "A verdict expects learnt camouflages or chosen controls among the scores, found "
+                f"none before {name}; attack the detector, then score and report again."
+            )
+        decision = decide(attacks, requirement)
+        outcome = worst(findings(checked[name])) if name in checked else None
+        if outcome is None or outcome.outcome == "failed":
+            why = (
+                "nothing says whether it is worth attacking (skyproof check)"
+                if outcome is None
+                else f"it failed the check: {outcome.words}"
+            )
+            sentence = (
+                f"{detector_name(name)}: no verdict, because {why}. A detector that is no good "
+                "without camouflage is not accepted for what camouflage does to it."
+            )
+            rulings.append(Ruling(name, "not applicable", [sentence], None, {}))
+        else:
+            rulings.append(_ruling(name, decision, results, requirement))
+    figure = _figure(results, requirement)
+    return Acceptance(_asked(requirement), rulings, figure, _validity(results))
+
+
+def write_verdict(results: Results, requirement: Requirement, acceptance: Acceptance) -> None:
+    """Writes `verdict.json`: the answers, and digests of everything that they hold for."""
+    layout = Layout(results.folder)
+    facts = results.detectors
+    scenes = layout.scenes("test")
+    document = {
+        "skyproof": skyproof.__version__,
+        "requirement": asdict(requirement),
+        "detectors": [
+            {
+                "detector": ruling.detector,
+                "answer": ruling.answer,
+                "sentences": list(ruling.sentences),
+                "more_vehicles": ruling.more_vehicles,
+                "weights_sha256": facts[ruling.detector].weights_sha256
+                if ruling.detector in facts
+                else "",
+                "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
+            }
+            for ruling in acceptance.rulings
+        ],
+        "validity": acceptance.validity,
+        "sha256": {
+            "scenes": scenes_digest(read_scenes(scenes)) if scenes.exists() else "",
+            "backgrounds": _digest(layout.backgrounds),
+            "fleet": _digest(layout.fleets / "test"),
+            "settings": _digest(layout.config),
+            "camouflages": {
+                folder.name: _digest(folder)
+                for folder in sorted(layout.camouflages.glob("*"))
+                if (folder / "camouflage.json").exists()
+            },
+        },
+    }
+    write_json(layout.verdict, document)
+
+
+def _attacks(tiles: TileCounts, detector: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Gives found and lost vehicles per tile, by camouflage and renderer."""
+    names, place = np.unique([tile for tile, _ in tiles.cells], return_inverse=True)
+    attacks = {}
+    for key, counts in tiles.series.items():
+        camouflage = CamouflageName.read(key.camouflage)
+        single_draw = camouflage.random and not camouflage.choice
+        unfinished = camouflage.variant not in ("", camouflage.choice)
+        if (key.detector, key.match) != (detector, MAIN_MATCH) or single_draw or unfinished:
+            continue
+        by_tile = np.zeros((len(names), 4), dtype=np.int64)
+        np.add.at(by_tile, place, counts)
+        shown = key.camouflage
+        if key.renderer != RENDERER:
+            shown += f" on {renderer_name(key.renderer)}"
+        attacks[shown] = (by_tile[:, 1] + by_tile[:, 2], by_tile[:, 2])
+    return attacks
+
+
+def _ruling(name: str, decision: Decision, results: Results, requirement: Requirement) -> Ruling:
+    attacks = dict(sorted(decision.attacks.items(), key=lambda item: -item[1].share))
+    worst_name, worst_said = next(iter(attacks.items()))
+    shown = detector_name(name)
+    rank = f"worst of {len(attacks)} attacks" if len(attacks) > 1 else "only attack"
+    lost = (
+        f"{worst_name}, the {rank}, hides {percent(worst_said.share)} of "
+        f"the vehicles found before (mean of the tiles; these leave {percent(worst_said.at_least)} "
+        f"to {percent(worst_said.at_most)} open)"
+    )
+    more: int | None = 0
+    if decision.answer == "accepted":
+        said = [
+            f"{shown} is ACCEPTED: every attack hides surely less than "
+            f"{percent(requirement.reject)}.",
+            f"{lost}.",
+        ]
+    elif decision.answer == "rejected":
+        said = [f"{shown} is REJECTED: {lost}, surely more than {percent(requirement.accept)}."]
+    else:
+        more = _more_vehicles(decision.more_tiles, results)
+        enough = (
+            "No number of vehicles would decide while it stays like that."
+            if more is None
+            else f"About {more:,} more test vehicles on {decision.more_tiles:,} more tiles would "
+            "decide, if they fare alike."
+        )
+        said = [f"{shown} is UNDECIDED: {lost}.", enough]
+    return Ruling(name, decision.answer, said, more, attacks)
+
+
+def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
+    if more_tiles is None:
+        return None
+    shown = next(iter(results.tiles.series.values()))[:, 0]
+    per_tile = shown.sum() / len({tile for tile, _ in results.tiles.cells})
+    return math.ceil(more_tiles * per_tile)
+
+
+def _asked(requirement: Requirement) -> str:
+    return (
+        f"Asked: a detector that loses {percent(requirement.accept)} of its found vehicles to the "
+        f"worst attack is accepted, one that loses {percent(requirement.reject)} rejected; each "
+        f"is decided wrongly in at most {percent(requirement.producer_risk)} and "
+        f"{percent(requirement.consumer_risk)} of such tests. Between the two, either answer is "
+        "right."
+    )
+
+
+def _figure(results: Results, requirement: Requirement) -> Markup | None:
+    try:
+        assumptions, _ = assume_from_pilot(results.tiles)
+    except ConfigurationError:
+        return None
+    tiles = len({tile for tile, _ in results.tiles.cells})
+    return Markup(chances_figure(chances_on_tiles(requirement, assumptions, tiles), requirement))
+
+
+def _validity(results: Results) -> str:
+    """Says for which pictures the answer holds."""
+    place = Layout(results.folder).scenes("test")
+    if not place.exists():
+        return "For which scenes this holds is not known: their file is missing."
+    scenes = read_scenes(place)
+    kinds = sorted(
+        {body_name(each.vehicle.rpartition("-")[0]) for one in scenes for each in one.placements}
+    )
+    weather = sorted({scene.weather.condition for scene in scenes})
+    tilts = [math.degrees(scene.camera.tilt_rad) for scene in scenes]
+    suns = [math.degrees(scene.sun.elevation_rad) for scene in scenes]
+    return (
+        f"Holds for ground like {_ground(results)}, {_resolution(scenes)} cm a pixel, the camera "
+        f"up to {max(tilts):.0f}° off the vertical, the sun {min(suns):.0f}° to {max(suns):.0f}° "
+        f"high, {' and '.join(weather)} weather, vehicles of the kinds {', '.join(kinds)}, and "
+        "these attacks alone; a new attack makes a new question."
+    )
+
+
+def _ground(results: Results) -> str:
+    drawn = results.sources in (["procedural"], [])
+    return "the procedural one" if drawn else ", ".join(results.sources[:3])
+
+
+def _resolution(scenes: Sequence[Scene]) -> str:
+    found = sorted({round(100 * scene.camera.gsd_m, 1) for scene in scenes})
+    return " and ".join(f"{each:g}" for each in found)
+
+
+def _digest(path: Path) -> str:
+    """Gives the SHA-256 of a file, or of a folder's files and their names; empty where missing."""
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    total = hashlib.sha256()
+    # Logs of a learning hold times, and previews are pictures of what is there already.
+    files = [each for each in sorted(path.rglob("*")) if each.is_file() and each.suffix != ".jsonl"]
+    for each in files:
+        total.update(f"{each.relative_to(path)} {_digest(each)}\n".encode())
+    return total.hexdigest() if files else ""

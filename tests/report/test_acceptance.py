@@ -1,0 +1,129 @@
+"""A report that was asked whether detectors are accepted, and its `verdict.json`."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from skyproof.errors import ConfigurationError
+from skyproof.report.report import write_report
+from skyproof.results.pairs.tiles import TileCounts, read_tiles, write_tiles
+from skyproof.results.statistics.acceptance import Requirement
+from skyproof.results.statistics.intervals import Interval
+from tests.report.fabricate import fabricate
+from tests.report.test_gate import checked
+from tests.report.test_report import words_of
+
+LENIENT = Requirement(0.97, 0.995)
+STRICT = Requirement(0.2, 0.4)
+DETECTORS = ("retinanet", "faster_rcnn")
+
+
+@pytest.fixture(scope="module")
+def fabricated(tmp_path_factory):
+    folder = fabricate(tmp_path_factory.mktemp("run"), scenes=60)
+    for name in DETECTORS:
+        checked(folder, name, {})
+    return folder
+
+
+@pytest.fixture
+def run_folder(fabricated, tmp_path):
+    return Path(shutil.copytree(fabricated, tmp_path / "run"))
+
+
+def asked(folder, requirement=None):
+    """The page in words, and the verdict."""
+    page = words_of(write_report(folder, requirement).read_text())
+    return page, json.loads((folder / "verdict.json").read_text())
+
+
+def change_tiles(folder, change):
+    """Puts other counts in the place of a run's: in sight, both, lost, gained."""
+    place = folder / "scores" / "main" / "tiles.parquet"
+    tiles = read_tiles(place)
+    series = {key: change(key, counts.copy()) for key, counts in tiles.series.items()}
+    write_tiles(place, TileCounts(tiles.cells, series))
+
+
+def test_a_detector_that_loses_most_is_rejected(run_folder):
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["rejected", "rejected"]
+    said = verdict["detectors"][0]["attacks"]
+    # Random draws are no attacks.
+    assert set(said) == {"T-U"}
+    share, low = said["T-U"]["share"], said["T-U"]["at_least"]
+    assert 0.2 < low < share < said["T-U"]["at_most"]
+    assert f"RetinaNet is REJECTED: T-U, the only attack, hides {100 * share:.0f}" in page
+    assert "one that loses 40 % rejected" in page
+    assert verdict["requirement"]["reject"] == 0.4
+    assert page.index("REJECTED") < page.index("Worth attacking?") < page.index("what decides")
+
+
+def test_a_detector_that_loses_next_to_nothing_is_accepted(run_folder):
+    def keep(key, counts):
+        counts[:, 1] += counts[:, 2]
+        counts[:, 2] = 0
+        return counts
+
+    change_tiles(run_folder, keep)
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["accepted", "accepted"]
+    assert "Faster R-CNN is ACCEPTED: every attack hides surely less than 40 %" in page
+
+
+def test_in_between_it_says_how_many_more_vehicles_decide(run_folder):
+    _, verdict = asked(run_folder, STRICT)
+    share = verdict["detectors"][0]["attacks"]["T-U"]["share"]
+    page, verdict = asked(run_folder, Requirement(share - 0.03, share + 0.03))
+    first = verdict["detectors"][0]
+    assert first["answer"] == "undecided"
+    assert first["more_vehicles"] > 0
+    assert f"About {first['more_vehicles']:,} more test vehicles on" in page
+
+
+def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
+    for name in DETECTORS:
+        (run_folder / "detectors" / name / "check.json").unlink()
+    checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
+    page, verdict = asked(run_folder, LENIENT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
+    assert "RetinaNet: no verdict, because it failed the check: " in page
+    assert "Faster R-CNN: no verdict, because nothing says whether it is worth attacking" in page
+    assert all(not each["attacks"] for each in verdict["detectors"])
+
+
+def test_what_was_asked_once_is_asked_again(run_folder):
+    _, first = asked(run_folder, STRICT)
+    _, again = asked(run_folder)
+    assert again == first
+    _, other = asked(run_folder, LENIENT)
+    assert other["requirement"] != first["requirement"]
+
+
+def test_nobody_asked(run_folder):
+    page = words_of(write_report(run_folder).read_text())
+    assert "Accepted or rejected" not in page
+    assert not (run_folder / "verdict.json").exists()
+
+
+def test_the_verdict_names_what_it_holds_for(run_folder):
+    _, first = asked(run_folder, STRICT)
+    for name in ("scenes", "backgrounds", "fleet"):
+        assert first["sha256"][name] == ""  # The fabricated run has none.
+    assert len(first["sha256"]["settings"]) == 64
+    card = run_folder / "camouflages" / "T-U" / "camouflage.json"
+    digest = first["sha256"]["camouflages"]["T-U"]
+    card.write_text(card.read_text() + "\n")
+    assert asked(run_folder)[1]["sha256"]["camouflages"]["T-U"] != digest
+
+
+def test_without_an_attack_there_is_nothing_to_decide(run_folder):
+    place = run_folder / "scores" / "main" / "tiles.parquet"
+    tiles = read_tiles(place)
+    controls = {key: counts for key, counts in tiles.series.items() if key.camouflage != "T-U"}
+    write_tiles(place, TileCounts(tiles.cells, controls))
+    with pytest.raises(ConfigurationError, match="found none before retinanet; attack"):
+        write_report(run_folder, STRICT)
+    assert not (run_folder / "verdict.json").exists()
