@@ -32,7 +32,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_an_imported_detector_is_used_like_any_other(
     checkpoint: Path, finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
-    out = tmp_path / "mine"
+    out = tmp_path / "theirs"
     call = [
         "import",
         checkpoint,
@@ -43,12 +43,16 @@ def test_an_imported_detector_is_used_like_any_other(
         "--validation",
         finished / "datasets/validation",
     ]
-    answer = skyproof(*call, "--out", out, "--name", "theirs", *CPU)
+    answer = skyproof(*call, "--out", out, *CPU)
     assert answer.code == 0, answer.err
     assert "threshold" in answer.out
     # It was never trained.
     assert "Warning: theirs reaches a validation AP of 0.0" in answer.out
     assert read_card(out).name == "theirs"
+    # The file that somebody gave is not taken for a folder, nor called damaged.
+    skyproof("score", "--detectors", checkpoint, "--out", tmp_path / "x").refused(
+        f"{checkpoint} is a file and no detector folder", "skyproof import"
+    )
     stored = (out / "weights.safetensors").read_bytes()
     skyproof(*call, "--out", out).refused(str(out), "not overwritten")
     # Untrained, it needs a threshold at which it finds something on the test images.

@@ -35,7 +35,7 @@ class Import:
             fasterrcnn_resnet50_fpn, fasterrcnn_resnet50_fpn_v2, fasterrcnn_mobilenet_v3_large_fpn
             or fcos_resnet50_fpn.
         gsd: metres per pixel the detector was made for, where the images have another resolution.
-        name: of the detector in tables; the checkpoint file's where not given.
+        name: of the detector in tables; the last part of --out where not given.
         device: auto, cpu or cuda.
     """
 

@@ -12,6 +12,7 @@ from msgspec import Meta
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.doubts import find_doubts
 from skyproof.documents import read_document
+from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber
 
@@ -111,8 +112,14 @@ def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:
     """Reads `detector.json` with the digest of the weights that it belongs to.
 
     Raises:
-        StoredFileError: the file is missing, damaged, or of another format.
+        StoredFileError: the file is missing, damaged, or of another format, or what should be its
+            folder is a file.
     """
+    if path.parent.is_file():
+        raise StoredFileError(
+            f"{path.parent} is a file and no detector folder; make one of a checkpoint with "
+            "skyproof import, and give that."
+        )
     stored: _Stored = read_document(path, _Stored, _REMEDY, version=FOLDER_FORMAT)
     card = DetectorCard(**{each.name: getattr(stored, each.name) for each in fields(DetectorCard)})
     return card, stored.weights_sha256

@@ -75,7 +75,7 @@ def import_detector(
         validation: images of the resolution that the detector will judge; they freeze its
             threshold.
         folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
-        name: as tables will show it; the file's name where None.
+        name: as tables will show it; the folder's where None, since files are called best.pt.
         device: to validate on.
 
     Returns:
@@ -89,7 +89,7 @@ def import_detector(
     """
     folder = Path(folder)
     refuse_existing(folder)
-    name = checkpoint.path.stem if name is None else name
+    name = folder.resolve().name if name is None else name
     if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
         raise ConfigurationError(
             f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are; "

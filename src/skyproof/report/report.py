@@ -26,8 +26,9 @@ from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
-from skyproof.report.figures import condition_figure, forest_figure, loss_figure, many_figure
+from skyproof.report.figures import condition_figure, forest_figure, many_figure
 from skyproof.report.gate import read_gate
+from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
@@ -35,7 +36,6 @@ from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Results
 from skyproof.results.rows import MAIN_MATCH, Headline, Row
 from skyproof.results.statistics.acceptance import Requirement
-from skyproof.results.stored import read_log
 
 __all__ = ["write_report"]
 
@@ -174,7 +174,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             tables=_tables(results),
             errors=error_rows(results),
             paper=paper,
-            training=_training(results),
+            training=training_loss(results),
             advice=advice(every[0][0]) if every else [],
             limits=limits(results, every, several_trainings=_several_trainings(paper)),
             settings=list(_flat(results.config.every)),
@@ -229,7 +229,7 @@ def _section(results: Results, headline: Headline, second: Headline | None = Non
         pairs_detector=headline.detectors[0],
         texture=embedded(results.pattern(name, "texture.png")),
         on_vehicle=embedded(results.pattern(name, "on_vehicle.png")),
-        loss=_attack_loss(results, headline),
+        loss=attack_loss(results, headline),
         conditions=Markup(condition_figure(panels)) if panels else None,
         readings=_readings(panels),
         second=_second(results, headline, second) if second else None,
@@ -332,29 +332,6 @@ def _pairs(results: Results, headline: Headline, count: int | None = None) -> li
         adversarial = embedded_jpeg(inside(folder, pair.adversarial, document))
         pictures.append(_Picture(pair.scene, original, adversarial, caption))
     return pictures
-
-
-def _attack_loss(results: Results, headline: Headline) -> Markup | None:
-    path = results.pattern(headline.camouflage, "steps.jsonl")
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for row in [] if path is None else read_log(path):
-        losses = row.losses or ({} if row.loss is None else {"all": row.loss})
-        for detector, loss in losses.items():
-            curves.setdefault(detector, []).append((float(row.step), loss))
-    title = f"Attack {headline.camouflage}: loss per detector"
-    return Markup(loss_figure(title, curves)) if curves else None
-
-
-def _training(results: Results) -> Markup | None:
-    curves = {}
-    for name in results.detectors:
-        path = Layout(results.folder).detector(name) / "steps.jsonl"
-        # The log holds validations too, which have no loss.
-        rows = read_log(path) if path.exists() else []
-        points = [(float(row.step), row.loss) for row in rows if row.loss is not None]
-        if points:
-            curves[name] = points
-    return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
 
 def _tables(results: Results) -> list[tuple[str, list[Row]]]:

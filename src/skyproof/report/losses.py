@@ -1,0 +1,38 @@
+"""How attacks and trainings went: losses against steps, as parts of the page."""
+
+from __future__ import annotations
+
+from markupsafe import Markup
+
+from skyproof.layout import Layout
+from skyproof.report.figures import loss_figure
+from skyproof.results.results import Results
+from skyproof.results.rows import Headline
+from skyproof.results.stored import read_log
+
+__all__ = ["attack_loss", "training_loss"]
+
+
+def attack_loss(results: Results, headline: Headline) -> Markup | None:
+    """Draws the losses of an attack against its steps; None where they are not kept."""
+    path = results.pattern(headline.camouflage, "steps.jsonl")
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for row in [] if path is None else read_log(path):
+        losses = row.losses or ({} if row.loss is None else {"all": row.loss})
+        for detector, loss in losses.items():
+            curves.setdefault(detector, []).append((float(row.step), loss))
+    title = f"Attack {headline.camouflage}: loss per detector"
+    return Markup(loss_figure(title, curves)) if curves else None
+
+
+def training_loss(results: Results) -> Markup | None:
+    """Draws the losses of the trainings of all detectors; None where none is kept."""
+    curves = {}
+    for name in results.detectors:
+        path = Layout(results.folder).detector(name) / "steps.jsonl"
+        # The log holds validations too, which have no loss.
+        rows = read_log(path) if path.exists() else []
+        points = [(float(row.step), row.loss) for row in rows if row.loss is not None]
+        if points:
+            curves[name] = points
+    return Markup(loss_figure("Training of the detectors", curves)) if curves else None
