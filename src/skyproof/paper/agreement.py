@@ -21,7 +21,13 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
 
-__all__ = ["Agreement", "percentile_interval", "rank_agreement", "renderer_agreement"]
+__all__ = [
+    "Agreement",
+    "percentile_interval",
+    "rank_agreement",
+    "rank_correlations",
+    "renderer_agreement",
+]
 
 _FEWEST = 3
 
@@ -198,6 +204,13 @@ def _agreement(
         for correlation in (_spearman, _kendall)
     )
     return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)
+
+
+def rank_correlations(
+    one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]
+) -> tuple[float, float]:
+    """Gives Spearman's and Kendall's correlation; nan where all of one are equal."""
+    return _spearman(one, other), _kendall(one, other)
 
 
 def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:

@@ -24,9 +24,9 @@ from skyproof.paper.cycles import cycles_section
 from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.judges import judges_section
 from skyproof.paper.looks import looks_section
+from skyproof.paper.order import order_section
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
-from skyproof.paper.tables import comparison
 from skyproof.paper.trainings import trainings_section
 from skyproof.paper.variability import variability_section
 from skyproof.paper.weather import weather_section
@@ -57,8 +57,7 @@ def paper_sections(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         texture_table(tables["textures"]),
         *_shapes(tables["shape_combined"]),
         Heading("Does our order agree with the paper’s?"),
-        *_agreement(tables["agreement"]),
-        *_order(run),
+        *order_section(run, tables["agreement"]),
         *cycles_section(run, tables),
         *judges_section(run, tables),
         Heading("Can the attacks be trusted?"),
@@ -195,52 +194,6 @@ def standing(run: Reproduction) -> str:
         if row is not None and row.ap_original == row.ap_original:
             scores.append(f"{detector_name(detector)} {number(100 * row.ap_original)} %")
     return ", ".join(scores)
-
-
-def _agreement(table: Table) -> list[Block]:
-    if not table.rows:
-        return ["Fewer than three attacks can be compared."]
-    rows = [
-        [
-            row["set"],
-            str(row["attacks"]),
-            *(bracket(row, name, digits=2) for name in ("spearman", "kendall")),
-        ]
-        for row in table.rows
-    ]
-    text = (
-        "Rank correlation of our EASR with the paper’s, shapes and combinations each at their own "
-        "PM*. The intervals say how far the test scenes alone could move it."
-    )
-    return [text, Grid(["attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)]
-
-
-def _order(run: Reproduction) -> list[Block]:
-    """Ranks of ours and the paper's, where they differ most on top."""
-    ours = comparison(run)
-    names = [name for name in ours if not name.startswith("R-")]
-    ranks = {}
-    for name in names:
-        own = 1 + sum(ours[other] > ours[name] for other in names)
-        theirs = 1 + sum(PAPER_RESULTS[other].easr > PAPER_RESULTS[name].easr for other in names)
-        ranks[name] = (own, theirs)
-    rows = [
-        [name, str(own), str(theirs), number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
-        for name, (own, theirs) in sorted(
-            ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1])
-        )
-        if abs(own - theirs) > 1
-    ]
-    if not rows and ranks:
-        return [f"None of {len(ranks)} attacks is more than one rank from its place in the paper."]
-    if not rows:
-        return []
-    header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
-    text = (
-        f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is "
-        "the strongest):"
-    )
-    return [text, Grid(header, rows)]
 
 
 def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from skyproof.camouflage.name import CamouflageName
-from skyproof.errors import ConfigurationError
-from skyproof.paper.agreement import rank_agreement
 from skyproof.paper.cells import Table, in_percent, interval_cells
 from skyproof.paper.colours import colour_tables
 from skyproof.paper.convergence import convergence_table
@@ -21,6 +15,7 @@ from skyproof.paper.criteria import criteria_table
 from skyproof.paper.cycles import cycles_columns, cycles_tables
 from skyproof.paper.embeddings import embeddings_tables
 from skyproof.paper.judges import judges_tables
+from skyproof.paper.order import TEXTURE, order_table
 from skyproof.paper.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.paper.trainings import trainings_tables
@@ -29,9 +24,8 @@ from skyproof.paper.variability import variability_tables
 from skyproof.paper.weather import weather_tables
 from skyproof.results.stored import Discretisation
 
-__all__ = ["comparison", "reproduction_tables"]
+__all__ = ["reproduction_tables"]
 
-_TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
 _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
@@ -41,7 +35,7 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
         Table("textures", _textures(run)),
         Table("shape_combined", _shapes(run)),
         Table("curves", _curves(run)),
-        Table("agreement", _agreement(run)),
+        order_table(run),
         *cycles_tables(run),
         *judges_tables(run),
         criteria_table(run),
@@ -60,25 +54,11 @@ def reproduction_tables(run: Reproduction) -> dict[str, Table]:
     return {table.name: table for table in made}
 
 
-def comparison(run: Reproduction) -> dict[str, float]:
-    """Gives our EASR of everything that the paper has too, in percent.
-
-    Textures and controls stand by their names, shapes at their PM*.
-    """
-    found = {name: run.row(name) for name in run.names if _TEXTURE.fullmatch(name)}
-    found |= {family: run.row(name) for family, name in run.best.items()}
-    return {
-        name: 100 * row.easr.estimate
-        for name, row in found.items()
-        if name in PAPER_RESULTS and row is not None and not math.isnan(row.easr.estimate)
-    }
-
-
 def _textures(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     # Controls come last, as in the paper.
     for name in sorted(
-        filter(_TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
+        filter(TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
     ):
         paper = PAPER_RESULTS.get(name)
         measured = run.practicality(name)
@@ -195,34 +175,6 @@ def _transfer(run: Reproduction) -> list[dict[str, Any]]:
                 row |= interval_cells(cell.detector, cell.easr, 100.0)
             rows.append(row)
     return rows
-
-
-def _agreement(run: Reproduction) -> list[dict[str, Any]]:
-    """Correlates ranks with the paper over ever more of what both have; shapes at our PM*."""
-    sets = {
-        "textures": [name for name in PAPER_RESULTS if name.startswith("T-")],
-        "textures, shape and combinations": [
-            name for name in PAPER_RESULTS if not name.startswith("R-")
-        ],
-        "all, with random controls": list(PAPER_RESULTS),
-    }
-    made = []
-    for label, names in sets.items():
-        # Fewer than three attacks, or an undefined one, have no correlation.
-        with suppress(ConfigurationError):
-            found = rank_agreement(
-                run.results.tiles,
-                {name: PAPER_RESULTS[name].easr for name in names},
-                rows=run.best,
-                generator=np.random.default_rng(0),
-            )
-            row = {"set": label, "attacks": len(found.attacks)}
-            made.append(
-                row
-                | interval_cells("spearman", found.spearman)
-                | interval_cells("kendall", found.kendall)
-            )
-    return made
 
 
 def _ladder(run: Reproduction) -> list[dict[str, Any]]:
