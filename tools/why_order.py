@@ -43,7 +43,7 @@ SHAPE = "S-O@0.4"
 
 
 class PapersColours(UniversalTexture):
-    """Colours as in section S4.2: probabilities p, shown as s(s(p)); after each step a softmax of p.
+    """Colours as in section S4.2: probabilities p, shown as s(s(p)), and a softmax after steps.
 
     s raises to the power 1/temperature and divides by the sum; the paper does not give the
     temperature.
