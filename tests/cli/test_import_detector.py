@@ -49,10 +49,6 @@ def test_an_imported_detector_is_used_like_any_other(
     # It was never trained.
     assert "Warning: theirs reaches a validation AP of 0.0" in answer.out
     assert read_card(out).name == "theirs"
-    # The file that somebody gave is not taken for a folder, nor called damaged.
-    skyproof("score", "--detectors", checkpoint, "--out", tmp_path / "x").refused(
-        f"{checkpoint} is a file and no detector folder", "skyproof import"
-    )
     stored = (out / "weights.safetensors").read_bytes()
     skyproof(*call, "--out", out).refused(str(out), "not overwritten")
     # Untrained, it needs a threshold at which it finds something on the test images.

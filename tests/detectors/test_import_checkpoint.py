@@ -67,7 +67,7 @@ def test_a_torchvision_checkpoint(stored: Path, network: torch.nn.Module) -> Non
     detector = load_detector(stored).detector
     card = read_card(stored)
     assert (card.name, card.size, card.gsd_m, card.image_size_px) == (
-        "vehicles",
+        "out",  # The folder's, where no name is given.
         "brought",
         0.125,
         (96, 96),
@@ -153,6 +153,9 @@ def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) ->
         with pytest.raises(ConfigurationError, match="--name"):
             import_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
     (tmp_path / "text.pt").write_text("not weights")
+    # Nor is a file a folder that is damaged.
+    with pytest.raises(StoredFileError, match="is a file and no detector folder; make one"):
+        load_detector(tmp_path / "text.pt")
     torch.save({"epoch": 3}, tmp_path / "empty.pt")
     torch.save(
         maskrcnn_resnet50_fpn(weights=None, weights_backbone=None).roi_heads.state_dict(),
