@@ -45,7 +45,7 @@ def order_table(run: Reproduction) -> Table:
         for name, result in PAPER_RESULTS.items()
         if result.perturbation_magnitude is not None
     }
-    rows = []
+    rows: list[dict[str, Any]] = []
     for compared, paper, own in (
         (_RENDERER, renderer, run.best),
         ("the same, at the paper’s PM*", renderer, same),
