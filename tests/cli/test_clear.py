@@ -1,11 +1,13 @@
 """`skyproof clear` and `skyproof adjust --drop`: from the command line, and what they refuse."""
 
 import json
+import shutil
 import sys
 
 import pytest
 
-from skyproof.cli.clear import say_light
+from skyproof.cli.clear import say_light, warnings
+from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import Skyproof
 from tests.imagery.test_clear import tiled
@@ -46,6 +48,43 @@ def test_it_says_what_was_done_about_the_sun_of_how_many_sources(capsys):
         "Where the sun stood over 1 of 6 sources is not known (too few vehicles with clear "
         "shadows): scenes will draw any sun.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("labelled", "detected", "share", "vehicles_from", "words"),
+    [
+        (130, 391, 0.05, ["labels", "d"], ["391 removed vehicles were only found by the detector"]),
+        (130, 390, 0.10, ["labels", "d"], []),
+        (0, 500, 0.02, ["d"], []),
+        (130, 872, 0.17, ["labels", "d"], ["872 removed vehicles", "17% of the ground was filled"]),
+    ],
+)
+def test_it_warns_where_ground_was_smeared(labelled, detected, share, vehicles_from, words):
+    totals = {"labelled_removed": labelled, "detected_removed": detected, "masked_share": share}
+    found = warnings(totals, vehicles_from)
+    assert len(found) == len(words)
+    assert all(word in sentence for word, sentence in zip(words, found, strict=True))
+
+
+def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: Skyproof):
+    pytest.importorskip("cv2")
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+    detector = tmp_path / "detector"
+    shutil.copytree(reference_folder("retinanet"), detector)
+    call = ("clear", folder, "--detector", detector, "--method", "telea", "--device", "cpu")
+    answer = skyproof(*call, "--out", tmp_path / "good")
+    assert answer.code == 0
+    assert "Not checked by a detector" not in answer.out
+    check = json.loads((detector / "check.json").read_text())
+    check["sets"][0]["ap_centre_1m"] = check["sets"][0]["ap_centre_1m_high"] = 0.4
+    check["sets"][0]["ap_centre_1m_low"] = 0.3
+    (detector / "check.json").write_text(json.dumps(check))
+    answer = skyproof(*call, "--out", tmp_path / "cleared")
+    assert answer.code == 0
+    assert "failed its own check" in answer.out
+    assert "Not checked by a detector" in answer.out
+    record = json.loads((tmp_path / "cleared" / "clearing.json").read_text())
+    assert record["checked_by"] == "not checked by a detector"
 
 
 def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypatch):

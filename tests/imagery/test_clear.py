@@ -1,6 +1,7 @@
 """Clearing a tiled folder: who finds what, what is repaired or left out, what the record says."""
 
 import json
+import shutil
 import math
 from dataclasses import replace
 
@@ -214,7 +215,8 @@ def test_corners_that_are_no_vehicles_say_nothing(tmp_path, corners):
 def test_places_of_detections_are_kept_where_they_are_sure(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="a")
     unsure = finder(Reds(score_of={box(40, 40): 0.4}))
-    result, record = cleared(folder, tmp_path, finder=unsure)
+    settings = ClearSettings(finding_score=0.1)
+    result, record = cleared(folder, tmp_path, finder=unsure, settings=settings)
     assert [len(stood(result, name)) for name in "abcde"] == [2, 0, 0, 1, 1]
     assert stood(result, "d") == [(25, 97, 0, "picture")]
     assert record["totals"]["detected_removed"] == 3, "removed it is all the same"
@@ -254,6 +256,26 @@ def test_the_detector_finds_what_is_not_labelled(tmp_path):
     rows = {row["id"]: (row["labelled"], row["detected"]) for row in record["tiles"]}
     assert rows == {"a": (2, 0), "b": (0, 0), "c": (0, 1), "d": (0, 1), "e": (0, 1)}
     assert record["vehicles_from"] == ["labels", "reds"]
+
+
+def test_a_detection_below_the_detectors_threshold_is_left_alone(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="a")
+    unsure = finder(Reds(score_of={box(40, 40): 0.4}))
+    result, record = cleared(folder, tmp_path, finder=unsure)
+    assert [name for name in SPLIT_OF if reds(result, name)] == ["c"]
+    assert record["totals"]["detected_removed"] == 2
+
+
+def test_what_nobody_labelled_is_left_to_the_detector_and_filled_without_one(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+    change_rows(folder / "validation", iscrowd=1, unlabelled=True)
+    _, alone = cleared(folder, tmp_path)
+    assert {row["id"]: row["labelled"] for row in alone["tiles"]}["c"] == 1
+    shutil.rmtree(tmp_path / "cleared")
+    result, record = cleared(folder, tmp_path, finder=finder())
+    row = {row["id"]: row for row in record["tiles"]}["c"]
+    assert (row["labelled"], row["detected"]) == (0, 1)
+    assert not reds(result, "c")
 
 
 def test_without_labels_and_detector_nothing_can_be_found(tmp_path):

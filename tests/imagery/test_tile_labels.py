@@ -101,6 +101,10 @@ def test_the_border_band_is_the_sources_not_the_tiles(tmp_path):
     assert (0, 0, 16, 64) in ignored["a-00000-00000"]
     assert (2, 2, 8, 8) in ignored["a-00000-00000"]
     assert (0, 48, 64, 64) in ignored["a-00064-00064"]
+    rows = json.loads((tmp_path / "set/train/annotations.json").read_text())["annotations"]
+    unlabelled = [row["bbox"] for row in rows if row.get("unlabelled")]
+    assert unlabelled, "the band is no vehicle"
+    assert all(max(box[2:]) == 64 for box in unlabelled)
 
 
 def test_pixel_labels_follow_a_turned_image(tmp_path):

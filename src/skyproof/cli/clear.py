@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
-__all__ = ["Clear", "say_light"]
+__all__ = ["Clear", "say_light", "warnings"]
+
+_MANY_MORE = 3
+"""A detector that finds so many times what is labelled mostly finds what is no vehicle."""
+_LARGE_SHARE = 0.10
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,8 @@ class Clear:
         folder: tiled folder, as `skyproof ground` writes it from imagery.
         out: tiled folder to write.
         detector: detector folder; it finds vehicles that are not labelled.
-        check_detector: detector folder that checks the result; the same detector by default.
+        check_detector: detector folder that checks the result; the same detector by default, unless
+            its own check failed.
         inpainting: ONNX file of a network that takes `image` and `mask`, such as LaMa (extra onnx).
             It may come from anybody: it runs no code, and no other file is read for it.
         method: how ground is filled without a network: exemplar (ground copied from nearby), or
@@ -58,7 +63,12 @@ class Clear:
         refuse_existing(self.out)
         inpainting = self._inpainting()
         finder = _finder(self.detector, self.device)
-        checker = _finder(self.check_detector, self.device) if self.check_detector else finder
+        checker = finder
+        if self.check_detector is not None:
+            checker = _finder(self.check_detector, self.device)
+        elif self.detector is not None and (failed := _failed_check(self.detector)):
+            say(failed)
+            checker = None
         with finished_folder(self.out) as partial, ExitStack() as bars:
             updates = {}
 
@@ -105,6 +115,8 @@ class Clear:
             f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
             f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
         )
+        for sentence in warnings(totals, record["vehicles_from"]):
+            say(f"WARNING: {sentence}")
         say_light(record)
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
@@ -142,6 +154,49 @@ def say_light(record: dict[str, Any]) -> None:
             f"Where the sun stood over {unknown} of {photographs} sources is not known (too few "
             "vehicles with clear shadows): scenes will draw any sun."
         )
+
+
+def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
+    """Says in a sentence each what hints that ground was smeared in place of vehicles.
+
+    Args:
+        totals: of the record of `clear_backgrounds`.
+        vehicles_from: who said where vehicles stand, also of the record.
+    """
+    sentences = []
+    labelled, detected = totals["labelled_removed"], totals["detected_removed"]
+    if "labels" in vehicles_from and detected > _MANY_MORE * max(labelled, 1):
+        sentences.append(
+            f"{detected} removed vehicles were only found by the detector, and {labelled} are "
+            "labelled: most of what it finds here may be no vehicle; look at the sheet, and raise "
+            "--settings.finding-score or take another detector."
+        )
+    if totals["masked_share"] > _LARGE_SHARE:
+        sentences.append(
+            f"{totals['masked_share']:.0%} of the ground was filled, more than the "
+            f"{_LARGE_SHARE:.0%} of a place with many vehicles: detectors will be tested on "
+            "painted-over ground; look at the sheet, and raise --settings.finding-score or take "
+            "another detector."
+        )
+    return sentences
+
+
+def _failed_check(folder: Path) -> str | None:
+    """Says why a detector may not certify that no vehicle is left; None where it may.
+
+    One that was not checked may.
+    """
+    from skyproof.gate.record import RECORD_FILE, read_record
+    from skyproof.gate.verdict import findings, verdict
+
+    if not (folder / RECORD_FILE).is_file():
+        return None
+    if verdict(findings(read_record(folder))) != "failed":
+        return None
+    return (
+        f"{folder} failed its own check ({RECORD_FILE}), so it finds vehicles here, but cannot "
+        "tell that none is left; give another one as --check-detector."
+    )
 
 
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:

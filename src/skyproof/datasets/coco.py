@@ -38,6 +38,7 @@ class Annotation:
         ignore: a region where nothing is scored; COCO's iscrowd.
         corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left,
             front right, rear right, rear left, not cut at the border; None where not known.
+        unlabelled: an ignored region that is no object: nobody looked for vehicles there.
     """
 
     box_xyxy: tuple[float, float, float, float]
@@ -48,6 +49,7 @@ class Annotation:
     placement_index: int | None = None
     ignore: bool = False
     corners_px: tuple[tuple[float, float], ...] | None = None
+    unlabelled: bool = False
 
 
 class CocoWriter:
@@ -140,6 +142,8 @@ class CocoWriter:
             }
             if annotation.corners_px is not None:
                 row["corners_px"] = [list(corner) for corner in annotation.corners_px]
+            if annotation.unlabelled:
+                row["unlabelled"] = True
             if annotation.mask is not None:
                 row["segmentation"] = encode_rle(annotation.mask)
                 row["area"] = float(annotation.mask.sum())

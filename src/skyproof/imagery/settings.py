@@ -117,8 +117,8 @@ class ClearSettings:
     """How vehicles are removed.
 
     Attributes:
-        finding_score: every detection with at least this score is removed; it is low, because
-            ground removed in vain costs less than a vehicle that stays.
+        finding_score: every detection with at least this score is removed; where not given, the
+            detector's frozen threshold. A lower one leaves fewer vehicles, and removes ground.
         margin_m: width in metres by which vehicles' boxes are grown on all sides; doubled where the
             shadow is unknown.
         largest_masked_share: largest share of a tile that may be removed; a tile with more to
@@ -126,7 +126,7 @@ class ClearSettings:
         rounds: how often a tile is repaired in which the check still finds something.
     """
 
-    finding_score: _Score = 0.1
+    finding_score: _Score | None = None
     margin_m: Annotated[float, Meta(ge=0, le=100)] = 0.4
     largest_masked_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
     rounds: Annotated[int, Meta(ge=0, le=100)] = 2

@@ -112,7 +112,8 @@ def clear_backgrounds(
     anew. Their shadows, and those that trees and buildings cast, tell the sun and the sky of each
     source, which are kept, too, as is where these lie.
 
-    Vehicles are the labelled ones (ignore regions too) and what `finder` finds. Tiles where
+    Vehicles are the labelled ones (ignored objects too) and what `finder` finds; without a finder,
+    regions where nobody labelled vehicles are filled as a whole. Tiles where
     `checker` still finds something are repaired, and left out if that does not help. A contact
     sheet shows every tile that was changed or left out.
 
@@ -239,11 +240,16 @@ def _find(
     labelled = labels.boxes
     image = backgrounds.pixels(tile.id)
     detected, sure = torch.zeros(0, 4), torch.zeros(0, 4)
-    if finder is not None:
-        detections = other_vehicles(finder.detections(image, settings.finding_score), labelled)
+    if finder is None:
+        # Nobody looks there, so that whatever stands there has to go.
+        labelled = torch.cat([labelled, labels.unlabelled_boxes])
+    else:
+        threshold = finder.loaded.threshold
+        lowest_score = threshold if settings.finding_score is None else settings.finding_score
+        detections = other_vehicles(finder.detections(image, lowest_score), labelled)
         detected = detections.boxes
         # Much of what is removed to be safe is no vehicle.
-        sure = detected[detections.scores >= finder.loaded.threshold]
+        sure = detected[detections.scores >= threshold]
     removed = removed_vehicles(image, labels, sure, backgrounds.gsd_m)
     found = _Found(labelled, detected, torch.cat([labels.vehicle_boxes, sure]), removed)
     if len(found.boxes):

@@ -35,10 +35,14 @@ LONGEST_M = 30.0
 
 
 class _Row(AnnotationRow, kw_only=True, frozen=True):
-    """An annotation with the vehicle's middle, and its corners on the ground where known."""
+    """An annotation with the vehicle's middle, and its corners on the ground where known.
+
+    An unlabelled region is no object: nobody looked for vehicles there.
+    """
 
     centre_px: tuple[Coordinate, Coordinate] | None = None
     corners_px: tuple[tuple[Coordinate, Coordinate], ...] | None = None
+    unlabelled: bool = False
 
 
 class _File(AnnotationFile, kw_only=True, frozen=True):
@@ -51,16 +55,23 @@ class TileLabels:
 
     Attributes:
         vehicles: the labelled vehicles.
-        ignored: regions where nothing is scored, other vehicles among them.
+        ignored: objects that are not scored, other vehicles among them.
+        unlabelled: regions where nobody looked for vehicles.
     """
 
     vehicles: tuple[_Row, ...] = ()
     ignored: tuple[_Row, ...] = ()
+    unlabelled: tuple[_Row, ...] = ()
 
     @property
     def boxes(self) -> Float[Tensor, "n 4"]:
-        """All boxes, vehicles first, pixel xyxy."""
+        """The boxes of all objects, vehicles first, pixel xyxy."""
         return _boxes([*self.vehicles, *self.ignored])
+
+    @property
+    def unlabelled_boxes(self) -> Float[Tensor, "n 4"]:
+        """The regions where vehicles may stand that are not labelled, pixel xyxy."""
+        return _boxes(self.unlabelled)
 
     @property
     def vehicle_boxes(self) -> Float[Tensor, "n 4"]:
@@ -87,7 +98,8 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
         for image in document.images:
             labels[image.scene_id] = TileLabels(
                 tuple(row for row in rows[image.id] if not row.iscrowd),
-                tuple(row for row in rows[image.id] if row.iscrowd),
+                tuple(row for row in rows[image.id] if row.iscrowd and not row.unlabelled),
+                tuple(row for row in rows[image.id] if row.unlabelled),
             )
     return labels
 

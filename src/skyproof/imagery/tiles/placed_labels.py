@@ -264,7 +264,8 @@ class PlacedLabels:
         size = cell.size_px
         x, y = _middle(label)
         inside = 0 <= x < size and 0 <= y < size
-        if label.class_name in (EVERYTHING, BORDER):
+        unlabelled = label.class_name in (EVERYTHING, BORDER)
+        if unlabelled:
             if not (owner == source).any():
                 return []
         else:
@@ -303,6 +304,7 @@ class PlacedLabels:
                     min(fraction, 1.0),
                     ignore=ignore,
                     corners_px=corners,
+                    unlabelled=unlabelled,
                 )
             )
         return annotations
