@@ -51,6 +51,11 @@ class Layout:
         return self.folder / "timings.json"
 
     @property
+    def tiles(self) -> Path:
+        """Imagery as it was cut, with its vehicles."""
+        return self.folder / "tiles"
+
+    @property
     def backgrounds(self) -> Path:
         """The background set."""
         return self.shared.folder / "backgrounds"

@@ -21,6 +21,7 @@ __all__ = ["COMMANDS", "load_command", "main", "run"]
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
         "demo": "skyproof.plans.demo:Demo",
+        "assess": "skyproof.plans.assess:Assess",
         "reproduce": "skyproof.plans.reproduce:Reproduce",
         "report": "skyproof.cli.report:Report",
     },

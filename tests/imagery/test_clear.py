@@ -1,8 +1,8 @@
 """Clearing a tiled folder: who finds what, what is repaired or left out, what the record says."""
 
 import json
-import shutil
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np

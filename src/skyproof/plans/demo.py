@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -15,10 +15,11 @@ from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.documents import check_document, read_document
+from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.layout import Layout
+from skyproof.plans.answers import say_answers
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.steps import (
     AttackJob,
@@ -59,23 +60,6 @@ _ONLY_TRAINING = (
     "shapes",
 )
 """Sizes that say nothing of detectors that come trained."""
-
-
-class _Answer(Struct, frozen=True):
-    """What is said of one row of `results.json`."""
-
-    camouflage: str
-    renderer: str
-    detector: str
-    match: str
-    easr: float | None
-    easr_low: float | None
-    easr_high: float | None
-    net_easr: float | None
-
-
-class _Answers(Struct, frozen=True):
-    rows: list[_Answer]
 
 
 @dataclass(frozen=True)
@@ -194,7 +178,7 @@ class Demo:
             say(f"skyproof demo on {device}, detectors {detectors}, run folder {self.out}")
             run_serially(plan, run)
             run.finish()
-        self._say_answer(layout)
+        say_answers(layout, TEXTURES)
         say(f"Report: {layout.report.resolve()}")
 
     @property
@@ -251,20 +235,6 @@ class Demo:
             stored, out=self.out, device=self.device, cycles=self.cycles, blender=self.blender
         )
         return demo_plan(here, Layout(self.out))
-
-    def _say_answer(self, layout: Layout) -> None:
-        from skyproof.words import interval, percent
-
-        results: _Answers = read_document(layout.results, _Answers, "give the same command again")
-        for row in results.rows:
-            if row.camouflage in TEXTURES and row.match == "centre_1m":
-                where = "" if row.renderer == "torch" else " on Blender Cycles images"
-                say(
-                    f"  {row.detector:<12} {row.camouflage} hides {percent(row.easr)} of the "
-                    f"vehicles found before{where} (95 % interval "
-                    f"{interval(row.easr_low, row.easr_high)}); net of a random texture "
-                    f"{percent(row.net_easr)}"
-                )
 
 
 def demo_plan(demo: Demo, layout: Layout) -> Plan:

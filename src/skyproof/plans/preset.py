@@ -18,7 +18,7 @@ from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
-from skyproof.plans.world import GSD_M, WorldSizes
+from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 
@@ -197,13 +197,14 @@ class Preset:
                 f"trainings {self.trainings} expects detectors that the run trains, all by one "
                 f"recipe, but {self.reference[0]} comes trained once; take it out of reference."
             )
-        tile_px = tiling_for_images(self.world.image_px, gsd_m=GSD_M, imagery=False).size_px
+        world = self.world
+        tile_px = tiling_for_images(world.image_px, gsd_m=world.gsd_m, imagery=False).size_px
         if math.ceil(self.attack_image_px * math.sqrt(2)) + 2 > tile_px:
             raise ConfigurationError(
                 f"attack_image_px {self.attack_image_px} is larger than what can be cut from tiles "
                 f"for images of {self.world.image_px} px; give at most world.image_px."
             )
-        self.world.scenes("attack", self.attack_image_px).half_m(GSD_M)
+        world.scenes("attack", self.attack_image_px).half_m(world.gsd_m)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -18,7 +19,7 @@ from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.plans.world import GSD_M, WorldSizes, render_s
+from skyproof.plans.world import WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 __all__ = [
@@ -301,7 +302,7 @@ def score_step(
     original = layout.dataset("weather" if weather else drawn)
     out = (layout.weather if weather else own).score(name)
     if empty:
-        frames = (f"ground without vehicles={layout.dataset('empty')}@{GSD_M}",)
+        frames = (f"ground without vehicles={layout.dataset('empty')}@{sizes.gsd_m}",)
         frame_classes = ("vehicle",)
     command = Score(
         **vars(chosen),
@@ -372,19 +373,26 @@ def _camouflage(layout: Layout, folder: str) -> Path:
     return (layout.shared if drawn else layout).camouflage(folder)
 
 
-def report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str] = ()) -> Step:
+def report_step(
+    layout: Layout,
+    scores: Sequence[Step],
+    checked: Sequence[str] = (),
+    *,
+    requirement: Mapping[str, float] = MappingProxyType({}),
+) -> Step:
     """Returns the step that merges all scores and writes the report.
 
     Args:
         layout: the run folder's.
         scores: the steps that leave the score folders.
         checked: names of the detectors that are checked in this run.
+        requirement: what the report is to decide on: accept, reject and both risks.
     """
     checks = [layout.check(name) for name in checked]
     return Step(
         "report",
         "report",
-        Report(layout.folder),
+        Report(layout.folder, **requirement),
         (*checks, *(folder for step in scores for folder in step.outputs)),
         (layout.results, layout.report),
         renewed=True,

@@ -17,7 +17,7 @@ from skyproof.cli.vehicles import Vehicles
 from skyproof.imagery.settings import SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.plan import START_S, Step
-from skyproof.ranges import Count, Fraction, check_ranges
+from skyproof.ranges import Count, Fraction, GroundResolution, check_ranges
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
@@ -57,7 +57,8 @@ class WorldSizes:
     """How much ground, how many vehicles and scenes a run has.
 
     Attributes:
-        image_px: image side; vehicles are of true size at 12.5 cm per pixel.
+        gsd_m: metres per pixel of ground and images, in which vehicles are of true size.
+        image_px: image side.
         tiles: procedural ground tiles per split (train, validation, attack, test), where no imagery
             is given.
         vehicles: vehicles in the fleet of each split.
@@ -76,6 +77,7 @@ class WorldSizes:
         shapes: share of these vehicles whose surface is pushed out at random.
     """
 
+    gsd_m: GroundResolution = GSD_M
     # Detectors take no smaller ones.
     image_px: Annotated[int, Meta(ge=96, le=16_384)] = 192
     tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
@@ -95,7 +97,7 @@ class WorldSizes:
         check_ranges(self)
         # Refuses an image that no vehicle fits into, and more vehicles than a scene may have.
         for split in ("train", "test"):
-            self.scenes(split).half_m(GSD_M)
+            self.scenes(split).half_m(self.gsd_m)
 
     def scenes(self, split: str, image_px: int | None = None) -> SceneSettings:
         """Returns how the scenes of a split are drawn; one vehicle an image in an attack.
@@ -173,7 +175,7 @@ def ground_step(
     blur_sigma_px: BlurChoice | None = None,
 ) -> Step:
     """Returns the step that draws ground, or cuts it from imagery."""
-    tiling = tiling_for_images(sizes.image_px, gsd_m=GSD_M, imagery=bool(imagery))
+    tiling = tiling_for_images(sizes.image_px, gsd_m=sizes.gsd_m, imagery=bool(imagery))
     command = Ground(
         out=layout.backgrounds,
         sources=tuple(imagery),

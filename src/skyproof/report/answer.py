@@ -6,11 +6,13 @@ import math
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.uncertainty import left_out
+from skyproof.results.results import RENDERER
 from skyproof.results.rows import MEAN, Contrast, Headline, Row
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import detector_name, interval, percent, points
+from skyproof.results.worst import WorstCase
+from skyproof.words import detector_name, interval, percent, points, renderer_name
 
-__all__ = ["answer"]
+__all__ = ["answer", "worst_case"]
 
 _THIN = "\u202f"
 
@@ -53,6 +55,24 @@ def answer(headline: Headline) -> list[str]:
             alike if least == most else f"Detector by detector it is {least} to {most}."
         )
     return [*sentences, *_beside_controls(row), *left_out(row)]
+
+
+def worst_case(case: WorstCase) -> str:
+    """Says in a sentence what all attacks together hide from one detector."""
+    where = "" if case.renderer == RENDERER else f" on images of the {renderer_name(case.renderer)}"
+    words = (
+        f"Of the vehicles that {detector_name(case.detector)} found before, at least one of the "
+        f"{len(case.attacks)} attacks hides {percent(case.hidden.estimate)}{where} "
+        f"({_sure(case.hidden)}); the strongest alone, {case.strongest}, hides "
+        f"{percent(case.alone)}"
+    )
+    if case.random is None or case.net is None:
+        return f"{words}."
+    return (
+        f"{words}. At least one of as many random controls hides {percent(case.random)}: the "
+        f"attacks hide {points(case.net.estimate).removeprefix('+')} points more "
+        f"({_sure(case.net)})."
+    )
 
 
 def _beside_controls(row: Row) -> list[str]:

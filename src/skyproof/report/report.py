@@ -23,7 +23,7 @@ from skyproof.files import alone, inside, write_bytes
 from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
-from skyproof.report.answer import answer
+from skyproof.report.answer import answer, worst_case
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, many_figure
@@ -36,6 +36,7 @@ from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Results
 from skyproof.results.rows import MAIN_MATCH, Headline, Row
 from skyproof.results.statistics.acceptance import Requirement
+from skyproof.results.worst import worst_cases
 
 __all__ = ["write_report"]
 
@@ -145,7 +146,8 @@ class _Known(Struct, frozen=True):
 
 def _write(results: Results, layout: Layout, requirement: Requirement | None) -> Path:
     acceptance = None if requirement is None else rule(results, requirement)
-    results.write()
+    worst = [case for renderer in results.renderers for case in worst_cases(results, renderer)]
+    results.write([case.json() for case in worst])
     if requirement is not None and acceptance is not None:
         write_verdict(results, requirement, acceptance)
     paper = paper_part(results)
@@ -165,6 +167,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             sections=sections,
             exhibits=[] if few else _exhibits(results, every),
             overviews=[] if few else _overviews(results),
+            worst=[worst_case(case) for case in worst],
             first=every[0][0] if every else None,
             tested=_tested(results, every),
             acceptance=acceptance,

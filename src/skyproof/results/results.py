@@ -135,15 +135,19 @@ class Results:
             looks=next(filter(None, (read_looks(score.path) for score in scores)), None),
         )
 
-    def write(self) -> Path:
+    def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
         """Writes `results.json`: all rows and checks, rates as fractions, undefined ones null.
+
+        Args:
+            worst: rows of the worst cases, where there are any.
 
         Raises:
             RunFolderError: the disk cannot take it.
         """
         path = Layout(self.folder).results
         rows = [row.json() for row in self.rows]
-        write_json(path, {"rows": rows, "checks": [check.json() for check in self.checks]})
+        checks = [check.json() for check in self.checks]
+        write_json(path, {"rows": rows, "checks": checks, "worst_cases": list(worst)})
         return path
 
     @cached_property
@@ -206,8 +210,8 @@ class Results:
             found.append(Headline(name, renderer, (mean or single)[0], single + mean, control))
         return found
 
-    def outcomes(self, name: CamouflageName, renderer: str) -> list[Outcome]:
-        """Gives the outcomes of every repeat of a camouflage, at the main criterion.
+    def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:
+        """Gives the outcomes of every repeat of a camouflage, or of all, at the main criterion.
 
         Raises:
             StoredFileError: a table of outcomes is damaged.
@@ -215,7 +219,8 @@ class Results:
         wanted = {
             key.camouflage
             for key in self.tiles.series
-            if key.renderer == renderer and CamouflageName.read(key.camouflage).pooled == name
+            if key.renderer == renderer
+            and name in (None, CamouflageName.read(key.camouflage).pooled)
         }
         return [
             outcome

@@ -33,6 +33,7 @@ __all__ = [
     "decide",
     "evidence_above",
     "evidence_below",
+    "fewest_tiles",
     "requirement_of",
 ]
 
@@ -193,6 +194,14 @@ def evidence_above(
 ) -> Float[np.ndarray, "*runs"]:
     """Gives the evidence for a mean above a limit in [0, 1); else as `evidence_below`."""
     return _mean(_above(shares, limit))
+
+
+def fewest_tiles(reject: float, consumer_risk: float) -> int:
+    """Gives the fewest tiles on which a detector can be accepted: one that loses nothing there."""
+    tiles = 1
+    while evidence_below(np.zeros(tiles), reject) < 1 / consumer_risk:
+        tiles += 1
+    return tiles
 
 
 def _below(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarray, "*runs bets"]:

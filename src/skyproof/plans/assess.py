@@ -1,0 +1,227 @@
+"""`skyproof assess`: how robust one detector is on somebody's imagery, and whether it passes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta
+from tyro.conf import Positional
+
+from skyproof.cli.console import say
+from skyproof.documents import check_document
+from skyproof.errors import ConfigurationError
+from skyproof.files import alone
+from skyproof.layout import Layout
+from skyproof.plans.assessment import Given, assessment_plan
+from skyproof.plans.plan import Plan
+from skyproof.plans.suite import read_suite, suite_digest
+from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
+
+__all__ = ["Assess"]
+
+_Class = Annotated[str, Meta(max_length=200)]
+
+
+@dataclass(frozen=True)
+class Assess:
+    """Puts one detector to the suite of attacks on your imagery, and says whether it passes.
+
+    Imagery is tiled and cleared of its vehicles, the threshold frozen on its labels, the detector
+    checked, every attack of the suite learnt on it and judged beside its controls. Stop it
+    whenever you like and give the same command again: it goes on after the last finished step.
+
+    Attributes:
+        detector: detector folder, or checkpoint file of Ultralytics or torchvision.
+        out: run folder; the report goes there.
+        imagery: orthophotos or photographs, or folders of them: GeoTIFFs, or JPEG/PNG with --gsd.
+            Without any, ground is drawn, and the answer says nothing of your places.
+        gsd: metres per pixel of images that do not say it themselves.
+        labels: of the vehicles in the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage or
+            Shapefile. Without any, the threshold stays as it is, and nothing is said of
+            photographs.
+        label_classes: which of the labels' classes are vehicles; may be left out where they know
+            one class.
+        vehicle_classes: of a checkpoint: its classes that are vehicles (names of Ultralytics,
+            numbers of torchvision).
+        architecture: of a checkpoint of torchvision, as for `skyproof import`.
+        detector_gsd: metres per pixel that a checkpoint was made for; 0.125 where not given.
+        accept: share of found vehicles that the detector may lose to the worst attack; with
+            `reject`, the report says whether it is accepted, and verdict.json is written.
+        reject: the share lost from which on it is refused.
+        producer_risk: chance at most that a detector which loses `accept` is rejected.
+        consumer_risk: chance at most that one which loses `reject` is accepted.
+        cycles: judge the test scenes as Blender Cycles draws them, too; a finished run goes on
+            with that part alone.
+        blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not
+            given, what `make blender` made, then `blender` on the PATH.
+        seed: decides everything that is drawn.
+        device: auto, cpu or cuda.
+    """
+
+    detector: Positional[Path]
+    out: Path
+    imagery: tuple[Path, ...] = ()
+    gsd: GroundResolution | None = None
+    labels: Path | None = None
+    label_classes: tuple[_Class, ...] = ()
+    vehicle_classes: Annotated[tuple[_Class, ...], Meta(max_length=1000)] = ()
+    architecture: str | None = None
+    detector_gsd: GroundResolution | None = None
+    accept: Fraction | None = None
+    reject: Fraction | None = None
+    producer_risk: Risk = 0.05
+    consumer_risk: Risk = 0.05
+    cycles: bool = False
+    blender: Path | None = None
+    seed: Seed = 0
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Does all steps that are not finished yet, and prints the answer."""
+        from skyproof.cli.device import choose_device
+        from skyproof.cycles.blender import find_blender
+        from skyproof.plans.run_folder import RunFolder
+        from skyproof.plans.serial import run_serially
+
+        self._refuse_what_cannot_work()
+        device = choose_device(self.device)
+        given = self._given()
+        plan = assessment_plan(given, read_suite(), self.out)
+        # Mistakes are looked for first: they should show before an hour's work, not after it.
+        run = RunFolder(self.out, self._config(given), plan, self._plan_of)
+        if self.cycles:
+            find_blender(self.blender)
+        with alone(self.out):
+            # Somebody else may have begun meanwhile.
+            run = RunFolder(self.out, self._config(given), plan, self._plan_of)
+            run.start(str(device))
+            say(f"skyproof assess {given.name} on {device}, run folder {self.out}")
+            for sentence in self._unsaid():
+                say(f"  note: {sentence}")
+            run_serially(plan, run)
+            run.finish()
+        self._say_answer()
+
+    def _refuse_what_cannot_work(self) -> None:
+        """Shows a mistake in the options before anything is made.
+
+        Raises:
+            ConfigurationError: options that contradict each other, or speak of what is not there.
+        """
+        self._requirement()
+        if self.blender is not None and not self.cycles:
+            raise ConfigurationError(
+                "--blender says which Blender draws for --cycles; give --cycles too."
+            )
+        about_imagery: dict[str, object] = {
+            "--gsd": self.gsd,
+            "--labels": self.labels,
+            "--label-classes": self.label_classes or None,
+        }
+        for option, value in about_imagery.items():
+            if value is not None and not self.imagery:
+                raise ConfigurationError(f"{option} speaks of imagery; give --imagery too.")
+        if self.label_classes and self.labels is None:
+            raise ConfigurationError(
+                "--label-classes says which classes of --labels are vehicles; give --labels too."
+            )
+        if not self.detector.exists():
+            raise ConfigurationError(
+                f"{self.detector} is not there; give a detector folder or a checkpoint file."
+            )
+        of_checkpoint: dict[str, object] = {
+            "--vehicle-classes": self.vehicle_classes or None,
+            "--architecture": self.architecture,
+            "--detector-gsd": self.detector_gsd,
+        }
+        if self.detector.is_dir():
+            for option, value in of_checkpoint.items():
+                if value is not None:
+                    raise ConfigurationError(
+                        f"{option} is for checkpoint files, and {self.detector} is a folder, which "
+                        "says it itself; leave the option out."
+                    )
+        elif not self.vehicle_classes:
+            raise ConfigurationError(
+                f"{self.detector} is a checkpoint file, whose classes may be anything; say with "
+                "--vehicle-classes which of them are vehicles."
+            )
+
+    def _requirement(self) -> dict[str, float]:
+        from skyproof.results.statistics.acceptance import requirement_of
+
+        asked = requirement_of(self.accept, self.reject, self.producer_risk, self.consumer_risk)
+        return {} if asked is None else asdict(asked)
+
+    def _given(self) -> Given:
+        from skyproof.detectors.card import read_card
+
+        if self.detector.is_dir():
+            card = read_card(self.detector)
+            name, gsd_m = card.name, card.gsd_m
+        else:
+            # "best" and "last" are what trainers call their files.
+            name, gsd_m = self.out.resolve().name, self.detector_gsd or 0.125
+        return Given(
+            name=name,
+            detector=self.detector,
+            gsd_m=gsd_m,
+            imagery=self.imagery,
+            imagery_gsd_m=self.gsd,
+            labels=self.labels,
+            label_classes=self.label_classes,
+            vehicle_classes=self.vehicle_classes,
+            architecture=self.architecture,
+            requirement=self._requirement(),
+            cycles=self.cycles,
+            blender=self.blender,
+            seed=self.seed,
+            device=self.device,
+        )
+
+    def _config(self, given: Given) -> dict[str, object]:
+        # Where a run is computed, or what is added to it, changes none of its results.
+        left_out = ("device", "cycles", "blender")
+        settings = {key: value for key, value in asdict(given).items() if key not in left_out}
+        suite = read_suite()
+        return {
+            "title": "How robust is this vehicle detector to camouflage?",
+            **settings,
+            "imagery": [str(path) for path in self.imagery] or "procedural",
+            "detectors": [given.name],
+            "suite": {"version": suite.version, "sha256": suite_digest()},
+        }
+
+    def _plan_of(self, config: dict[str, Any]) -> Plan:
+        """The steps that a run folder's config stands for."""
+        told = ("title", "detectors", "suite")
+        settings = {key: value for key, value in config.items() if key not in told}
+        if settings.get("imagery") == "procedural":
+            settings["imagery"] = []
+        settings |= {"device": self.device, "cycles": self.cycles, "blender": self.blender}
+        place = str(self.out / "config.json")
+        given: Given = check_document(settings, Given, place, "choose another --out")
+        return assessment_plan(given, read_suite(), self.out)
+
+    def _unsaid(self) -> list[str]:
+        """What this run cannot say."""
+        if not self.imagery:
+            return ["without --imagery, ground is drawn: the answer says nothing of your places"]
+        if self.labels is None:
+            return [
+                "without --labels, the threshold stays as it is, only what the detector itself "
+                "finds is cleared, and nothing tells how well it finds real vehicles"
+            ]
+        return []
+
+    def _say_answer(self) -> None:
+        from skyproof.plans.answers import say_answers, say_expected
+
+        layout = Layout(self.out)
+        suite = read_suite()
+        say_answers(layout, suite.attacks)
+        if not self.imagery and self.seed == 0:
+            say_expected(layout, suite)
+        say(f"Report: {layout.report.resolve()}")

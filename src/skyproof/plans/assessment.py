@@ -1,0 +1,280 @@
+"""The steps of an assessment: from somebody's detector and imagery to a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from skyproof.cli.check import Check
+from skyproof.cli.clear import Clear
+from skyproof.cli.ground import Ground, tiling_for_images
+from skyproof.cli.import_detector import Import
+from skyproof.cli.rendering import Rendering
+from skyproof.files import finished_folder, write_bytes
+from skyproof.imagery.settings import LabelSettings, SourceSettings
+from skyproof.layout import Layout
+from skyproof.plans.enough import Enough
+from skyproof.plans.plan import START_S, Plan, Step
+from skyproof.plans.steps import (
+    attack_step,
+    check_step,
+    control_step,
+    report_step,
+    score_step,
+)
+from skyproof.plans.suite import Suite
+from skyproof.plans.world import WorldSizes, render_step, scene_step, vehicles_step, world_steps
+from skyproof.scenes.places import Places
+
+__all__ = ["Given", "assessment_plan"]
+
+_SCORED_AT_ONCE = 24
+_CLEAR_S = 0.5
+_IMPORT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is assessed, on what; the options of `skyproof assess` as its plan needs them.
+
+    Attributes:
+        name: the detector's, in tables.
+        detector: its folder, or its checkpoint file.
+        gsd_m: metres per pixel of what it is shown.
+        imagery: images or folders of them; none for drawn ground.
+        imagery_gsd_m: metres per pixel of images that do not say it themselves.
+        labels: of the vehicles in the imagery.
+        label_classes: of the labels, which are vehicles.
+        vehicle_classes: of a checkpoint, which are vehicles.
+        architecture: of a checkpoint of torchvision.
+        requirement: accept, reject, producer_risk and consumer_risk, as for the report; empty where
+            nothing is asked.
+        seed: decides everything that is drawn.
+        cycles: whether the test scenes are judged on Cycles, too.
+        blender: which Blender draws them.
+        device: auto, cpu or cuda.
+    """
+
+    name: str
+    detector: Path
+    gsd_m: float
+    imagery: tuple[Path, ...]
+    imagery_gsd_m: float | None
+    labels: Path | None
+    label_classes: tuple[str, ...]
+    vehicle_classes: tuple[str, ...]
+    architecture: str | None
+    requirement: Mapping[str, float]
+    seed: int
+    cycles: bool = False
+    blender: Path | None = None
+    device: str = "auto"
+
+    @property
+    def places(self) -> Places:
+        """Where vehicles stand: in photographs not on roofs and in trees."""
+        return "drivable" if self.imagery else "uniform"
+
+
+@dataclass(frozen=True)
+class _Copy:
+    """Copies a detector folder as it is, but for what a check elsewhere found of it."""
+
+    detector: Path
+    out: Path
+
+    def run(self) -> None:
+        """Copies it."""
+        from skyproof.detectors.loaded import load_detector
+        from skyproof.gate.record import RECORD_FILE
+
+        load_detector(self.detector)
+        with finished_folder(self.out) as folder:
+            for file in sorted(self.detector.iterdir()):
+                if file.is_file() and file.name != RECORD_FILE:
+                    write_bytes(folder / file.name, file.read_bytes())
+
+
+def assessment_plan(given: Given, suite: Suite, folder: Path) -> Plan:
+    """Returns the steps from a detector and imagery to a report.
+
+    Args:
+        given: what is assessed.
+        suite: the attacks.
+        folder: the run folder, as the steps are to name it.
+    """
+    layout = Layout(folder)
+    sizes = replace(suite.sizes(given.gsd_m), test_places=given.places)
+    names = (given.name,)
+    steps = [*_ground_and_detector(given, suite, layout, sizes)]
+    if given.requirement:
+        enough = layout.folder / "enough.json"
+        steps.append(
+            Step(
+                "size",
+                "size",
+                Enough(
+                    layout.backgrounds,
+                    given.requirement["reject"],
+                    given.requirement["consumer_risk"],
+                    enough,
+                ),
+                (layout.backgrounds,),
+                (enough,),
+            )
+        )
+    steps += [
+        vehicles_step(layout, sizes, given.seed),
+        scene_step(layout, sizes, "test", given.seed),
+        render_step(layout, sizes, "test", device=given.device),
+    ]
+    frames = (f"your imagery={layout.tiles / 'test'}@{given.gsd_m}",) if given.labels else ()
+    classes = ("vehicle",)
+    steps.append(
+        check_step(
+            layout,
+            sizes,
+            names,
+            suite.check_scenes,
+            suite.check_draws,
+            given.seed,
+            frames=frames,
+            frame_classes=classes,
+            device=given.device,
+        )
+    )
+    attack_px = suite.attack_px(given.gsd_m)
+    learnt = suite.learnt(given.name, given.seed)
+    chosen = suite.chosen(given.name, given.seed)
+    steps += [
+        attack_step(layout, job, attack_px, places=given.places, device=given.device)
+        for job in (*learnt, *chosen)
+    ]
+    steps.append(control_step(layout, suite.drawn(), given.seed))
+    shapes = suite.drawn_shapes()
+    steps += [
+        control_step(layout, drawn, given.seed, texture=texture)
+        for texture, drawn in shapes.items()
+    ]
+    worn = [job.name for job in (*learnt, *chosen)]
+    every = [*worn, *suite.drawn(), *(name for drawn in shapes.values() for name in drawn)]
+    scores = [
+        score_step(
+            layout,
+            sizes,
+            f"test-{first // _SCORED_AT_ONCE}",
+            every[first : first + _SCORED_AT_ONCE],
+            names,
+            given.seed,
+            frames=frames if first == 0 else (),
+            frame_classes=classes,
+            device=given.device,
+        )
+        for first in range(0, len(every), _SCORED_AT_ONCE)
+    ]
+    steps += scores
+    if given.cycles:
+        rendering = Rendering(renderer="cycles", blender=given.blender)
+        steps.append(render_step(layout, sizes, "test", rendering=rendering, device=given.device))
+        scores.append(
+            score_step(
+                layout,
+                sizes,
+                "test-cycles",
+                worn,
+                names,
+                given.seed,
+                rendering=rendering,
+                device=given.device,
+            )
+        )
+        steps.append(scores[-1])
+    steps.append(report_step(layout, scores, names, requirement=given.requirement))
+    return Plan(steps)
+
+
+def _ground_and_detector(
+    given: Given, suite: Suite, layout: Layout, sizes: WorldSizes
+) -> list[Step]:
+    """Ground without vehicles, and the detector with its threshold, whichever can come first."""
+    detector = layout.detector(given.name)
+    card = detector / "detector.json"
+    if not given.imagery:
+        drawn = world_steps(layout, sizes, given.seed, splits=(), device=given.device)[:1]
+        if given.detector.is_dir():
+            return [*drawn, _copy_step(given, detector)]
+        return [*drawn, *_imported_on_renders(given, suite, layout)]
+    tiling = tiling_for_images(sizes.image_px, gsd_m=given.gsd_m, imagery=True)
+    cut = Ground(
+        out=layout.tiles,
+        sources=given.imagery,
+        seed=given.seed,
+        tiling=tiling,
+        source=SourceSettings(gsd_m=given.imagery_gsd_m),
+        labels=LabelSettings(path=given.labels, classes=given.label_classes),
+    )
+    inputs = (*given.imagery, *([given.labels] if given.labels else []))
+    steps = [Step("ground", "tiles", cut, inputs, (layout.tiles,), effort_s=_IMPORT_S)]
+    if given.labels is None:
+        taken = (
+            [_copy_step(given, detector)]
+            if given.detector.is_dir()
+            else _imported_on_renders(given, suite, layout)
+        )
+        steps += taken
+    elif given.detector.is_dir():
+        frozen = Check(
+            detectors=(given.detector,),
+            freeze="labels",
+            frames=(f"your imagery={layout.tiles / 'validation'}@{given.gsd_m}",),
+            frame_classes=("vehicle",),
+            out=detector,
+            device=given.device,
+        )
+        steps.append(
+            Step("threshold", given.name, frozen, (layout.tiles,), (card,), effort_s=_IMPORT_S)
+        )
+    else:
+        steps.append(_import_step(given, layout.tiles / "validation", layout.tiles, detector))
+    clear = Clear(
+        folder=layout.tiles, out=layout.backgrounds, detector=detector, device=given.device
+    )
+    steps.append(
+        Step(
+            "clear", "clear", clear, (layout.tiles, card), (layout.backgrounds,), effort_s=_IMPORT_S
+        )
+    )
+    return steps
+
+
+def _copy_step(given: Given, out: Path) -> Step:
+    outputs = (out / "detector.json",)
+    return Step("detector", given.name, _Copy(given.detector, out), (given.detector,), outputs)
+
+
+def _imported_on_renders(given: Given, suite: Suite, layout: Layout) -> list[Step]:
+    """A checkpoint whose threshold is frozen on rendered vehicles, as nothing else is labelled."""
+    world = Layout(layout.folder / "threshold")
+    sizes = replace(suite.sizes(given.gsd_m), tiles=(1, suite.tiles[1], 1, 1))
+    steps = world_steps(world, sizes, given.seed, splits=("validation",), device=given.device)
+    validation = world.dataset("validation")
+    imported = _import_step(given, validation, validation, layout.detector(given.name))
+    # The run has ground and vehicles of its own under the usual names.
+    return [*(replace(step, name=f"threshold-{step.name}") for step in steps), imported]
+
+
+def _import_step(given: Given, validation: Path, needed: Path, out: Path) -> Step:
+    command = Import(
+        checkpoint=given.detector,
+        kind="torchvision" if given.architecture else "ultralytics",
+        vehicle_classes=given.vehicle_classes,
+        validation=validation,
+        out=out,
+        architecture=given.architecture,
+        name=given.name,
+        device=given.device,
+    )
+    outputs = (out / "detector.json",)
+    inputs = (given.detector, needed)
+    return Step("import", given.name, command, inputs, outputs, effort_s=START_S + _IMPORT_S)

@@ -1,0 +1,183 @@
+"""The worst case: of the vehicles found before, how many at least one of several attacks hides.
+
+Whoever hides a vehicle picks what works on it. A single attack's rate leaves open whether another
+one hides the vehicles that it does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.results.results import RENDERER, Results
+from skyproof.results.rows_file import nulls_for_undefined
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.rates import attack_success_rate
+from skyproof.results.statistics.repeats import DRAWS, Repeat
+
+__all__ = ["WorstCase", "worst_cases"]
+
+
+@dataclass(frozen=True)
+class WorstCase:
+    """What all attacks together hide from one detector.
+
+    Attributes:
+        detector: its name.
+        renderer: who drew the images.
+        attacks: the learnt camouflages.
+        hidden: share of the vehicles found before that at least one of them hides.
+        strongest: the attack that alone hides most of them.
+        alone: the share that it hides.
+        random: the same share for one random draw of each attack's control, mean over as many such
+            sets as there are draws; None where a control was not drawn.
+        net: `hidden` minus `random`; None without it.
+    """
+
+    detector: str
+    renderer: str
+    attacks: Sequence[CamouflageName]
+    hidden: Interval
+    strongest: CamouflageName
+    alone: float
+    random: float | None
+    net: Interval | None
+
+    def json(self) -> dict[str, Any]:
+        """Gives flat JSON values, as `results.json` holds them; undefined ones are None."""
+        net = self.net or Interval(math.nan, math.nan, math.nan)
+        values = {
+            "detector": self.detector,
+            "renderer": self.renderer,
+            "attacks": [str(name) for name in self.attacks],
+            "hidden": self.hidden.estimate,
+            "hidden_low": self.hidden.low,
+            "hidden_high": self.hidden.high,
+            "strongest": str(self.strongest),
+            "strongest_hidden": self.alone,
+            "random_hidden": self.random,
+            "net": net.estimate,
+            "net_low": net.low,
+            "net_high": net.high,
+        }
+        return nulls_for_undefined(values)
+
+
+def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
+    """Gives the worst case before each detector; none where there is one attack or none.
+
+    Of an attack with several repeats the first counts: more of them would be more tries.
+
+    Raises:
+        StoredFileError: a table of outcomes is damaged.
+    """
+    scored = list(
+        dict.fromkeys(key.camouflage for key in results.tiles.series if key.renderer == renderer)
+    )
+    attacks: dict[CamouflageName, str] = {}
+    for text in scored:
+        name = CamouflageName.read(text)
+        if not name.random and not name.variant:
+            attacks.setdefault(name.pooled, text)
+    if len(attacks) < 2:
+        return []
+    lost = _Lost.of(results, renderer)
+    controls = dict.fromkeys(name.control for name in attacks)
+    draws = 0
+    while all(str(control.with_repeat(draws)) in scored for control in controls):
+        draws += 1
+    sets = [[str(control.with_repeat(draw)) for control in controls] for draw in range(draws)]
+    return [
+        found
+        for detector in results.judges
+        if (found := _worst_case(results, lost, detector, renderer, attacks, sets)) is not None
+    ]
+
+
+def _worst_case(
+    results: Results,
+    lost: _Lost,
+    detector: str,
+    renderer: str,
+    attacks: dict[CamouflageName, str],
+    sets: Sequence[Sequence[str]],
+) -> WorstCase | None:
+    own = _group(lost, detector, [list(attacks.values())], [])
+    if not own.counts[..., :2].sum():
+        return None
+    each = {
+        name: float(attack_success_rate(lost.counts(detector, [text]).sum(axis=0)))
+        for name, text in attacks.items()
+    }
+    strongest = max(each, key=lambda name: each[name])
+    random = net = None
+    if sets:
+        # A set of draws, one of each control, is one repeat of several.
+        repeats = [[Repeat("worst case", str(number), DRAWS)] for number in range(len(sets))]
+        control = _group(lost, detector, sets, repeats)
+        random = float(attack_success_rate(control.counts.sum(axis=1)).mean())
+        net = difference_interval([own], [control], results.sample)
+    return WorstCase(
+        detector,
+        renderer,
+        list(attacks),
+        mean_interval(own, results.sample, rate=attack_success_rate, limits=(0.0, 1.0)),
+        strongest,
+        each[strongest],
+        random,
+        net,
+    )
+
+
+def _group(
+    lost: _Lost,
+    detector: str,
+    sets: Sequence[Sequence[str]],
+    repeats: Sequence[Sequence[Repeat]],
+) -> Group:
+    return Group(np.stack([lost.counts(detector, names) for names in sets]), repeats)
+
+
+@dataclass(frozen=True)
+class _Lost:
+    """Which of the vehicles that a detector found before are lost under which camouflage.
+
+    Attributes:
+        cells: number of each tile and vehicle of the fleet in the sample.
+        before: per detector, cell of every vehicle that was found before, by scene and placement.
+        lost: per detector and camouflage, those of them that it hides.
+    """
+
+    cells: dict[tuple[str, str], int]
+    before: dict[str, dict[tuple[str, int], int]]
+    lost: dict[tuple[str, str], set[tuple[str, int]]]
+
+    @classmethod
+    def of(cls, results: Results, renderer: str) -> _Lost:
+        cells = {cell: number for number, cell in enumerate(results.tiles.cells)}
+        before: dict[str, dict[tuple[str, int], int]] = {}
+        lost: dict[tuple[str, str], set[tuple[str, int]]] = {}
+        for one in results.outcomes(None, renderer):
+            if one.detected_original:
+                place = (one.scene, one.placement)
+                before.setdefault(one.detector, {})[place] = cells[one.background, one.vehicle]
+                if not one.detected_adversarial:
+                    lost.setdefault((one.detector, one.camouflage), set()).add(place)
+        return cls(cells, before, lost)
+
+    def counts(self, detector: str, camouflages: Iterable[str]) -> Int[np.ndarray, "N 3"]:
+        """Counts (both, lost, gained) per cell; lost to any of them, and none is gained."""
+        hidden: set[tuple[str, int]] = set()
+        for camouflage in camouflages:
+            hidden |= self.lost.get((detector, camouflage), set())
+        counts = np.zeros((len(self.cells), 3), dtype=np.int64)
+        for place, cell in self.before.get(detector, {}).items():
+            counts[cell, int(place in hidden)] += 1
+        return counts
