@@ -11,6 +11,7 @@ from PIL import Image
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
+from skyproof.imagery.tiles.sources import find_images
 
 UPRIGHT = ((30.0, 15.0), (50.0, 15.0), (50.0, 25.0), (30.0, 25.0))
 
@@ -123,6 +124,16 @@ def test_yolo_beside_images(tmp_path, name):
     assert [label.class_name for label in labels.images["one"]] == ["bus", "car"]
     for label in labels.images["one"]:
         assert np.asarray(label.corners) == pytest.approx(np.asarray(UPRIGHT))
+
+
+@pytest.mark.parametrize("named", [".", "images", "labels"])
+def test_of_images_and_labels_beside_each_other_either_may_be_named(tmp_path, named):
+    written(tmp_path / "data.yaml", "names: [car]\n")
+    picture(tmp_path / "images" / "one.tif")
+    written(tmp_path / "labels" / "one.txt", "0 0.2 0.2 0.1 0.1")
+    assert [*read_labels(tmp_path / named).images] == ["one"]
+    if named != "labels":
+        assert find_images([tmp_path / named]) == [tmp_path / "images" / "one.tif"]
 
 
 def test_yolo_in_a_folder_of_labels(tmp_path):

@@ -144,6 +144,19 @@ def test_ground_points_of_two_systems(tmp_path, crs):
     assert any("1 labels of labels.geojson lie outside" in note for note in record.notes)
 
 
+def test_an_image_without_any_label_on_the_ground_is_named(tmp_path):
+    write_image(tmp_path / "a.tif", noise(128, 128), **PLACE)
+    beside = from_origin(EAST + 400.0, NORTH, 0.125, 0.125)
+    write_image(tmp_path / "b.tif", noise(128, 128), **{**PLACE, "transform": beside})
+    labels = ground((EAST + 5.0, NORTH - 5.0)), LabelSettings(WHERE)
+    _, record = tile([tmp_path], tmp_path / "set", labels=labels)
+    (note,) = [note for note in record.notes if "free of vehicles" in note]
+    assert "lies in 1 of 2 images (b.tif)" in note
+    both = ground((EAST + 5.0, NORTH - 5.0), (EAST + 405.0, NORTH - 5.0)), LabelSettings(WHERE)
+    _, record = tile([tmp_path], tmp_path / "both", labels=both)
+    assert not any("free of vehicles" in note for note in record.notes)
+
+
 def test_of_overlapping_sources_only_the_one_shown_labels(tmp_path):
     for stem in ("a", "b"):
         write_image(tmp_path / f"{stem}.tif", noise(128, 128), **PLACE)

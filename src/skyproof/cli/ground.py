@@ -20,9 +20,11 @@ from skyproof.scenes.splits import SPLITS
 if TYPE_CHECKING:
     from skyproof.imagery.tiles.tiling import TilingRecord
 
-__all__ = ["Ground", "tiling_for_images"]
+__all__ = ["Ground", "say_record", "tiling_for_images"]
 
 _NOTES_SHOWN = 12
+_FEW_TILES = 12
+"""Of as many, a success rate that tiles decide has an interval of some ±30 points."""
 _ROOM_PX = 112  # by which procedural tiles are larger than the windows cut from them
 
 
@@ -79,7 +81,7 @@ class Ground:
 
         with finished_folder(self.out) as folder:
             if self.sources:
-                _say_record(self, self._cut(folder))
+                say_record(self, self._cut(folder))
             else:
                 self._draw(folder)
             if self.blur_sigma_px is not None:
@@ -134,7 +136,13 @@ def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSe
     return TilingSettings(gsd_m=gsd_m, size_px=window_px + _ROOM_PX)
 
 
-def _say_record(ground: Ground, record: TilingRecord) -> None:
+def say_record(ground: Ground, record: TilingRecord) -> None:
+    """Says what was cut, what was noted on the way, and whether it is enough for a test.
+
+    Args:
+        ground: what was asked.
+        record: what was done.
+    """
     for note in record.notes[:_NOTES_SHOWN]:
         say(f"  note: {note}")
     if len(record.notes) > _NOTES_SHOWN:
@@ -145,6 +153,13 @@ def _say_record(ground: Ground, record: TilingRecord) -> None:
         if ground.labels.path is not None:
             labelled = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
         say(f"  {split:<10} {count['tiles']:>7} tiles{labelled}")
+    few = record.counts["test"]["tiles"]
+    if 0 < few < _FEW_TILES and ground.tiling.like is None:
+        say(
+            f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
+            f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
+            "points; give more imagery, or make the tiles smaller (--tiling.size-px)."
+        )
     if ground.tiling.like is not None:
         say(
             f"  {len(record.missing)} tiles of {ground.tiling.like} are missing here (listed in "

@@ -13,7 +13,7 @@ from skyproof.imagery.labels.coco import read_coco_labels
 from skyproof.imagery.labels.dota import is_dota_line, read_dota_labels
 from skyproof.imagery.labels.ground import read_ground_labels
 from skyproof.imagery.labels.label import Labels
-from skyproof.imagery.labels.text import LABEL_FOLDERS, text_lines
+from skyproof.imagery.labels.text import IMAGE_FOLDER, LABEL_FOLDERS, text_lines
 from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
 
 __all__ = ["read_labels"]
@@ -65,6 +65,10 @@ def read_labels(path: Path) -> Labels:
 
 
 def _read_folder(folder: Path) -> Labels:
+    # Whoever names one of two folders beside each other means both.
+    halves = (IMAGE_FOLDER, *LABEL_FOLDERS)
+    if folder.name in halves and class_file(folder) is None and class_file(folder.parent):
+        folder = folder.parent
     if class_file(folder) is not None:
         return read_yolo_labels(folder)
     if (folder / "annotations.json").is_file():

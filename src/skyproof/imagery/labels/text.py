@@ -13,6 +13,7 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.rasters import open_raster
 
 __all__ = [
+    "IMAGE_FOLDER",
     "IMAGE_SUFFIXES",
     "LABEL_FOLDERS",
     "LARGEST_NUMBER",
@@ -30,6 +31,7 @@ LARGEST_NUMBER = 1e9
 
 _LARGEST_BYTES = 256 * 2**20
 
+IMAGE_FOLDER = "images"
 LABEL_FOLDERS = ("labels", "labelTxt")
 """Names that stand where `images` stands in the path of an image, by Ultralytics and DOTA."""
 
@@ -81,7 +83,7 @@ def image_of(text: Path) -> Path | None:
     parts = list(text.parent.parts)
     for index in reversed(range(len(parts))):
         if parts[index] in LABEL_FOLDERS:
-            folders.append(Path(*parts[:index], "images", *parts[index + 1 :]))
+            folders.append(Path(*parts[:index], IMAGE_FOLDER, *parts[index + 1 :]))
             break
     for folder in folders:
         for suffix in IMAGE_SUFFIXES:

@@ -36,6 +36,7 @@ __all__ = ["PlacedLabels"]
 
 BIN_M = 64.0
 FARTHEST_PX = 1e6
+_NAMED = 3
 EVERYTHING, BORDER = "image without labels", "border of an image"
 
 
@@ -130,6 +131,7 @@ class PlacedLabels:
             )
         system = _system(labels.crs, path)
         inside = np.zeros(count, bool)
+        bare: list[str] = []
         flat = [corner for label in labels.labels for corner in label.corners]
         for plane, (crs, numbers) in planes.items():
             if crs is None:
@@ -141,8 +143,11 @@ class PlacedLabels:
             ]
             middles = np.array([_middle(label) for label in moved])
             in_plane = np.zeros(count, bool)
-            for number in numbers:
-                in_plane |= _within(middles, extent_of(self._sources[number], crs))
+            for number in sorted(numbers):
+                in_source = _within(middles, extent_of(self._sources[number], crs))
+                if not in_source.any():
+                    bare.append(self._sources[number].path.name)
+                in_plane |= in_source
             inside |= in_plane
             placed = (
                 _Placed(label, None, is_oriented(original))
@@ -153,6 +158,12 @@ class PlacedLabels:
             raise ImageryError(
                 f"None of the {count} labels of {path} lies in the imagery; check their reference "
                 f"system ({labels.crs} as read) and whether they belong to it."
+            )
+        if bare:
+            self.notes.append(
+                f"no label of {path} lies in {len(bare)} of {len(self._sources)} images "
+                f"({', '.join(bare[:_NAMED])}{', ...' if len(bare) > _NAMED else ''}): they count "
+                "as free of vehicles; leave out those where nobody looked for any"
             )
         return int(count - inside.sum())
 

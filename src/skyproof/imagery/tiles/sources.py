@@ -20,6 +20,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.labels.text import IMAGE_FOLDER
 from skyproof.imagery.rasters import open_raster
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
@@ -86,7 +87,7 @@ def gdal_limits() -> rasterio.Env:
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths` and in the folders among them, sorted within a folder.
 
-    Sub-folders are not searched.
+    Sub-folders are not searched, but for `images/` of a folder that holds none itself.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -94,7 +95,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            images = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+            images = _images_in(path) or _images_in(path / IMAGE_FOLDER)
             if not images:
                 raise ImageryError(
                     f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
@@ -112,6 +113,12 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
             raise ImageryError(f"{file} shares its name with another image; rename one of them.")
         seen.add(file.stem)
     return files
+
+
+def _images_in(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
 
 
 @contextmanager
