@@ -52,6 +52,20 @@ def test_arguments_of_one_name_are_one_set_of_several_places(folder):
     assert one.images.image(2).shape == (3, 200, 400)
 
 
+def test_every_set_may_have_classes_of_its_own(folder):
+    (folder / "my.names").write_text("car\nlorry\n")
+    (folder / "b-1.txt").write_text("1 0.5 0.5 0.1 0.1\n")
+    cars, lorries, both = read_frames(
+        [f"A={folder}@0.125", f"B={folder}@0.125#lorry", f"C={folder}@0.125#car,lorry"],
+        CLASSES,
+        0.125,
+    )
+    assert [len(boxes) for boxes in cars.images.boxes] == [1, 1, 0, 1]
+    assert [len(boxes) for boxes in lorries.images.boxes] == [0, 0, 1, 0]
+    assert [len(boxes) for boxes in both.images.boxes] == [1, 1, 1, 1]
+    assert "vehicles: car, lorry;" in both.note
+
+
 def test_labels_elsewhere(folder, tmp_path):
     document = {
         "categories": [{"id": 1, "name": "car"}],

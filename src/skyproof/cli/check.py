@@ -48,8 +48,9 @@ class Check:
         image_px: side of the scenes that are drawn; the first detector's training size where not
             given.
         draws: of every random control.
-        frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD, as in `score`.
-        frame_classes: class names that count as vehicles in the frames.
+        frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...], as in
+            `score`.
+        frame_classes: class names that count as vehicles in frames without classes of their own.
         freeze: labels (the threshold of the best F1 on --frames) or alarms (the lowest with at
             most --alarms-per-km2 detections on --empty).
         empty: for --freeze alarms: background set folder without vehicles; its validation split.

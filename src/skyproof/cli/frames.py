@@ -25,11 +25,13 @@ class _Given:
     pattern: str
     labels: Path | None
     gsd_m: float
+    classes: tuple[str, ...]
 
 
 def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[CleanSet]:
-    """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD`, e.g. `kit/MOS*@0.116`.
+    """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]`.
 
+    An example is `kit/MOS*@0.116#car,minibus`. Without classes of its own a set has `classes`.
     LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images.
     Arguments of the same NAME are one set. Each argument counts as one place; in a set that
     `skyproof ground` cut, each source.
@@ -53,7 +55,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
             labels=one.labels,
             gsd_m=one.gsd_m,
             target_gsd_m=gsd_m,
-            classes=tuple(classes),
+            classes=one.classes or tuple(classes),
             border_px=_border_px(one),
             pattern=one.pattern,
         )
@@ -63,10 +65,11 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
     own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
     rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
     bordered = any(map(_border_px, given))
+    counted = dict.fromkeys(name for one in given for name in one.classes or classes)
     note = (
         f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to "
         f"{gsd_m * 100:.1f} cm/px; vehicles: "
-        f"{', '.join(classes)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
+        f"{', '.join(counted)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
     )
     return CleanSet(name, images, real=not rendered, note=note, places=tuple(places))
 
@@ -80,6 +83,7 @@ def _border_px(given: _Given) -> float:
 
 def _parse(text: str) -> _Given:
     place, _, resolution = text.rpartition("@")
+    resolution, _, classes = resolution.partition("#")
     name, place = re.fullmatch(r"(?:([^/=]+)=)?(.*)", place, re.S).groups("")  # type: ignore[union-attr]
     try:
         own_gsd_m = float(resolution)
@@ -87,8 +91,8 @@ def _parse(text: str) -> _Given:
         own_gsd_m = 0.0
     if not place or not 0 < own_gsd_m <= 0.5:
         raise ConfigurationError(
-            "--frames expects [NAME=]FOLDER[/PATTERN][:LABELS]@GSD with metres per pixel up to "
-            f"0.5, got {text!r}; write it like my_frames@0.12."
+            "--frames expects [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...] with metres per "
+            f"pixel up to 0.5, got {text!r}; write it like my_frames@0.12."
         )
     labels = None
     if ":" in place and not Path(place).is_dir():
@@ -101,7 +105,8 @@ def _parse(text: str) -> _Given:
         if not folder.is_dir() or not set(pattern) & set("*?["):
             raise ConfigurationError(f"{place} is not a folder; check --frames {text}.")
     shown = folder.resolve().name if pattern == "*" else f"{folder.resolve().name}/{pattern}"
-    return _Given(name or shown, folder, pattern, labels, own_gsd_m)
+    own = tuple(filter(None, classes.split(",")))
+    return _Given(name or shown, folder, pattern, labels, own_gsd_m, own)
 
 
 def _sources(folder: Path, ids: Sequence[str]) -> list[str]:

@@ -46,10 +46,11 @@ class Score(Rendering):
             R-x-1, ...
         backgrounds: background set folder of the scenes; needed for --camouflages.
         fleet: fleet folder of the scenes' vehicles; needed for --camouflages.
-        frames: annotated images to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD,
-            such as 'kit/MOS*@0.116'; rendered datasets and tiled folders, too. Arguments of one
-            NAME are one set of several places.
-        frame_classes: class names that count as vehicles in the frames; other classes are
+        frames: annotated images to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD
+            and #CLASS,... where it has classes of its own, such as 'kit/MOS*@0.116#car';
+            rendered datasets and tiled folders, too. Arguments of one NAME are one set of several
+            places.
+        frame_classes: class names that count as vehicles in the other frames; all else is
             ignored, not counted as mistakes.
         features: of the camouflages those whose vehicles are looked at in the detectors' feature
             pyramids, for the report's picture of them, such as T-U-0 R-U-0; vehicles without

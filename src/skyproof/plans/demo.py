@@ -107,9 +107,10 @@ class Demo:
         blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
             where not given, that of the ground under them.
         frames: real annotated frames to check the detectors on,
-            `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD` (COCO, YOLO or DOTA labels), e.g. kit/MOS*@0.116.
-        frame_classes: class names that count as vehicles in them; other classes are ignored, not
-            counted as mistakes.
+            `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]` (COCO, YOLO or DOTA labels), e.g.
+            kit/MOS*@0.116#car.
+        frame_classes: class names that count as vehicles in frames without classes of their own;
+            other classes are ignored, not counted as mistakes.
         train: train the detectors in this world first, instead of taking those that come with
             skyproof.
         detectors: which to attack together: retinanet, faster_rcnn and, with --train, yolov5; where
