@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, drop_tiles
+from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.background_index import BackgroundTile, write_index
@@ -396,19 +398,35 @@ def test_the_sheet_shows_changed_tiles_before_and_after(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="acde")
     cleared(folder, tmp_path)
     sheets = tmp_path / "cleared" / "sheets"
-    # The empty tile is not on it: four rows, one page.
-    assert [path.name for path in sorted(sheets.iterdir())] == ["index.html", "page-0001.png"]
-    with Image.open(sheets / "page-0001.png") as page:
-        assert page.height == 4 * (SIZE_PX + 26)
-        caption, row = 26, SIZE_PX + 26
-        assert page.getpixel((30, caption + 27)) == RED
-        assert page.getpixel((SIZE_PX + 8 + 30, caption + 27)) == GROUND
+    # The empty tile is not on it.
+    names = ["00001.png", "00002.png", "00003.png", "00004.png", "index.html"]
+    assert [path.name for path in sorted(sheets.iterdir())] == names
+    with Image.open(sheets / "00001.png") as picture:
+        assert picture.size == (2 * SIZE_PX + 8, SIZE_PX)
+        assert picture.getpixel((30, 27)) == RED
+        assert picture.getpixel((SIZE_PX + 8 + 30, 27)) == GROUND
+    with Image.open(sheets / "00002.png") as picture:
         # The mask's outline: the box at (40, 40) of tile c, grown by 0.4 m.
-        assert page.getpixel((50, row + caption + 40 - 3)) == (240, 228, 66)
-        assert page.getpixel((SIZE_PX + 8 + 50, row + caption + 40 - 3)) == GROUND
+        assert picture.getpixel((50, 40 - 3)) == (240, 228, 66)
+        assert picture.getpixel((SIZE_PX + 8 + 50, 40 - 3)) == GROUND
     text = (sheets / "index.html").read_text()
     assert "http" not in text
     assert "not checked by a detector" in text
+    assert re.findall('value="(.*?)"( disabled)?', text) == [(name, "") for name in "acde"]
+
+
+def test_on_the_sheet_a_tile_that_was_left_out_cannot_be_rejected_and_names_are_escaped(tmp_path):
+    pixels = torch.zeros(3, 8, 8, dtype=torch.uint8)
+    mask = torch.zeros(8, 8, dtype=torch.bool)
+    with ContactSheet(tmp_path / "sheets") as sheet:
+        for name, kept in (("<b>&'", True), ("out", False)):
+            sheet.add(
+                SheetRow(name, "what was done", kept, pixels, pixels, mask, torch.zeros(0, 4))
+            )
+    text = (tmp_path / "sheets" / "index.html").read_text()
+    assert 'value="&lt;b&gt;&amp;&#x27;">' in text
+    assert 'value="out" disabled>' in text
+    assert "<b><b>" not in text
 
 
 def test_rejected_tiles_are_dropped(tmp_path):

@@ -333,7 +333,8 @@ def _clear_tile(
         save_tile(out, tile, image)
     if not mask.any() and row.left_out is None:
         return row, None
-    return row, SheetRow(tile.id, _caption(row), before, image, mask, remaining)
+    kept = row.left_out is None
+    return row, SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining)
 
 
 def _caption(row: Cleared) -> str:

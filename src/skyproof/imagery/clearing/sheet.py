@@ -1,4 +1,4 @@
-"""Draws contact sheets for a person: every changed tile before and after, page by page."""
+"""Draws a contact sheet for a person: every changed tile before and after, to be rejected."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from types import TracebackType
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from skyproof.files import write_beside, write_bytes
 
 __all__ = ["ContactSheet", "SheetRow"]
 
-ROWS_A_PAGE = 4
 LARGEST_SIDE_PX = 640
-CAPTION_PX = 26
 GAP_PX = 8
+_PAGE = Path(__file__).with_name("sheet.html")
 # Yellow and vermilion of Okabe and Ito.
 MASKED, REMAINING = (240, 228, 66), (255, 106, 0)
 
@@ -32,6 +31,7 @@ class SheetRow:
     Attributes:
         tile: its id.
         caption: what was done.
+        kept: whether it is among the cleared tiles, and could be rejected.
         before, after: `[3, H, W]` bytes.
         mask: `[H, W]` what was filled; outlined in the picture before.
         remaining: `[n, 4]` what the check still finds; drawn in the picture after.
@@ -39,6 +39,7 @@ class SheetRow:
 
     tile: str
     caption: str
+    kept: bool
     before: UInt8[Tensor, "3 H W"]
     after: UInt8[Tensor, "3 H W"]
     mask: Bool[Tensor, "H W"]
@@ -46,16 +47,18 @@ class SheetRow:
 
 
 class ContactSheet:
-    """Writes `page-0001.png` and so on, and `index.html` when the block ends well.
+    """Writes a picture of every tile, and `index.html` when the block ends well.
+
+    On the page a click on a tile rejects it, and the command that drops all rejected ones is shown
+    to be copied. The page loads nothing from elsewhere.
 
     Args:
-        folder: gets the files.
+        folder: gets the files; it lies in the folder of the cleared tiles.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        self._waiting: list[SheetRow] = []
-        self._pages: list[tuple[str, list[str]]] = []
+        self._figures: list[str] = []
 
     def __enter__(self) -> ContactSheet:
         return self
@@ -67,43 +70,24 @@ class ContactSheet:
         trace: TracebackType | None,
     ) -> None:
         if error is None:
-            self._write_page()
-            write_bytes(self.folder / "index.html", self._index().encode())
+            page = _PAGE.read_text(encoding="utf-8")
+            write_bytes(
+                self.folder / "index.html",
+                page.replace("{figures}", "\n".join(self._figures)).encode(),
+            )
 
     def add(self, row: SheetRow) -> None:
-        """Takes a tile; a full page is written at once."""
-        self._waiting.append(row)
-        if len(self._waiting) == ROWS_A_PAGE:
-            self._write_page()
-
-    def _write_page(self) -> None:
-        if not self._waiting:
-            return
-        pictures = [_draw_row(row) for row in self._waiting]
-        page = Image.new(
-            "RGB", (max(p.width for p in pictures), sum(p.height for p in pictures)), "white"
+        """Takes a tile, and writes its picture at once."""
+        picture = f"{len(self._figures) + 1:05d}.png"
+        with write_beside(self.folder / picture) as temporary:
+            _draw_row(row).save(temporary, compress_level=3)
+        tile, caption = (html.escape(text, quote=True) for text in (row.tile, row.caption))
+        disabled = "" if row.kept else " disabled"
+        self._figures.append(
+            f'<figure><label><input type="checkbox" value="{tile}"{disabled}> <b>{tile}</b> '
+            f'{caption}<img src="{picture}" alt="{tile}: {caption}" loading="lazy"></label>'
+            "</figure>"
         )
-        top = 0
-        for picture in pictures:
-            page.paste(picture, (0, top))
-            top += picture.height
-        name = f"page-{len(self._pages) + 1:04d}.png"
-        with write_beside(self.folder / name) as temporary:
-            page.save(temporary, compress_level=3)
-        self._pages.append((name, [f"{row.tile}: {row.caption}" for row in self._waiting]))
-        self._waiting = []
-
-    def _index(self) -> str:
-        parts = [
-            '<!doctype html><html lang="en"><meta charset="utf-8"><title>Cleared tiles</title>',
-            "<h1>Cleared tiles</h1><p>Left: before, with what was removed outlined in yellow. "
-            "Right: after; orange boxes are what a detector still finds. Tiles not listed had no "
-            "vehicle.</p>",
-        ]
-        for name, captions in self._pages:
-            text = "; ".join(html.escape(caption, quote=True) for caption in captions)
-            parts.append(f'<p><img src="{name}" alt="{text}" style="max-width:100%"></p>')
-        return "\n".join([*parts, "</html>", ""])
 
 
 def _draw_row(row: SheetRow) -> Image.Image:
@@ -120,17 +104,10 @@ def _draw_row(row: SheetRow) -> Image.Image:
     for box in (row.remaining * scale).tolist():
         draw.rectangle([round(value) for value in box], outline=REMAINING, width=2)
     width, height = pictures[0].size
-    text = f"{row.tile}   {row.caption}"
-    font = ImageFont.load_default(15)
-    page = Image.new(
-        "RGB",
-        (max(2 * width + GAP_PX, int(font.getlength(text)) + 8), height + CAPTION_PX),
-        "white",
-    )
-    ImageDraw.Draw(page).text((4, 4), text, fill="black", font=font)
-    page.paste(pictures[0], (0, CAPTION_PX))
-    page.paste(pictures[1], (width + GAP_PX, CAPTION_PX))
-    return page
+    both = Image.new("RGB", (2 * width + GAP_PX, height), "white")
+    both.paste(pictures[0], (0, 0))
+    both.paste(pictures[1], (width + GAP_PX, 0))
+    return both
 
 
 def _outline(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
