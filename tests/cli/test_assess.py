@@ -88,6 +88,8 @@ def test_another_detector_or_seed_is_refused(assessed, skyproof: Skyproof):
         (["--labels", "x.json"], ["--labels", "give --imagery too"]),
         (["--gsd", 0.1], ["--gsd", "give --imagery too"]),
         (["--imagery", ".", "--label-classes", "car"], ["--label-classes", "give --labels too"]),
+        (["--imagery", "no.tif"], ["no.tif is not there", "--imagery"]),
+        (["--imagery", ".", "--labels", "no.json"], ["no.json is not there", "--labels"]),
         (["--vehicle-classes", "car"], ["--vehicle-classes is for checkpoint files"]),
         (["--architecture", "fcos_resnet50_fpn"], ["--architecture is for checkpoint files"]),
         (["--accept", 0.3, "--reject", 0.2], ["0.3 and 0.2", "exchange them"]),

@@ -58,6 +58,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
     checked = ["check", detector, "--backgrounds", inputs / "nowhere"]
     calls: dict[str, Sequence[object]] = {
         "demo": ["demo", "--out", out / "new", *DEMO, "--imagery", inputs / "nowhere.tif"],
+        "assess": ["assess", detector, "--out", out / "new", "--imagery", inputs / "nowhere.tif"],
         "reproduce": ["reproduce", "--preset", inputs / "nowhere.json", "--out", out / "new"],
         "report": ["report", "--run-folder", inputs / "nowhere"],
         "ground": ["ground", "--out", out / "new", "--tiles", 1, 1, 1, 1, "--tiling.size-px", 24],

@@ -127,6 +127,9 @@ class Assess:
             raise ConfigurationError(
                 "--label-classes says which classes of --labels are vehicles; give --labels too."
             )
+        for path in (*self.imagery, *([] if self.labels is None else [self.labels])):
+            if not path.exists():
+                raise ConfigurationError(f"{path} is not there; check --imagery and --labels.")
         if not self.detector.exists():
             raise ConfigurationError(
                 f"{self.detector} is not there; give a detector folder or a checkpoint file."
