@@ -39,7 +39,8 @@ SEED_SD = 0.03
 """Of the seeds of an attack: the root mean square over 13 camouflages of three seeds each."""
 
 DRAW_SD = 0.2
-"""Of the draws of a control: the same over 12 controls of three draws each (docs/results/quick)."""
+"""Of the draws of a control: the same over 12 controls of three draws each (quick preset of
+2026-11-21)."""
 
 TRAINING_SD = TRAININGS.usual_sd
 """Of the trainings of a detector, where a run tells nothing: what intervals expect of them."""

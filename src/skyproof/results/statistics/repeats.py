@@ -42,7 +42,7 @@ class Kind:
 
 SEEDS = Kind("seeds", 0.07, 0.07)
 """Of a learnt camouflage. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
-most for textures (docs/results/quick). With 0.05 three simulated seeds of standard deviation 0.1
+most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard deviation 0.1
 held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
 
 DRAWS = Kind("draws", 0.5, SEEDS.usual_sd)
