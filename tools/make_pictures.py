@@ -361,7 +361,7 @@ def draw_attacks(run_folder: Path) -> Image.Image:
     rows = [
         ["T-U", "T-Pix", "T-Lc", "T-PixLc", "T-Fc", "T-PixFc"],
         ["T-Ma", "T-PixMa", "T-LcMa", "T-PixLcMa", "T-FcMa", "T-PixFcMa"],
-        ["S-O@0.2", "S-O@0.4", "S-O@0.7", "C-Fc-seq@0.2", "C-PixFc-seq@0.7", "C-PixFc-par@0.2"],
+        ["S-O@0.2", "S-O@0.4", "S-O@0.7", "C-Fc-seq@0.2", "C-PixFc-seq@0.4", "C-PixFc-par@0.2"],
     ]
     cell = (width + map_px + 16, height + head)
     sheet = Image.new("RGB", (per_row * cell[0] + 10, len(rows) * cell[1] + 6), PAPER)
@@ -393,7 +393,7 @@ def draw_attacks(run_folder: Path) -> Image.Image:
 def main() -> None:
     """Writes the pictures asked for."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    if len(sys.argv) > 1 and (Path(sys.argv[1]) / "measures.json").exists():
+    if len(sys.argv) > 1 and (Path(sys.argv[1]) / "camouflages" / "S-O@0.4-0").exists():
         sheets = {"attacks.png": draw_attacks(Path(sys.argv[1]))}
     elif len(sys.argv) > 1:
         sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
