@@ -42,8 +42,8 @@ class Kind:
 
 SEEDS = Kind("seeds", 0.07, 0.07)
 """Of a learnt camouflage. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
-most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard deviation 0.1
-held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
+most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard
+deviation 0.1 held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
 
 DRAWS = Kind("draws", 0.5, SEEDS.usual_sd)
 """Of a random control: the largest standard deviation that a rate between 0 and 1 can have.
