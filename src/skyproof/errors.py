@@ -2,6 +2,7 @@
 
 __all__ = [
     "ConfigurationError",
+    "DetectorAnswerError",
     "ImageryError",
     "NotFiniteError",
     "RunFolderError",
@@ -19,6 +20,10 @@ class SkyproofError(Exception):
 
 class ConfigurationError(SkyproofError):
     """A setting, or a combination of settings, that cannot work."""
+
+
+class DetectorAnswerError(SkyproofError):
+    """A detector of somebody else's that did not answer, or whose answer cannot be one."""
 
 
 class ImageryError(SkyproofError):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from skyproof.attacks.world import AttackWorld
     from skyproof.camouflage.camouflage import Camouflage
     from skyproof.detectors.detector import TrainableDetector
+    from skyproof.detectors.loaded import Load
 
 __all__ = ["BEST_OF", "Attack"]
 
@@ -84,8 +85,13 @@ class Attack:
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
 
-    def run(self) -> None:
-        """Makes what is not finished yet."""
+    def run(self, load: Load | None = None) -> None:
+        """Makes what is not finished yet.
+
+        Args:
+            load: gives the detector of a folder, where a folder alone does not hold it; such a one
+                chooses, and cannot be learnt from.
+        """
         names = [CamouflageName.parse(name) for name in self.names]
         if not names:
             raise ConfigurationError("Expected at least one name of a camouflage, such as T-U.")
@@ -104,7 +110,7 @@ class Attack:
         if drawn:
             self._draw(drawn, palette)
         if learnt:
-            self._learn(learnt, palette)
+            self._learn(learnt, palette, load)
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _check_scenes(self, name: CamouflageName) -> None:
@@ -157,13 +163,18 @@ class Attack:
 
         return load_camouflage(self.texture) if self.texture else None
 
-    def _learn(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
+    def _learn(
+        self,
+        names: Sequence[CamouflageName],
+        palette: torch.Tensor | None,
+        load: Load | None,
+    ) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
         from skyproof.attacks.held_out import HeldOut
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
-        from skyproof.detectors.loaded import load_ensemble
+        from skyproof.detectors.loaded import load_detector, load_ensemble
 
         assert self.backgrounds is not None
         assert self.fleet is not None
@@ -175,7 +186,8 @@ class Attack:
             conditions=self.conditions,
             places=self.places,
         )
-        ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
+        gsd_m = world.backgrounds.gsd_m
+        ensemble = load_ensemble(self.detectors, device, gsd_m, load or load_detector)
         held_out = HeldOut(ensemble, world, self.settings)
         for name in names:
             if name.choice in ("plain", "best"):

@@ -17,6 +17,7 @@ from skyproof.ranges import Count, Seed
 if TYPE_CHECKING:
     import torch
 
+    from skyproof.detectors.loaded import Load
     from skyproof.gate.record import GateRecord, MeasuredOn
     from skyproof.results.clean import CleanSet
     from skyproof.scenes.backgrounds import BackgroundSet
@@ -76,8 +77,12 @@ class Check:
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self) -> None:
-        """Checks the detectors, stores what was found beside their cards, and prints it."""
+    def run(self, load: Load | None = None) -> None:
+        """Checks the detectors, stores what was found beside their cards, and prints it.
+
+        Args:
+            load: gives the detector of a folder, where a folder alone does not hold it.
+        """
         if not self.detectors:
             raise ConfigurationError("A check expects at least one detector folder, got none.")
         if self.freeze is not None:
@@ -103,7 +108,7 @@ class Check:
         fleet = Fleet.load(self.fleet)
         scenes = self._scenes(backgrounds, fleet)
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
-        records = self._checked(device, backgrounds, fleet, scenes, frames)
+        records = self._checked(device, backgrounds, fleet, scenes, frames, load)
         for folder, record in zip(self.detectors, records, strict=True):
             for line in lines(record, read_card(folder).doubts):
                 say(line)
@@ -136,9 +141,10 @@ class Check:
         fleet: Fleet,
         scenes: Sequence[Scene],
         frames: Sequence[CleanSet],
+        load: Load | None,
     ) -> list[GateRecord]:
         """Every detector's record: those that are there, and those that are made here."""
-        from skyproof.detectors.loaded import load_apart
+        from skyproof.detectors.loaded import load_apart, load_detector
         from skyproof.gate.check import check_detectors, measured_on
         from skyproof.gate.record import RECORD_FILE, write_record
 
@@ -150,7 +156,7 @@ class Check:
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
-            judges = load_apart(open_ones, device, backgrounds.gsd_m)
+            judges = load_apart(open_ones, device, backgrounds.gsd_m, load or load_detector)
             with progress_bar("check") as update:
                 made = check_detectors(
                     judges,

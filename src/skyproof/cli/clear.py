@@ -15,6 +15,7 @@ from skyproof.files import finished_folder, refuse_existing
 from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
+    from skyproof.detectors.loaded import Load
     from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
@@ -56,16 +57,20 @@ class Clear:
     device: str = "auto"
     settings: ClearSettings = field(default_factory=ClearSettings)
 
-    def run(self) -> None:
-        """Clears the folder."""
+    def run(self, load: Load | None = None) -> None:
+        """Clears the folder.
+
+        Args:
+            load: gives the detector of a folder, where a folder alone does not hold it.
+        """
         from skyproof.imagery.clearing.clear import clear_backgrounds
 
         refuse_existing(self.out)
         inpainting = self._inpainting()
-        finder = _finder(self.detector, self.device)
+        finder = _finder(self.detector, self.device, load)
         checker = finder
         if self.check_detector is not None:
-            checker = _finder(self.check_detector, self.device)
+            checker = _finder(self.check_detector, self.device, load)
         elif self.detector is not None and (failed := _failed_check(self.detector)):
             say(failed)
             checker = None
@@ -199,7 +204,9 @@ def _failed_check(folder: Path) -> str | None:
     )
 
 
-def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
+def _finder(folder: Path | None, device: str, load: Load | None) -> VehicleFinder | None:
+    from torch import nn
+
     from skyproof.cli.device import choose_device
     from skyproof.detectors.loaded import load_detector
     from skyproof.detectors.weights import weights_digest
@@ -207,7 +214,9 @@ def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
 
     if folder is None:
         return None
-    loaded = load_detector(folder)
+    loaded = (load or load_detector)(folder)
+    if not isinstance(loaded.detector, nn.Module):
+        return VehicleFinder(loaded, f"{folder} (by its answers)")
     digest = weights_digest(loaded.detector)
     loaded.detector.to(choose_device(device))
     return VehicleFinder(loaded, f"{folder} ({digest[:12]})")

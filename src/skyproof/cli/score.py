@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
@@ -19,8 +19,7 @@ from skyproof.ranges import Seed, is_name
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.detectors.detector import TrainableDetector
-    from skyproof.detectors.loaded import LoadedDetector
+    from skyproof.detectors.loaded import Load, LoadedDetector
     from skyproof.vehicles.fleet import Fleet
 
 __all__ = ["Score"]
@@ -72,8 +71,8 @@ class Score(Rendering):
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self) -> None:
-        """Judges, and prints success rates and checks."""
+    def run(self, load: Load | None = None) -> None:
+        """Judges, and prints success rates and checks; `load` as of `Check.run`."""
         from skyproof.cli.console import progress_bar
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
@@ -95,7 +94,7 @@ class Score(Rendering):
             if self.original is None
             else Dataset.open(self.original).gsd_m
         )
-        judges = self._judges(device, gsd_m)
+        judges = self._judges(device, gsd_m, load)
         clean = read_frames(self.frames, self.frame_classes, gsd_m)
         with self._rendered(device) as rendered, progress_bar("score") as update:
             score_detectors(
@@ -184,13 +183,13 @@ class Score(Rendering):
         return given
 
     def _judges(
-        self, device: torch.device, gsd_m: float
-    ) -> list[LoadedDetector[TrainableDetector]]:
+        self, device: torch.device, gsd_m: float, load: Load | None
+    ) -> list[LoadedDetector[Any]]:
         """Loads the detectors; if they are only checked, folders tell those of one kind apart."""
-        from skyproof.detectors.loaded import load_apart, load_ensemble
+        from skyproof.detectors.loaded import load_apart, load_detector, load_ensemble
 
-        load = load_apart if self.original is None else load_ensemble
-        return load(self.detectors, device, gsd_m)
+        load_all = load_apart if self.original is None else load_ensemble
+        return load_all(self.detectors, device, gsd_m, load or load_detector)
 
     @contextmanager
     def _rendered(self, device: torch.device) -> Iterator[dict[str, Path]]:

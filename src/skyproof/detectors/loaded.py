@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
+from torch import nn
 
 from skyproof.detectors.build import DETECTOR_NAMES, build_detector
 from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
@@ -18,7 +19,14 @@ from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["LoadedDetector", "load_apart", "load_detector", "load_ensemble", "save_detector"]
+__all__ = [
+    "Load",
+    "LoadedDetector",
+    "load_apart",
+    "load_detector",
+    "load_ensemble",
+    "save_detector",
+]
 
 DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
 
@@ -101,23 +109,31 @@ def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     return LoadedDetector(detector.eval(), card)
 
 
+Load = Callable[[Path], LoadedDetector[Any]]
+"""Gives the detector of a folder: `load_detector`, or what knows the black box behind one, too."""
+
+
 def load_ensemble(
-    folders: Sequence[Path], device: torch.device | str, gsd_m: float
-) -> list[LoadedDetector[TrainableDetector]]:
+    folders: Sequence[Path],
+    device: torch.device | str,
+    gsd_m: float,
+    load: Load = load_detector,
+) -> list[LoadedDetector[Any]]:
     """Loads detectors that are to look at the same images, onto the device they will run on.
 
     Args:
         folders: detector folders.
         device: where the detectors will run.
         gsd_m: metres per pixel of the images.
+        load: gives the detector of a folder.
 
     Raises:
         ConfigurationError: two of one name, or another resolution than the images'.
         StoredFileError: a folder is missing, damaged or of another version.
     """
-    ensemble: list[LoadedDetector[TrainableDetector]] = []
+    ensemble: list[LoadedDetector[Any]] = []
     for folder in folders:
-        loaded = load_detector(folder)
+        loaded = load(folder)
         if any(loaded.name == other.name for other in ensemble):
             raise ConfigurationError(
                 f"{folder} is a second {loaded.name}; give each kind of detector once."
@@ -127,22 +143,26 @@ def load_ensemble(
                 f"{folder} was trained at {loaded.card.gsd_m} m per pixel but the images have "
                 f"{gsd_m} m; give a detector and images of one resolution."
             )
-        # On a CPU convolutions are faster this way round.
-        loaded.detector.to(device).to(memory_format=torch.channels_last)
+        if isinstance(loaded.detector, nn.Module):
+            # On a CPU convolutions are faster this way round.
+            loaded.detector.to(device).to(memory_format=torch.channels_last)
         ensemble.append(loaded)
     return ensemble
 
 
 def load_apart(
-    folders: Sequence[Path], device: torch.device | str, gsd_m: float
-) -> list[LoadedDetector[TrainableDetector]]:
+    folders: Sequence[Path],
+    device: torch.device | str,
+    gsd_m: float,
+    load: Load = load_detector,
+) -> list[LoadedDetector[Any]]:
     """Loads detectors that are looked at one by one: those of one kind go by their folders' names.
 
     Raises:
         ConfigurationError: another resolution than the images'.
         StoredFileError: a folder is missing, damaged or of another version.
     """
-    judges = [load_ensemble([folder], device, gsd_m)[0] for folder in folders]
+    judges = [load_ensemble([folder], device, gsd_m, load)[0] for folder in folders]
     names = [judge.name for judge in judges]
     return [
         judge

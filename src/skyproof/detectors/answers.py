@@ -1,0 +1,108 @@
+"""A detector of which only the answers are known: they are checked before anything is made of them.
+
+Whatever runs behind it, a library, a program or a server, may stop, or answer in other coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.detectors.detector import Detections, Detector
+from skyproof.errors import DetectorAnswerError, SkyproofError
+
+__all__ = ["CheckedAnswers"]
+
+_SHOWN = 200
+_GO_ON = "the same command goes on where it stopped"
+
+
+class CheckedAnswers:
+    """Asks a detector, and gives its answers as every other part of skyproof expects them.
+
+    Boxes are sorted by falling score and cut at the image's border.
+
+    Args:
+        detector: a name, and `detect`.
+
+    Attributes:
+        name: the detector's.
+        images: how many images it was shown so far.
+    """
+
+    def __init__(self, detector: Detector) -> None:
+        self.name = detector.name
+        self.images = 0
+        self._detector = detector
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`.
+
+        Raises:
+            DetectorAnswerError: the detector stopped with an error, or its answer cannot be one.
+        """
+        try:
+            answers = self._detector.detect(images)
+        except SkyproofError:
+            raise
+        except Exception as error:
+            # Somebody else's program: anything may come out of it.
+            raise DetectorAnswerError(
+                f"The detector {self.name} did not answer ({_in_short(error)}); see that it runs, "
+                f"and {_GO_ON}."
+            ) from error
+        self.images += len(images)
+        if not isinstance(answers, Sequence) or len(answers) != len(images):
+            count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
+            raise self._wrong(f"{len(images)} images expect as many answers", f"{count}")
+        height_px, width_px = images.shape[-2:]
+        return [self._checked(answer, width_px, height_px) for answer in answers]
+
+    def _checked(self, answer: Any, width_px: int, height_px: int) -> Detections:
+        try:
+            boxes = torch.as_tensor(answer.boxes).detach().float().cpu()
+            scores = torch.as_tensor(answer.scores).detach().float().cpu()
+        except (AttributeError, TypeError, ValueError, RuntimeError) as error:
+            raise self._wrong(
+                "an answer is sp.Detections with boxes and scores", _in_short(error)
+            ) from error
+        if scores.ndim != 1 or (tuple(boxes.shape) != (len(scores), 4) and boxes.numel()):
+            raise self._wrong(
+                "boxes are [K, 4] and scores [K]", f"{[*boxes.shape]} and {[*scores.shape]}"
+            )
+        if len(scores) and not boxes.numel():
+            raise self._wrong("every score has a box", f"{len(scores)} scores without boxes")
+        boxes = boxes.reshape(-1, 4)
+        if not (boxes.isfinite().all() and scores.isfinite().all()):
+            raise self._wrong("boxes and scores are finite numbers", "NaN or infinity")
+        if len(scores) and not (scores.min() >= 0 and scores.max() <= 1):
+            raise self._wrong("scores lie in [0, 1]", f"{scores.min():.4g} to {scores.max():.4g}")
+        if bool((boxes[:, 2:] < boxes[:, :2]).any()):
+            raise self._wrong(
+                "boxes are left, top, right, bottom in pixels",
+                "one whose right or bottom comes before its left or top",
+            )
+        limits = torch.tensor([width_px, height_px, width_px, height_px], dtype=torch.float32)
+        outside = (boxes[:, :2] >= limits[:2]).any(1) | (boxes[:, 2:] <= 0).any(1)
+        if bool(outside.any()):
+            box = [round(value, 1) for value in boxes[outside][0].tolist()]
+            raise self._wrong(
+                f"boxes lie in the image of {width_px} x {height_px} px", f"one at {box}"
+            )
+        order = scores.argsort(descending=True, stable=True)
+        return Detections(boxes[order].clamp(min=0).minimum(limits), scores[order])
+
+    def _wrong(self, expected: str, got: str) -> DetectorAnswerError:
+        return DetectorAnswerError(
+            f"The detector {self.name} gave an answer that cannot be one: {expected}, got {got}; "
+            f"correct its detect, and {_GO_ON}."
+        )
+
+
+def _in_short(error: Exception) -> str:
+    text = " ".join(str(error).split())[:_SHOWN].rstrip(".")
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

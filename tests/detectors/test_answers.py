@@ -1,0 +1,94 @@
+"""What comes from somebody else's detector is checked, put in order, or refused in a sentence."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.detector import Detections
+from skyproof.errors import ConfigurationError, DetectorAnswerError
+
+IMAGES = torch.zeros(1, 3, 40, 60)
+BOX = [10.0, 10.0, 20.0, 18.0]
+
+
+class Says:
+    name = "theirs"
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def detect(self, images):
+        return self.answers
+
+
+def answer(boxes, scores):
+    return SimpleNamespace(boxes=boxes, scores=scores)
+
+
+def test_answers_are_sorted_and_cut_at_the_border():
+    low, high = [-3.0, 30.0, 12.0, 44.0], [50.0, 2.0, 70.0, 9.0]
+    checked = CheckedAnswers(Says(answer([low, high], [0.2, 0.9])))
+    (found,) = checked.detect(IMAGES)
+    assert isinstance(found, Detections)
+    assert found.scores.tolist() == pytest.approx([0.9, 0.2])
+    assert found.boxes.tolist() == [[50, 2, 60, 9], [0, 30, 12, 40]]
+    assert checked.images == 1
+
+
+@pytest.mark.parametrize("empty", [[], torch.zeros(0), torch.zeros(0, 4)])
+def test_nothing_found_is_an_answer(empty):
+    (found,) = CheckedAnswers(Says(answer(empty, []))).detect(IMAGES)
+    assert found.boxes.shape == (0, 4)
+    assert found.scores.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("answers", "words"),
+    [
+        ([answer([BOX], [float("nan")])], "finite numbers, got NaN"),
+        ([answer([[1.0, 2.0, float("inf"), 4.0]], [0.5])], "finite numbers, got NaN or infinity"),
+        ([answer([BOX], [1.5])], "scores lie in [0, 1], got 1.5 to 1.5"),
+        ([answer([BOX], [-0.1])], "scores lie in [0, 1]"),
+        ([answer([[70.0, 1.0, 80.0, 5.0]], [0.5])], "image of 60 x 40 px, got one at [70.0"),
+        ([answer([[5.0, -9.0, 8.0, -1.0]], [0.5])], "boxes lie in the image"),
+        ([answer([[20.0, 10.0, 10.0, 18.0]], [0.5])], "right or bottom comes before"),
+        ([answer([BOX], [0.5, 0.6])], "boxes are [K, 4] and scores [K], got [1, 4] and [2]"),
+        ([answer([], [0.5])], "1 scores without boxes"),
+        ([answer([BOX[:3]], [0.5])], "boxes are [K, 4]"),
+        ([answer("none", [0.5])], "sp.Detections"),
+        ([None], "sp.Detections with boxes and scores, got AttributeError"),
+        ([], "1 images expect as many answers, got 0"),
+        ([answer([], []), answer([], [])], "as many answers, got 2"),
+    ],
+)
+def test_what_cannot_be_an_answer_is_one_sentence(answers, words):
+    with pytest.raises(DetectorAnswerError) as error:
+        CheckedAnswers(Says(*answers)).detect(IMAGES)
+    assert words in str(error.value)
+    assert str(error.value).startswith("The detector theirs gave an answer")
+    assert "the same command goes on" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_its_program_raises_is_one_sentence():
+    class Down(Says):
+        def detect(self, images):
+            raise ConnectionRefusedError("[Errno 111]\nConnection refused")
+
+    with pytest.raises(
+        DetectorAnswerError, match=r"ConnectionRefusedError: \[Errno 111\] Connection"
+    ):
+        CheckedAnswers(Down()).detect(IMAGES)
+
+
+def test_an_error_of_ours_stays_what_it_is():
+    class Ours(Says):
+        def detect(self, images):
+            raise ConfigurationError("Other images, please.")
+
+    with pytest.raises(ConfigurationError, match="Other images"):
+        CheckedAnswers(Ours()).detect(IMAGES)
