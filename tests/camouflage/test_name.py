@@ -165,6 +165,23 @@ def test_what_a_sceptic_sets_beside_a_learnt_one(learnt, controls):
     assert all(CamouflageName.parse(text).choice for text in controls)
 
 
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("T-U", "T-U_asked1500"),
+        ("T-U_asked", "T-U_asked1500"),
+        ("C-PixFc-seq@0.2", "C-PixFc-seq@0.2_asked1500"),
+        ("R-U_search", "R-U_search_asked1500"),
+    ],
+)
+def test_copies_of_a_search_say_after_how_many_images(name, kept):
+    found = CamouflageName.parse(name).asked(1500)
+    assert str(found) == kept
+    # It is neither a random draw nor a chosen control.
+    assert found.choice is None
+    assert found.pooled != CamouflageName.parse(name).control
+
+
 def test_a_combination_has_its_own_texture_under_random_shapes():
     assert str(CamouflageName.parse("C-Fc-par@0.2-1").drawn_shape) == "R-C-Fc-par@0.2"
     assert CamouflageName.parse("T-Fc").drawn_shape is None

@@ -25,7 +25,7 @@ from skyproof.attacks.objective import (
 )
 from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import AttackWorld, device_of
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
@@ -271,7 +271,7 @@ def _measure(
     for batch in range(settings.balance_batches):
         scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
         if camouflage is None:
-            images = world.bare(scenes, detectors[0]).image
+            images = world.bare(scenes, device_of(detectors[0])).image
         else:
             images = world.frames(camouflage, scenes).image
         for name, losses in empty_truth_losses(detectors, images).items():

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from skyproof.attacks.objective import target_scores
-from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.settings import AttackSettings, QuerySettings
+from skyproof.attacks.world import AttackWorld, device_of
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
@@ -51,9 +51,9 @@ class HeldOut:
 
     def __init__(
         self,
-        detectors: Sequence[LoadedDetector[TrainableDetector]],
+        detectors: Sequence[LoadedDetector[Detector | TrainableDetector]],
         world: AttackWorld,
-        settings: AttackSettings,
+        settings: AttackSettings | QuerySettings,
     ) -> None:
         self._detectors = detectors
         self._world = world
@@ -93,6 +93,14 @@ class HeldOut:
                 )
         return found
 
+    @property
+    def _device(self) -> torch.device:
+        """Where the first network runs; a black box does not say where it does."""
+        for each in self._detectors:
+            if isinstance(each.detector, nn.Module):
+                return device_of(each.detector)
+        return torch.device("cpu")
+
     @cached_property
     def _batches(self) -> list[list[Scene]]:
         settings = self._settings
@@ -109,7 +117,7 @@ class HeldOut:
         scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
         for scenes in self._batches[:batches]:
             if camouflage is None:
-                frames = world.bare(scenes, self._detectors[0].detector)
+                frames = world.bare(scenes, self._device)
             else:
                 frames = world.frames(camouflage, scenes)
             for each in self._detectors:

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
@@ -73,17 +73,31 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 
 @torch.no_grad()
-def target_scores(detector: TrainableDetector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
+def target_scores(
+    detector: Detector | TrainableDetector, frames: Frames, gsd_m: float
+) -> Float[Tensor, " B"]:
     """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
 
-    Near means that the candidate's centre lies within 1 m of the vehicle's.
+    Near means that the candidate's centre lies within 1 m of the vehicle's. Of a detector that only
+    answers, its detections are the candidates.
     """
-    candidates = detector.candidates(frames.image.detach())
+    images = frames.image.detach()
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
+    if not isinstance(detector, TrainableDetector):
+        found = zip(detector.detect(images), centres, strict=True)
+        return torch.stack([_best_near(each, centre, gsd_m) for each, centre in found])
+    candidates = detector.candidates(images)
     candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
     distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
     near = candidates.valid & (distance_m <= _NEAR_M)
     return candidates.scores.masked_fill(~near, 0.0).amax(1)
+
+
+def _best_near(found: Detections, centre: Float[Tensor, " 2"], gsd_m: float) -> Float[Tensor, ""]:
+    boxes = found.boxes.to(centre.device)
+    distance_m = ((boxes[:, :2] + boxes[:, 2:]) / 2 - centre).norm(dim=-1) * gsd_m
+    scores = found.scores.to(centre.device)[distance_m <= _NEAR_M]
+    return scores.max() if len(scores) else centre.new_zeros(())
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed, check_ranges
 
-__all__ = ["AttackSettings"]
+__all__ = ["AttackSettings", "QuerySettings"]
 
 
 @dataclass(frozen=True)
@@ -46,3 +46,25 @@ class AttackSettings:
                 f"keep_at expects steps of the attack, which has {self.steps}, got "
                 f"{max(self.keep_at)}."
             )
+
+
+@dataclass(frozen=True)
+class QuerySettings:
+    """How a camouflage is sought by a detector's answers alone.
+
+    Attributes:
+        images: how many the detector is shown at most.
+        batch_size: images, and so vehicles, on which each candidate is tried; those of one
+            generation are tried on the same.
+        keep_at: numbers of images after which a finished copy is kept in `snapshots/`, to see what
+            so many answers are worth.
+        seed: decides scenes and candidates.
+    """
+
+    images: Annotated[int, Meta(ge=64, le=10**9)] = 6000
+    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 8
+    keep_at: Annotated[tuple[Count, ...], Meta(max_length=1000)] = ()
+    seed: Seed = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

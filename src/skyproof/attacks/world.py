@@ -22,7 +22,7 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["AttackWorld"]
+__all__ = ["AttackWorld", "device_of"]
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,17 @@ class AttackWorld:
 
     def camouflaged(self, camouflage: Camouflage, scenes: list[Scene]) -> VehicleBatch:
         """Puts the scenes' vehicles into the camouflage, on its device."""
-        return camouflage(placed_vehicles(self.fleet, scenes).to(_device(camouflage)))
+        return camouflage(placed_vehicles(self.fleet, scenes).to(device_of(camouflage)))
 
-    def bare(self, scenes: list[Scene], detector: nn.Module) -> Frames:
-        """Renders the scenes, their vehicles as they are, on a detector's device."""
-        return self.renderer(scenes, placed_vehicles(self.fleet, scenes).to(_device(detector)))
+    def bare(self, scenes: list[Scene], device: torch.device) -> Frames:
+        """Renders the scenes, their vehicles as they are, on a device."""
+        return self.renderer(scenes, placed_vehicles(self.fleet, scenes).to(device))
 
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
         """Renders the scenes, their vehicles in the camouflage, on its device."""
         return self.renderer(scenes, self.camouflaged(camouflage, scenes))
 
 
-def _device(module: nn.Module) -> torch.device:
+def device_of(module: nn.Module) -> torch.device:
+    """Says where a camouflage or a network lies, by its first tensor."""
     return [*module.parameters(), *module.buffers()][0].device

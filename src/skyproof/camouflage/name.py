@@ -10,7 +10,7 @@ from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
-__all__ = ["CHOICES", "IN_WEATHER", "CamouflageName", "Choice", "Order"]
+__all__ = ["ASKED", "CHOICES", "IN_WEATHER", "TRANSFER", "CamouflageName", "Choice", "Order"]
 
 Choice = Literal["plain", "best", "search"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
@@ -19,6 +19,12 @@ far as it may), the best of many random draws, or what a random search finds."""
 
 IN_WEATHER = "weather"
 """The variant of what was learnt in all weathers, and not on clear days alone: "T-U_weather"."""
+
+TRANSFER = "transfer"
+"""The variant that was learnt on other detectors than the one it is tried on: "T-U_transfer"."""
+
+ASKED = "asked"
+"""The variant that was sought by answers on a detector that has gradients: "T-U_asked"."""
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
@@ -178,6 +184,14 @@ class CamouflageName:
     def with_repeat(self, repeat: int) -> CamouflageName:
         """The name of one repeat of the same camouflage, "T-U" and 1 to "T-U-1"."""
         return replace(self, repeat=str(repeat))
+
+    def asked(self, images: int) -> CamouflageName:
+        """The copy that a search by answers kept after so many images.
+
+        "T-U" and "T-U_asked" to "T-U_asked1500", "R-U_search" to "R-U_search_asked1500".
+        """
+        kept = f"{ASKED}{images}"
+        return self.with_variant(kept) if self.choice else replace(self, variant=kept)
 
     @property
     def choice(self) -> Choice | None:

@@ -1,0 +1,91 @@
+"""A camouflage changed by a few numbers: offsets on bands of it, from nose to tail.
+
+A search that knows a detector's answers alone cannot try 800,000 texels one by one. A dozen numbers
+can be searched; laid over a camouflage that was learnt on other detectors, they keep its detail and
+change what it is as a whole.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import nn
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.errors import ConfigurationError
+
+__all__ = ["MOST_NUMBERS", "CoarseChange"]
+
+MOST_NUMBERS = 60
+
+# With as many images, 48 numbers (4 x 4 fields) found nothing better than their start, and 12 (4
+# bands) did: docs/attacks.md.
+_TEXTURE_BANDS = 4
+_SHAPE_BANDS = 8
+
+
+class CoarseChange:
+    """Offsets on bands across the cells of a texture, or across the reach of a shape.
+
+    Free colours are moved in sRGB. Where cells hold one score per colour, scores are moved, so that
+    another colour wins: colours stay those of the palette. Of a sequential combination the shape is
+    moved, as an attack on it learns the shape alone.
+
+    Args:
+        start: finished; not changed.
+
+    Attributes:
+        shape: channels and bands.
+
+    Raises:
+        ConfigurationError: a camouflage of another kind.
+    """
+
+    def __init__(self, start: Camouflage) -> None:
+        self._start = start
+        moved = _moved(start)
+        # A shape has one value a place.
+        channels, bands = (len(moved), _TEXTURE_BANDS) if moved.ndim == 3 else (1, _SHAPE_BANDS)
+        self.shape = (channels, max(1, min(bands, MOST_NUMBERS // channels)))
+        # Scores have no scale of their own; colours and reaches lie in [0, 1].
+        restricted = isinstance(start, UniversalTexture) and start.restricted
+        self._scale = max(float(moved.detach().std()), 1e-3) if restricted else 1.0
+
+    @property
+    def count(self) -> int:
+        """How many numbers there are."""
+        return math.prod(self.shape)
+
+    def __call__(self, numbers: Float[np.ndarray, " K"]) -> Camouflage:
+        """Gives the camouflage that some numbers stand for, finished; zeros give the start."""
+        changed = copy.deepcopy(self._start)
+        moved = _moved(changed)
+        offsets = torch.as_tensor(numbers, dtype=moved.dtype).reshape(self.shape)
+        rows = moved.shape[-2]
+        band = ((torch.arange(rows) + 0.5) * self.shape[1] / rows).long()
+        by_row = offsets[:, band].reshape(*moved.shape[:-1], 1).to(moved.device)
+        with torch.no_grad():
+            moved.add_(self._scale * by_row)
+        changed.project_()
+        changed.finalise()
+        return changed.requires_grad_(False)
+
+
+def _moved(camouflage: Camouflage) -> nn.Parameter:
+    """What of a camouflage is moved."""
+    part: nn.Module = camouflage.shape if isinstance(camouflage, Combination) else camouflage
+    if isinstance(part, UniversalTexture):
+        return part.cells
+    if isinstance(part, DisplacementMap):
+        return part.reach
+    raise ConfigurationError(
+        f"{camouflage.name} is neither texture nor shape, so there is nothing to change; give one "
+        "that skyproof made."
+    )
