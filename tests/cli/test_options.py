@@ -1,6 +1,7 @@
 """Options out of range are refused in one sentence, before anything is made."""
 
 import io
+import os
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ import pytest
 from msgspec import Meta
 
 from skyproof import main
+from skyproof.detectors.settings import TrainingChanges
 from skyproof.ranges import Fraction, Seed, check_ranges
 from tests.cli.conftest import Skyproof, flags
 
@@ -158,3 +160,18 @@ def test_figures_of_a_bench_replace_nothing(skyproof: Skyproof, tmp_path):
     (tmp_path / "mine.json").write_text("mine")
     skyproof("bench", "--json", tmp_path / "mine.json").refused("mine.json exists already")
     assert (tmp_path / "mine.json").read_text() == "mine"
+
+
+def test_training_settings_say_what_they_are_where_nothing_is_asked():
+    told = " ".join((TrainingChanges.__doc__ or "").split())
+    assert "optimiser steps; slim and wide 600 (retinanet 800), full 10000." in told
+    assert "fraction of the steps; usually 0.1." in told
+    done = subprocess.run(
+        [sys.executable, "-m", "skyproof", "train", "--help"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "200"},
+    )
+    assert "optimiser steps; slim and wide 600 (retinanet 800), full 10000." in " ".join(
+        done.stdout.split()
+    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from statistics import mode
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 from msgspec import Meta
@@ -75,8 +77,6 @@ else:
     # The same fields, none of them needed: what is to differ from a preset.
     _FIELDS = get_type_hints(TrainingSettings, include_extras=True)
     TrainingChanges = TypedDict("TrainingChanges", _FIELDS, total=False)
-    TrainingChanges.__doc__ = TrainingSettings.__doc__
-
 
 # 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds, for a centre
 # AP of 0.96 to 0.98.
@@ -108,3 +108,30 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
     ("faster_rcnn", "full"): _GPU,
     ("yolov5", "full"): _GPU,
 }
+
+
+def _usual(name: str) -> str:
+    """Says what a setting is where nothing is asked."""
+    told = []
+    for size, label in (("slim", "slim and wide"), ("full", "full")):
+        found = {
+            detector: getattr(preset, name)
+            for (detector, each), preset in TRAINING_PRESETS.items()
+            if each == size
+        }
+        common = mode(found.values())
+        others = [f"{one} {value:g}" for one, value in found.items() if value != common]
+        told.append((label, f"{common:g}" + (f" ({', '.join(others)})" if others else "")))
+    if told[0][1] == told[1][1]:
+        return f"usually {told[0][1]}"
+    return ", ".join(f"{label} {value}" for label, value in told)
+
+
+if not TYPE_CHECKING:
+    # The command line shows it, and knows no default of a setting that depends on the detector.
+    TrainingChanges.__doc__ = re.sub(
+        r"^ {8}(\w+): (.*?)\.$(?=\n {8}\w+: |\s*\Z)",
+        lambda entry: f"        {entry[1]}: {entry[2]}; {_usual(entry[1])}.",
+        TrainingSettings.__doc__,
+        flags=re.MULTILINE | re.DOTALL,
+    )
