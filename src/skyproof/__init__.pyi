@@ -3,7 +3,9 @@
 __version__: str
 
 from .attacks.attack import attack as attack
+from .attacks.queries import query_attack as query_attack
 from .attacks.settings import AttackSettings as AttackSettings
+from .attacks.settings import QuerySettings as QuerySettings
 from .attacks.sign_test import sign_test as sign_test
 from .attacks.world import AttackWorld as AttackWorld
 from .camouflage.account import practicality_account as practicality_account
@@ -39,6 +41,7 @@ from .gate.check import check_detectors as check_detectors
 from .gate.record import GateRecord as GateRecord
 from .gate.verdict import findings as findings
 from .gate.verdict import verdict as verdict
+from .plans.assess import assess as assess
 from .render.dataset import render_dataset as render_dataset
 from .render.renderer import TorchRenderer as TorchRenderer
 from .report.report import write_report as write_report

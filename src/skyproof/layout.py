@@ -82,6 +82,11 @@ class Layout:
         """A detector folder."""
         return self.detectors / name
 
+    @property
+    def teachers(self) -> Layout:
+        """Where the detectors lie that taught what is tried on another: `detectors` alone."""
+        return Layout(self.folder / "teachers")
+
     def check(self, name: str) -> Path:
         """What `skyproof check` found of a detector."""
         return self.detector(name) / "check.json"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from skyproof.attacks.settings import QuerySettings
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.layout import Layout
 from skyproof.main import run
@@ -30,6 +31,8 @@ TINY = replace(
     vehicles=(1, 1, 2, 2),
     check_scenes=1,
     check_draws=1,
+    queries=QuerySettings(images=72, batch_size=1, keep_at=(15,)),
+    compared=("T-U",),
     expected={},
 )
 
@@ -54,7 +57,15 @@ def assessed(suite, tmp_path_factory):
 def test_from_a_detector_folder_to_a_report(assessed):
     results = json.loads((assessed / "run/results.json").read_text())
     rows = {row["camouflage"] for row in results["rows"]}
-    assert rows >= {*TINY.attacks, "R-U", "R-S-O@0.2", "R-U_plain", "R-U_best", "R-U_search"}
+    assert rows >= {
+        *TINY.attacks,
+        "R-U",
+        "R-S-O@0.2",
+        "R-U_plain",
+        "R-U_best",
+        "R-U_search",
+        "T-U_asked",
+    }
     (worst,) = results["worst_cases"]
     assert worst["attacks"] == list(TINY.attacks)
     config = json.loads((assessed / "run/config.json").read_text())
@@ -63,7 +74,9 @@ def test_from_a_detector_folder_to_a_report(assessed):
     check = json.loads((assessed / "run/detectors/retinanet/check.json").read_text())
     # What was measured when the detector was made is not what is found here.
     assert check["measured_on"]["scenes"] == 1
-    assert "at least one of the 2 attacks hides" in (assessed / "run/report.html").read_text()
+    page = (assessed / "run/report.html").read_text()
+    assert "at least one of the 2 attacks hides" in page
+    assert "By its answers alone" in page
 
 
 def test_a_second_call_changes_nothing_and_says_the_answer(assessed, skyproof: Skyproof):

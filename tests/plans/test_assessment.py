@@ -6,11 +6,14 @@ from pathlib import Path
 import pytest
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear
 from skyproof.cli.import_detector import Import
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
+from skyproof.errors import ConfigurationError
+from skyproof.plans.asking import Asked, Frozen, Query
 from skyproof.plans.assessment import Given, assessment_plan
 from skyproof.plans.enough import Enough
 from skyproof.plans.suite import read_suite, suite_digest
@@ -129,6 +132,63 @@ def test_every_attack_is_scored_beside_its_controls(tmp_path):
         assert set(draws) <= set(scored)
 
 
+class Box:
+    name = "mine"
+
+    def detect(self, images):
+        raise AssertionError("asked")
+
+
+def boxed(tmp_path, **changes):
+    asked = given(tmp_path, detector=None, gsd_m=0.125, **changes)
+    return assessment_plan(asked, SUITE, RUN, Box()).steps
+
+
+def test_a_black_box_is_asked_and_its_attacks_are_learnt_on_others(tmp_path):
+    steps = boxed(tmp_path)
+    order = [step.id for step in steps]
+    assert order[:3] == ["ground/tiles", "threshold/mine", "clear/clear"]
+    for text in SUITE.attacks:
+        learnt = order.index(f"attack/{CamouflageName.parse(text).with_variant('transfer')}")
+        assert order.index("teacher/retinanet") < learnt < order.index(f"ask/{text}")
+    by_id = {step.id: step.command for step in steps}
+    shape = by_id["ask/C-PixFc-seq@0.2"]
+    assert shape.start == RUN / "camouflages/C-PixFc-seq@0.2_transfer"
+    # The shape is learnt on the texture that was asked for, not on what was carried over.
+    taught = by_id["attack/C-PixFc-seq@0.2_transfer"]
+    assert taught.folder == RUN / "detectors/mine"
+    assert taught.command.texture == RUN / "camouflages/T-PixFc"
+    assert taught.command.detectors[0] == RUN / "teachers/detectors/retinanet"
+    # Whatever needs the detector asks it; nothing looks for its weights.
+    for step in steps:
+        inner = step.command.command if isinstance(step.command, Asked) else step.command
+        asks = isinstance(step.command, Asked | Frozen | Query)
+        assert asks == isinstance(inner, Attack | Check | Clear | Score | Frozen | Query)
+    searches = [id for id in order if id.endswith("_search")]
+    assert searches
+    assert all(id.startswith("ask/") for id in searches)
+    scored = [
+        folder.name
+        for step in steps
+        if step.kind == "score"
+        for folder in step.command.command.camouflages
+    ]
+    assert {"T-U_transfer", "T-U_asked1500", "T-U_asked3000", "R-U_search_asked1500"} < set(scored)
+
+
+def test_a_black_box_of_another_resolution_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"see 0\.125 m per pixel, got 0\.1"):
+        assessment_plan(given(tmp_path, detector=None), SUITE, RUN, Box())
+
+
+def test_gradients_are_compared_with_answers_where_the_teachers_see_the_same(tmp_path):
+    order = ids(given(tmp_path, gsd_m=0.125))
+    for text in SUITE.compared:
+        assert f"attack/{text}_transfer" in order
+        assert f"ask/{text}_asked" in order
+    assert sum(id.startswith("ask/") for id in order) == len(SUITE.compared)
+
+
 def test_cycles_adds_steps_and_changes_none(tmp_path):
     asked = given(tmp_path)
     more = [step.id for step in plan(replace(asked, cycles=True)).steps]
@@ -147,4 +207,4 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
 def test_version_one_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
     assert SUITE.version == 1
-    assert suite_digest() == "47c74cdcc96d35b28aa034e273bbec1ee1aa355dd2b2a892eba3ee0a138bc615"
+    assert suite_digest() == "e0960a671c814dd9a0055353809dcabcd1272b3ea6a5a485fee576719470dfca"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 from tyro.conf import Positional
@@ -17,10 +19,15 @@ from skyproof.layout import Layout
 from skyproof.plans.assessment import Given, assessment_plan
 from skyproof.plans.plan import Plan
 from skyproof.plans.suite import read_suite, suite_digest
-from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
+from skyproof.plans.world import GSD_M
+from skyproof.ranges import Fraction, GroundResolution, Risk, Seed, check_ranges, is_name
 
-__all__ = ["Assess"]
+if TYPE_CHECKING:
+    from skyproof.detectors.detector import Detector
 
+__all__ = ["Assess", "assess"]
+
+_SEVERAL = ("label_classes", "vehicle_classes")
 _Class = Annotated[str, Meta(max_length=200)]
 
 
@@ -78,24 +85,28 @@ class Assess:
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self) -> None:
-        """Does all steps that are not finished yet, and prints the answer."""
+    def run(self, box: Detector | None = None) -> None:
+        """Does all steps that are not finished yet, and prints the answer.
+
+        Args:
+            box: the detector, where only its answers are known; it stands in for the folder.
+        """
         from skyproof.cli.device import choose_device
         from skyproof.cycles.blender import find_blender
         from skyproof.plans.run_folder import RunFolder
         from skyproof.plans.serial import run_serially
 
-        self._refuse_what_cannot_work()
+        self._refuse_what_cannot_work(box)
         device = choose_device(self.device)
-        given = self._given()
-        plan = assessment_plan(given, read_suite(), self.out)
+        given = self._given(box)
+        plan = assessment_plan(given, read_suite(), self.out, box)
         # Mistakes are looked for first: they should show before an hour's work, not after it.
-        run = RunFolder(self.out, self._config(given), plan, self._plan_of)
+        run = RunFolder(self.out, self._config(given), plan, partial(self._plan_of, box))
         if self.cycles:
             find_blender(self.blender)
         with alone(self.out):
             # Somebody else may have begun meanwhile.
-            run = RunFolder(self.out, self._config(given), plan, self._plan_of)
+            run = RunFolder(self.out, self._config(given), plan, partial(self._plan_of, box))
             run.start(str(device))
             say(f"skyproof assess {given.name} on {device}, run folder {self.out}")
             for sentence in self._unsaid():
@@ -104,7 +115,7 @@ class Assess:
             run.finish()
         self._say_answer()
 
-    def _refuse_what_cannot_work(self) -> None:
+    def _refuse_what_cannot_work(self, box: Detector | None) -> None:
         """Shows a mistake in the options before anything is made.
 
         Raises:
@@ -130,6 +141,8 @@ class Assess:
         for path in (*self.imagery, *([] if self.labels is None else [self.labels])):
             if not path.exists():
                 raise ConfigurationError(f"{path} is not there; check --imagery and --labels.")
+        if box is not None:
+            return
         if not self.detector.exists():
             raise ConfigurationError(
                 f"{self.detector} is not there; give a detector folder or a checkpoint file."
@@ -158,18 +171,20 @@ class Assess:
         asked = requirement_of(self.accept, self.reject, self.producer_risk, self.consumer_risk)
         return {} if asked is None else asdict(asked)
 
-    def _given(self) -> Given:
+    def _given(self, box: Detector | None) -> Given:
         from skyproof.detectors.card import read_card
 
-        if self.detector.is_dir():
+        if box is not None:
+            name, gsd_m = box.name, self.detector_gsd or GSD_M
+        elif self.detector.is_dir():
             card = read_card(self.detector)
             name, gsd_m = card.name, card.gsd_m
         else:
             # "best" and "last" are what trainers call their files.
-            name, gsd_m = self.out.resolve().name, self.detector_gsd or 0.125
+            name, gsd_m = self.out.resolve().name, self.detector_gsd or GSD_M
         return Given(
             name=name,
-            detector=self.detector,
+            detector=self.detector if box is None else None,
             gsd_m=gsd_m,
             imagery=self.imagery,
             imagery_gsd_m=self.gsd,
@@ -197,7 +212,7 @@ class Assess:
             "suite": {"version": suite.version, "sha256": suite_digest()},
         }
 
-    def _plan_of(self, config: dict[str, Any]) -> Plan:
+    def _plan_of(self, box: Detector | None, config: dict[str, Any]) -> Plan:
         """The steps that a run folder's config stands for."""
         told = ("title", "detectors", "suite")
         settings = {key: value for key, value in config.items() if key not in told}
@@ -206,7 +221,7 @@ class Assess:
         settings |= {"device": self.device, "cycles": self.cycles, "blender": self.blender}
         place = str(self.out / "config.json")
         given: Given = check_document(settings, Given, place, "choose another --out")
-        return assessment_plan(given, read_suite(), self.out)
+        return assessment_plan(given, read_suite(), self.out, box)
 
     def _unsaid(self) -> list[str]:
         """What this run cannot say."""
@@ -228,3 +243,75 @@ class Assess:
         if not self.imagery and self.seed == 0:
             say_expected(layout, suite)
         say(f"Report: {layout.report.resolve()}")
+
+
+def assess(
+    detector: str | Path | Detector,
+    out: str | Path,
+    *,
+    imagery: Sequence[str | Path] | str | Path = (),
+    labels: str | Path | None = None,
+    **options: Any,
+) -> Path:
+    """Puts one detector to the suite of attacks, as `skyproof assess` does, and writes a report.
+
+    Of a detector that is an object, only `name` and `detect` are used: attacks are learnt on the
+    detectors that come with skyproof, and carried on by what it answers. Its threshold is frozen on
+    the labels; without any, on rendered vehicles. What stops half-way, a server too, goes on when
+    the same is asked again.
+
+    Args:
+        detector: a detector folder, a checkpoint file, or an object with `name` and `detect`.
+        out: run folder.
+        imagery: photographs, or folders of them; drawn ground where not given.
+        labels: of the vehicles in them.
+        options: by name, what else `skyproof assess` takes: gsd, label_classes, vehicle_classes,
+            architecture, detector_gsd, accept, reject, producer_risk, consumer_risk, cycles,
+            blender, seed, device.
+
+    Returns:
+        The report's path.
+
+    Raises:
+        ConfigurationError: options of no such name, or that cannot work together.
+        DetectorAnswerError: the object stopped answering, or gave what is no answer.
+        SkyproofError: whatever else stops a step, in a sentence.
+    """
+    places = [imagery] if isinstance(imagery, str | Path) else imagery
+    known = {field.name for field in fields(Assess)} - {"detector", "out", "imagery", "labels"}
+    unknown = next((name for name in options if name not in known), None)
+    if unknown is not None:
+        raise ConfigurationError(
+            f"assess takes no option {unknown!r}; choose from {', '.join(sorted(known))}."
+        )
+    several = {name: tuple(options[name]) for name in _SEVERAL if name in options}
+    box = None if isinstance(detector, str | Path) else _checked(detector)
+    command = Assess(
+        detector=Path(detector if isinstance(detector, str | Path) else detector.name),
+        out=Path(out),
+        imagery=tuple(map(Path, places)),
+        labels=None if labels is None else Path(labels),
+        **{**options, **several},
+    )
+    check_ranges(command)
+    command.run(box)
+    return Layout(command.out).report
+
+
+def _checked(detector: object) -> Detector:
+    """The object, with its answers checked.
+
+    Raises:
+        ConfigurationError: it has no name that can be a file's, or nothing to ask it by.
+    """
+    from skyproof.detectors.answers import CheckedAnswers
+    from skyproof.detectors.detector import Detector
+
+    name = getattr(detector, "name", None)
+    if not isinstance(detector, Detector) or not isinstance(name, str) or not is_name(name):
+        raise ConfigurationError(
+            "assess expects a folder, a file, or an object with detect and a plain name (no "
+            f"separators, not dots alone), got {type(detector).__name__} named "
+            f"{str(name)[:100]!r}."
+        )
+    return CheckedAnswers(detector)

@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear
 from skyproof.cli.ground import Ground, tiling_for_images
 from skyproof.cli.import_detector import Import
 from skyproof.cli.rendering import Rendering
+from skyproof.cli.score import Score
 from skyproof.files import finished_folder, write_bytes
 from skyproof.imagery.settings import LabelSettings, SourceSettings
 from skyproof.layout import Layout
+from skyproof.plans.asking import Asked, Frozen
+from skyproof.plans.black_box import ByAnswers
 from skyproof.plans.enough import Enough
 from skyproof.plans.plan import START_S, Plan, Step
 from skyproof.plans.steps import (
@@ -40,7 +46,7 @@ class Given:
 
     Attributes:
         name: the detector's, in tables.
-        detector: its folder, or its checkpoint file.
+        detector: its folder, or its checkpoint file; None where only its answers are known.
         gsd_m: metres per pixel of what it is shown.
         imagery: images or folders of them; none for drawn ground.
         imagery_gsd_m: metres per pixel of images that do not say it themselves.
@@ -57,7 +63,7 @@ class Given:
     """
 
     name: str
-    detector: Path
+    detector: Path | None
     gsd_m: float
     imagery: tuple[Path, ...]
     imagery_gsd_m: float | None
@@ -96,18 +102,23 @@ class _Copy:
                     write_bytes(folder / file.name, file.read_bytes())
 
 
-def assessment_plan(given: Given, suite: Suite, folder: Path) -> Plan:
+def assessment_plan(given: Given, suite: Suite, folder: Path, box: Any = None) -> Plan:
     """Returns the steps from a detector and imagery to a report.
 
     Args:
         given: what is assessed.
         suite: the attacks.
         folder: the run folder, as the steps are to name it.
+        box: the detector, where only its answers are known.
     """
     layout = Layout(folder)
+    own = layout.detector(given.name)
     sizes = replace(suite.sizes(given.gsd_m), test_places=given.places)
     names = (given.name,)
-    steps = [*_ground_and_detector(given, suite, layout, sizes)]
+    by_answers = ByAnswers(
+        layout, suite, given.name, box, given.seed, given.places, given.gsd_m, given.device
+    )
+    steps = [*_ground_and_detector(given, suite, layout, sizes, box)]
     if given.requirement:
         enough = layout.folder / "enough.json"
         steps.append(
@@ -144,20 +155,15 @@ def assessment_plan(given: Given, suite: Suite, folder: Path) -> Plan:
             device=given.device,
         )
     )
-    attack_px = suite.attack_px(given.gsd_m)
-    learnt = suite.learnt(given.name, given.seed)
-    chosen = suite.chosen(given.name, given.seed)
-    steps += [
-        attack_step(layout, job, attack_px, places=given.places, device=given.device)
-        for job in (*learnt, *chosen)
-    ]
+    made = _made(given, suite, layout, by_answers)
+    steps += made
     steps.append(control_step(layout, suite.drawn(), given.seed))
     shapes = suite.drawn_shapes()
     steps += [
         control_step(layout, drawn, given.seed, texture=texture)
         for texture, drawn in shapes.items()
     ]
-    worn = [job.name for job in (*learnt, *chosen)]
+    worn = [*by_answers.made(made)]
     every = [*worn, *suite.drawn(), *(name for drawn in shapes.values() for name in drawn)]
     scores = [
         score_step(
@@ -182,7 +188,7 @@ def assessment_plan(given: Given, suite: Suite, folder: Path) -> Plan:
                 layout,
                 sizes,
                 "test-cycles",
-                worn,
+                [name for name in worn if "/" not in name],
                 names,
                 given.seed,
                 rendering=rendering,
@@ -191,20 +197,45 @@ def assessment_plan(given: Given, suite: Suite, folder: Path) -> Plan:
         )
         steps.append(scores[-1])
     steps.append(report_step(layout, scores, names, requirement=given.requirement))
-    return Plan(steps)
+    return Plan(steps if box is None else [_asking(step, box, own) for step in steps])
+
+
+def _made(given: Given, suite: Suite, layout: Layout, by_answers: ByAnswers) -> list[Step]:
+    """What is learnt, asked or chosen; whatever can be, on the detector itself."""
+    attack_px = suite.attack_px(given.gsd_m)
+    chosen = suite.chosen(given.name, given.seed)
+    if given.detector is None:
+        searched = [job.name for job in chosen if CamouflageName.parse(job.name).choice == "search"]
+        steps = [*by_answers.teachers(), *by_answers.every(), *by_answers.searches(searched)]
+        own = [job for job in chosen if job.name not in searched]
+    else:
+        steps = []
+        own = [*suite.learnt((given.name,), given.seed), *chosen]
+    steps += [
+        attack_step(layout, job, attack_px, places=given.places, device=given.device) for job in own
+    ]
+    if given.detector is not None and by_answers.possible:
+        steps += [*by_answers.teachers(), *by_answers.compared()]
+    return steps
+
+
+def _asking(step: Step, box: Any, folder: Path) -> Step:
+    """The same step, where it needs a detector by asking the black box."""
+    command = step.command
+    if isinstance(command, Clear | Check | Score | Attack):
+        return replace(step, command=Asked(command, box, folder))
+    return step
 
 
 def _ground_and_detector(
-    given: Given, suite: Suite, layout: Layout, sizes: WorldSizes
+    given: Given, suite: Suite, layout: Layout, sizes: WorldSizes, box: Any
 ) -> list[Step]:
     """Ground without vehicles, and the detector with its threshold, whichever can come first."""
     detector = layout.detector(given.name)
     card = detector / "detector.json"
     if not given.imagery:
         drawn = world_steps(layout, sizes, given.seed, splits=(), device=given.device)[:1]
-        if given.detector.is_dir():
-            return [*drawn, _copy_step(given, detector)]
-        return [*drawn, *_imported_on_renders(given, suite, layout)]
+        return [*drawn, *_without_labels(given, suite, layout, box)]
     tiling = tiling_for_images(sizes.image_px, gsd_m=given.gsd_m, imagery=True)
     cut = Ground(
         out=layout.tiles,
@@ -217,13 +248,8 @@ def _ground_and_detector(
     inputs = (*given.imagery, *([given.labels] if given.labels else []))
     steps = [Step("ground", "tiles", cut, inputs, (layout.tiles,), effort_s=_IMPORT_S)]
     if given.labels is None:
-        taken = (
-            [_copy_step(given, detector)]
-            if given.detector.is_dir()
-            else _imported_on_renders(given, suite, layout)
-        )
-        steps += taken
-    elif given.detector.is_dir():
+        steps += _without_labels(given, suite, layout, box)
+    elif given.detector is not None and given.detector.is_dir():
         frozen = Check(
             detectors=(given.detector,),
             freeze="labels",
@@ -236,7 +262,8 @@ def _ground_and_detector(
             Step("threshold", given.name, frozen, (layout.tiles,), (card,), effort_s=_IMPORT_S)
         )
     else:
-        steps.append(_import_step(given, layout.tiles / "validation", layout.tiles, detector))
+        validation = layout.tiles / "validation"
+        steps.append(_brought_step(given, validation, layout.tiles, detector, box))
     clear = Clear(
         folder=layout.tiles, out=layout.backgrounds, detector=detector, device=given.device
     )
@@ -248,23 +275,28 @@ def _ground_and_detector(
     return steps
 
 
-def _copy_step(given: Given, out: Path) -> Step:
-    outputs = (out / "detector.json",)
-    return Step("detector", given.name, _Copy(given.detector, out), (given.detector,), outputs)
-
-
-def _imported_on_renders(given: Given, suite: Suite, layout: Layout) -> list[Step]:
-    """A checkpoint whose threshold is frozen on rendered vehicles, as nothing else is labelled."""
+def _without_labels(given: Given, suite: Suite, layout: Layout, box: Any) -> list[Step]:
+    """The detector as it is; a threshold that is not there is frozen on rendered vehicles."""
+    out = layout.detector(given.name)
+    if given.detector is not None and given.detector.is_dir():
+        copied = _Copy(given.detector, out)
+        outputs = (out / "detector.json",)
+        return [Step("detector", given.name, copied, (given.detector,), outputs)]
     world = Layout(layout.folder / "threshold")
     sizes = replace(suite.sizes(given.gsd_m), tiles=(1, suite.tiles[1], 1, 1))
     steps = world_steps(world, sizes, given.seed, splits=("validation",), device=given.device)
     validation = world.dataset("validation")
-    imported = _import_step(given, validation, validation, layout.detector(given.name))
+    brought = _brought_step(given, validation, validation, out, box)
     # The run has ground and vehicles of its own under the usual names.
-    return [*(replace(step, name=f"threshold-{step.name}") for step in steps), imported]
+    return [*(replace(step, name=f"threshold-{step.name}") for step in steps), brought]
 
 
-def _import_step(given: Given, validation: Path, needed: Path, out: Path) -> Step:
+def _brought_step(given: Given, validation: Path, needed: Path, out: Path, box: Any) -> Step:
+    """A checkpoint or a black box, with a threshold frozen on these images."""
+    outputs = (out / "detector.json",)
+    if given.detector is None:
+        frozen = Frozen(box, given.gsd_m, validation, out)
+        return Step("threshold", given.name, frozen, (needed,), outputs, effort_s=_IMPORT_S)
     command = Import(
         checkpoint=given.detector,
         kind="torchvision" if given.architecture else "ultralytics",
@@ -275,6 +307,5 @@ def _import_step(given: Given, validation: Path, needed: Path, out: Path) -> Ste
         name=given.name,
         device=given.device,
     )
-    outputs = (out / "detector.json",)
     inputs = (given.detector, needed)
     return Step("import", given.name, command, inputs, outputs, effort_s=START_S + _IMPORT_S)

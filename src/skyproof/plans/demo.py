@@ -20,9 +20,9 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.layout import Layout
 from skyproof.plans.answers import say_answers
+from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.steps import (
-    AttackJob,
     attack_step,
     check_step,
     control_step,

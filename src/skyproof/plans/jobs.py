@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
+from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.preset import Preset
-from skyproof.plans.steps import AttackJob
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
-from skyproof.cli.attack import BEST_OF, Attack
+from skyproof.cli.attack import Attack
 from skyproof.cli.check import Check
 from skyproof.cli.reference import Reference
 from skyproof.cli.rendering import Rendering
@@ -18,12 +18,12 @@ from skyproof.cli.score import Score
 from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
+from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 __all__ = [
-    "AttackJob",
     "attack_step",
     "check_step",
     "control_step",
@@ -41,49 +41,7 @@ _DETECT_S = 3.0
 _TRIALS = 62
 """Changes that a check tries on every scene, but for random controls."""
 _CONTROLS = 6
-_PAINTS = 27
-_CHOICE_SCENES = 32
-"""On average: all are shown 16, the best quarter of them 64 more."""
-_WITHOUT_GRADIENT = 0.4
 _LOOK_S = 0.1
-
-
-@dataclass(frozen=True)
-class AttackJob:
-    """One camouflage of a plan that is learnt, or chosen as a control, by detectors.
-
-    Attributes:
-        name: the camouflage's, with its repeat.
-        settings: how it is learnt.
-        detectors: names of those that are attacked together.
-        texture: name of the finished texture under a sequential attack's shape.
-        kept: names of the copies that it leaves in `snapshots/`.
-        best_of: of how many draws the best is taken, where it is the best of some.
-        conditions: weather and light that its scenes are drawn from.
-    """
-
-    name: str
-    settings: AttackSettings
-    detectors: tuple[str, ...]
-    texture: str | None = None
-    kept: tuple[str, ...] = ()
-    best_of: int = BEST_OF
-    conditions: tuple[str, ...] = ("clear",)
-
-    @property
-    def images(self) -> float:
-        """How many images it sees, counted in those of an attack, which has a gradient, too."""
-        choice = CamouflageName.parse(self.name).choice
-        if choice in ("plain", "best"):
-            candidates = self.best_of if choice == "best" else _PAINTS
-            return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates * len(self.detectors)
-        images = self.settings.steps * self.settings.batch_size * len(self.detectors)
-        return images * (_WITHOUT_GRADIENT if choice else 1.0)
-
-    @property
-    def folders(self) -> tuple[str, ...]:
-        """What it leaves to be scored, relative to `camouflages/`: itself and its kept copies."""
-        return (self.name, *(f"{self.name}/snapshots/{name}" for name in self.kept))
 
 
 def train_step(
@@ -194,14 +152,19 @@ def attack_step(
     image_px: int,
     *,
     places: Places = "uniform",
+    teachers: Layout | None = None,
     device: str = "auto",
 ) -> Step:
-    """Returns the step that learns or chooses one camouflage, on vehicles at these places."""
+    """Returns the step that learns or chooses one camouflage, on vehicles at these places.
+
+    `teachers` says where the job's detectors lie, if not among the run's own.
+    """
     texture = layout.camouflage(job.texture) if job.texture else None
+    folders = tuple((teachers or layout).detector(name) for name in job.detectors)
     command = Attack(
         names=(job.name,),
         out=layout.camouflages,
-        detectors=tuple(layout.detector(name) for name in job.detectors),
+        detectors=folders,
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "attack",
         texture=texture,
@@ -213,7 +176,7 @@ def attack_step(
         device=device,
     )
     inputs = [layout.backgrounds, layout.fleets]
-    inputs += [layout.detector(name) / "detector.json" for name in job.detectors]
+    inputs += [folder / "detector.json" for folder in folders]
     if texture:
         inputs.append(texture / "camouflage.json")
     chosen = CamouflageName.parse(job.name).choice is not None

@@ -7,22 +7,22 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
-from skyproof.attacks.settings import AttackSettings
+from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
+from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.preset import AttackSteps
-from skyproof.plans.steps import AttackJob
 from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Count
 
-__all__ = ["SUITE", "Expected", "Suite", "read_suite", "suite_digest"]
+__all__ = ["SUITE", "Expected", "Suite", "read_suite", "suite_digest", "texture_under"]
 
 SUITE = Path(__file__).with_name("suite.json")
 
@@ -57,6 +57,9 @@ class Suite:
         steps: by kind of attack.
         draws: of every random control.
         best_of: of how many random draws the best is taken as a control.
+        queries: how attacks are carried by answers alone to a detector that has no gradient.
+        compared: attacks that are also sought so on a detector that has gradients: where answers
+            alone hide more, its gradients mislead.
         attack_m: side of the images in attacks, in metres.
         image_m: side of the test images, in metres.
         test_images: how many, each with 1 to 5 vehicles.
@@ -74,6 +77,8 @@ class Suite:
     steps: AttackSteps
     draws: Count
     best_of: Count
+    queries: QuerySettings
+    compared: tuple[str, ...]
     attack_m: Annotated[float, Meta(gt=0)]
     image_m: Annotated[float, Meta(gt=0)]
     test_images: Count
@@ -99,14 +104,20 @@ class Suite:
         """Returns the side of the images in attacks, at a resolution."""
         return _side_px(self.attack_m, gsd_m)
 
-    def learnt(self, detector: str, seed: int) -> list[AttackJob]:
-        """Returns the attacks on a detector."""
+    def learnt(self, detectors: Sequence[str], seed: int, variant: str = "") -> list[AttackJob]:
+        """Returns the attacks on some detectors together.
+
+        Args:
+            detectors: their names.
+            seed: of the run.
+            variant: what the attacks' names end in.
+        """
         return [
             AttackJob(
-                text,
+                str(name.with_variant(variant) if variant else name),
                 replace(self.settings, steps=self._steps(name), seed=seed),
-                (detector,),
-                texture=_texture_under(name) if name.order == "seq" else None,
+                tuple(detectors),
+                texture=texture_under(name) if name.order == "seq" else None,
             )
             for text in self.attacks
             for name in (CamouflageName.parse(text),)
@@ -115,7 +126,7 @@ class Suite:
     def chosen(self, detector: str, seed: int) -> list[AttackJob]:
         """Returns the controls that the detector chooses, with the steps of the longest attack."""
         steps: dict[CamouflageName, int] = {}
-        for job in self.learnt(detector, seed):
+        for job in self.learnt((detector,), seed):
             own = job.settings.steps + (self.steps.texture if job.texture else 0)
             for control in CamouflageName.parse(job.name).unlearnt:
                 steps[control] = max(own, steps.get(control, 0))
@@ -144,7 +155,7 @@ class Suite:
             if name.drawn_shape is not None:
                 control = name.drawn_shape
                 names = [str(control.with_repeat(draw)) for draw in range(self.draws)]
-                shapes.setdefault(_texture_under(name), []).extend(names)
+                shapes.setdefault(texture_under(name), []).extend(names)
         return shapes
 
     def _steps(self, name: CamouflageName) -> int:
@@ -164,7 +175,8 @@ def suite_digest() -> str:
     return hashlib.sha256(SUITE.read_bytes()).hexdigest()
 
 
-def _texture_under(name: CamouflageName) -> str:
+def texture_under(name: CamouflageName) -> str:
+    """Returns the name of the texture that a sequential attack puts its shape on."""
     return str(CamouflageName("texture", name.constraints))
 
 

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from skyproof.layout import Layout
+from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.plan import Step
 from skyproof.plans.preset import Preset
-from skyproof.plans.steps import AttackJob, attack_step, score_step, train_step
+from skyproof.plans.steps import attack_step, score_step, train_step
 from skyproof.seeds import next_seed
 
 __all__ = ["training_steps"]

@@ -30,6 +30,7 @@ from skyproof.report.figures import condition_figure, forest_figure, many_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.paper_tables import PaperPart, paper_part
+from skyproof.report.queries import by_answers
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
@@ -171,6 +172,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             first=every[0][0] if every else None,
             tested=_tested(results, every),
             acceptance=acceptance,
+            asked=by_answers(results),
             gate=read_gate(results),
             standing=standing(results),
             checked=checked_sets(results),

@@ -157,6 +157,12 @@ class Convergence(Struct, frozen=True):
     converged: bool
 
 
+class Queries(Struct, frozen=True):
+    """Of a camouflage that was sought by answers: how many images the detector was shown."""
+
+    images: WholeNumber
+
+
 class AttackRecord(Struct, frozen=True):
     """What the tables need of what was recorded while a camouflage was made.
 
@@ -165,10 +171,12 @@ class AttackRecord(Struct, frozen=True):
         discretisation: every detector's loss before and after the last rounding.
         sign_test: by detector, what a few vehicles painted at random showed.
         convergence: whether more steps would have hidden more; None where it was not asked.
+        queries: what a search by answers cost; None of what was learnt or drawn.
     """
 
     attack: _Attack | None = None
     convergence: Convergence | None = None
+    queries: Queries | None = None
     discretisation: Discretisation = Discretisation()
     sign_test: dict[Label, dict[Label, Number | bool | Text | None]] | None = None
 

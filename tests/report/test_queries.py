@@ -1,0 +1,77 @@
+"""What the report says of attacks by answers, from vehicles that are hidden by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from skyproof.files import write_json
+from skyproof.report.queries import by_answers
+from skyproof.report.report import write_report
+from tests.results.test_worst import scored
+
+IMAGES = 6000
+
+
+def missed(hides: dict[str, set[int]]) -> dict[str, set[int]]:
+    """With the vehicle that is never found before, which would count against EASR if found."""
+    return {name: places | {4} for name, places in hides.items()}
+
+
+def sought(folder: Path, *names: str) -> None:
+    """Says of camouflages that they were sought by answers."""
+    for name in names:
+        record = {"queries": {"images": IMAGES}}
+        content = {"format": 2, "camouflage": {"name": name}, "record": record}
+        write_json(folder / "camouflages" / name / "camouflage.json", content)
+
+
+@pytest.mark.parametrize(("by_gradients", "alarmed"), [(set(), True), ({0, 1}, False)])
+def test_gradients_that_hide_less_than_answers_raise_an_alarm(
+    tmp_path: Path, by_gradients: set[int], alarmed: bool
+) -> None:
+    hides = {"T-U": by_gradients, "T-U_transfer": {0}, "T-U_asked": {0, 1, 2, 3}, "R-U-0": set()}
+    sought(tmp_path, "T-U_asked")
+    found = by_answers(scored(tmp_path, missed(hides)))
+    assert found is not None
+    assert not found.only
+    (row,) = found.rows
+    assert row.gradients is not None
+    assert row.gradients.estimate == pytest.approx(len(by_gradients) / 4)
+    assert row.asked.estimate == pytest.approx(1)
+    # Five vehicles are too few to be sure of half of them.
+    assert bool(found.alarms) == alarmed
+    page = write_report(tmp_path).read_text()
+    assert ("Masking alarm" in page) == alarmed
+    assert ("nothing hints that the detector’s gradients mislead" in page) != alarmed
+    if alarmed:
+        assert "T-U hides 0" in found.alarms[0]
+        assert "by its answers alone: +100 points" in found.alarms[0]
+
+
+def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Path) -> None:
+    hides = {
+        "T-Ma": {0, 1, 2},
+        "T-Ma_transfer": {0},
+        "T-Ma_asked1500": {0, 1},
+        "R-Ma_search": {1},
+        "R-Ma_search_asked1500": set(),
+    }
+    sought(tmp_path, "T-Ma", "R-Ma_search")
+    found = by_answers(scored(tmp_path, missed(hides)))
+    assert found is not None
+    assert found.only
+    assert not found.alarms
+    (row,) = found.rows
+    rates = [row.transfer, row.asked, row.searched]
+    assert [rate.estimate for rate in rates if rate] == pytest.approx([0.25, 0.75, 0.25])
+    assert (row.gradients, row.images) == (None, IMAGES)
+    page = write_report(tmp_path).read_text()
+    assert "Of this detector only answers are known" in page
+    assert "learnt by<br>gradients" not in page
+
+
+def test_where_nothing_was_asked_nothing_is_said(tmp_path: Path) -> None:
+    assert by_answers(scored(tmp_path, missed({"T-U": {0}, "R-U_search": {1}}))) is None
+    assert "By its answers alone" not in write_report(tmp_path).read_text()
