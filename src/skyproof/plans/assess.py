@@ -229,8 +229,9 @@ class Assess:
             return ["without --imagery, ground is drawn: the answer says nothing of your places"]
         if self.labels is None:
             return [
-                "without --labels, the threshold stays as it is, only what the detector itself "
-                "finds is cleared, and nothing tells how well it finds real vehicles"
+                "without --labels, the threshold is not chosen on photographs, only what the "
+                "detector itself finds is cleared, and nothing tells how well it finds real "
+                "vehicles"
             ]
         return []
 
