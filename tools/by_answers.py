@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from skyproof.attacks.objective import target_scores
+from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.queries import query_attack
 from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import AttackWorld
@@ -28,12 +28,10 @@ from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.layout import Layout
 from skyproof.randomness import generator_of
-from skyproof.scenes.scene import Scene
 
-BATCHES = 24
-BATCH_SIZE = 8
 SIZE_PX = 128
-FIRST_SEED = 777_000
+JUDGED = QuerySettings(batch_size=24, seed=1)
+"""Eight batches of 24 scenes of another seed than the searches'."""
 
 
 class Wall:
@@ -57,18 +55,14 @@ class ByAnswers:
         detector: its name.
         out: folder for what is found.
         texture: what was learnt without it, but for the variant.
-        repeat: of that attack.
         images: how many are asked, each time.
-        seed: of both searches.
     """
 
     run_folder: Path
     detector: str = "yolov5"
     out: Path = Path("asked")
     texture: str = "T-U"
-    repeat: int = 0
     images: int = 6000
-    seed: int = 0
 
     def run(self) -> None:
         """Asks, and prints what is hidden."""
@@ -76,59 +70,28 @@ class ByAnswers:
         judge = load_detector(layout.detector(self.detector))
         box = LoadedDetector(Wall(judge.detector), judge.card)
         world = AttackWorld.open(layout.backgrounds, layout.fleets / "attack", size_px=SIZE_PX)
-        scenes = [
-            world.draw(BATCH_SIZE, generator=torch.Generator().manual_seed(FIRST_SEED + number))
-            for number in range(BATCHES)
-        ]
-        before = _found(None, box, world, scenes)
-        print(f"{int(before.sum())} of {len(before)} vehicles found without camouflage")
+        held_out = HeldOut([box], world, JUDGED)
+        print(f"Of what is found in {held_out.scenes()} scenes without camouflage:")
         base = CamouflageName.parse(self.texture)
-        variant = base.with_variant(f"without_{self.detector}").with_repeat(self.repeat)
+        variant = base.with_variant(f"without_{self.detector}").with_repeat(0)
         carried = load_camouflage(layout.camouflage(str(variant)))
         carried.name = base
         search = base.control.with_variant("search")
-        drawn = make_camouflage(search, generator=generator_of(self.seed, "texture", str(search)))
-        settings = QuerySettings(images=self.images, keep_at=(1500, 3000), seed=self.seed)
+        drawn = make_camouflage(search, generator=generator_of(0, "texture", str(search)))
+        settings = QuerySettings(images=self.images, keep_at=(1500, 3000))
         for start in (carried, drawn):
             name = str(start.name)
-            _say(f"{name}, start", start, before, box, world, scenes)
+            _say(f"{name}, start", start, held_out)
             began = time.monotonic()
             found = query_attack(start, box, world, settings, self.out / name)
             took_s = time.monotonic() - began
             for place in sorted((self.out / name / "snapshots").iterdir()):
-                _say(place.name, load_camouflage(place), before, box, world, scenes)
-            _say(f"{name}, {took_s:.0f} s", found, before, box, world, scenes)
+                _say(place.name, load_camouflage(place), held_out)
+            _say(f"{name}, {took_s:.0f} s", found, held_out)
 
 
-def _say(
-    text: str,
-    camouflage: Camouflage,
-    before: torch.Tensor,
-    box: LoadedDetector[Detector],
-    world: AttackWorld,
-    scenes: list[list[Scene]],
-) -> None:
-    after = _found(camouflage, box, world, scenes)
-    print(f"  {text}: hides {1 - float(after.sum() / before.sum()):.1%}", flush=True)
-
-
-@torch.no_grad()
-def _found(
-    camouflage: Camouflage | None,
-    box: LoadedDetector[Detector],
-    world: AttackWorld,
-    scenes: list[list[Scene]],
-) -> torch.Tensor:
-    """Which vehicles are found, in scenes of one each."""
-    found = []
-    for batch in scenes:
-        if camouflage is None:
-            frames = world.bare(batch, torch.device("cpu"))
-        else:
-            frames = world.frames(camouflage, batch)
-        scores = target_scores(box.detector, frames, world.backgrounds.gsd_m)
-        found.append(scores >= box.threshold)
-    return torch.cat(found)
+def _say(text: str, camouflage: Camouflage, held_out: HeldOut) -> None:
+    print(f"  {text}: {held_out.judge(camouflage).hidden:.1%} hidden", flush=True)
 
 
 if __name__ == "__main__":

@@ -25,10 +25,11 @@ from skyproof.attacks.objective import (
 )
 from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld, device_of
+from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.inference import device_of
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside

@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import AttackSettings, QuerySettings
-from skyproof.attacks.world import AttackWorld, device_of
+from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.inference import device_of
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
@@ -93,14 +94,6 @@ class HeldOut:
                 )
         return found
 
-    @property
-    def _device(self) -> torch.device:
-        """Where the first network runs; a black box does not say where it does."""
-        for each in self._detectors:
-            if isinstance(each.detector, nn.Module):
-                return device_of(each.detector)
-        return torch.device("cpu")
-
     @cached_property
     def _batches(self) -> list[list[Scene]]:
         settings = self._settings
@@ -117,7 +110,7 @@ class HeldOut:
         scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
         for scenes in self._batches[:batches]:
             if camouflage is None:
-                frames = world.bare(scenes, self._device)
+                frames = world.bare(scenes, device_of(self._detectors[0].detector))
             else:
                 frames = world.frames(camouflage, scenes)
             for each in self._detectors:

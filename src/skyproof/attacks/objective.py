@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.detectors.detector import Detections, Detector, TrainableDetector
+from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
@@ -81,23 +81,28 @@ def target_scores(
     Near means that the candidate's centre lies within 1 m of the vehicle's. Of a detector that only
     answers, its detections are the candidates.
     """
-    images = frames.image.detach()
+    candidates = _candidates(detector, frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
-    if not isinstance(detector, TrainableDetector):
-        found = zip(detector.detect(images), centres, strict=True)
-        return torch.stack([_best_near(each, centre, gsd_m) for each, centre in found])
-    candidates = detector.candidates(images)
     candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
     distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
     near = candidates.valid & (distance_m <= _NEAR_M)
     return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
-def _best_near(found: Detections, centre: Float[Tensor, " 2"], gsd_m: float) -> Float[Tensor, ""]:
-    boxes = found.boxes.to(centre.device)
-    distance_m = ((boxes[:, :2] + boxes[:, 2:]) / 2 - centre).norm(dim=-1) * gsd_m
-    scores = found.scores.to(centre.device)[distance_m <= _NEAR_M]
-    return scores.max() if len(scores) else centre.new_zeros(())
+def _candidates(
+    detector: Detector | TrainableDetector, images: Float[Tensor, "B 3 H W"]
+) -> Candidates:
+    if isinstance(detector, TrainableDetector):
+        return detector.candidates(images)
+    found = detector.detect(images)
+    # One row of padding at least, for images in which nothing is found.
+    rows = 1 + max(len(each.scores) for each in found)
+    boxes = images.new_zeros(len(images), rows, 4)
+    scores = images.new_zeros(len(images), rows)
+    for number, each in enumerate(found):
+        boxes[number, : len(each.boxes)] = each.boxes
+        scores[number, : len(each.scores)] = each.scores
+    return Candidates(boxes, scores, scores > 0)
 
 
 @contextmanager

@@ -259,7 +259,7 @@ def _keep(
     """Stores a copy of what was found by now, where this step passed a number of `keep_at`."""
     for number in settings.keep_at:
         if images - each < number <= images:
-            kept = copy.deepcopy(search.best())
+            kept = search.best()
             kept.name = start.name.asked(number)
             record = {"of": str(start.name), "images": images}
             save_camouflage(folder / "snapshots" / str(kept.name), kept, record)

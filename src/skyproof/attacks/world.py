@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import nn
 
 from skyproof.camouflage.camouflage import Camouflage
+from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
@@ -22,7 +22,7 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["AttackWorld", "device_of"]
+__all__ = ["AttackWorld"]
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,3 @@ class AttackWorld:
     def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
         """Renders the scenes, their vehicles in the camouflage, on its device."""
         return self.renderer(scenes, self.camouflaged(camouflage, scenes))
-
-
-def device_of(module: nn.Module) -> torch.device:
-    """Says where a camouflage or a network lies, by its first tensor."""
-    return [*module.parameters(), *module.buffers()][0].device

@@ -174,7 +174,7 @@ class Attack:
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
-        from skyproof.detectors.loaded import load_detector, load_ensemble
+        from skyproof.detectors.loaded import load_ensemble
 
         assert self.backgrounds is not None
         assert self.fleet is not None
@@ -187,7 +187,7 @@ class Attack:
             places=self.places,
         )
         gsd_m = world.backgrounds.gsd_m
-        ensemble = load_ensemble(self.detectors, device, gsd_m, load or load_detector)
+        ensemble = load_ensemble(self.detectors, device, gsd_m, load)
         held_out = HeldOut(ensemble, world, self.settings)
         for name in names:
             if name.choice in ("plain", "best"):

@@ -144,7 +144,7 @@ class Check:
         load: Load | None,
     ) -> list[GateRecord]:
         """Every detector's record: those that are there, and those that are made here."""
-        from skyproof.detectors.loaded import load_apart, load_detector
+        from skyproof.detectors.loaded import load_apart
         from skyproof.gate.check import check_detectors, measured_on
         from skyproof.gate.record import RECORD_FILE, write_record
 
@@ -156,7 +156,7 @@ class Check:
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
-            judges = load_apart(open_ones, device, backgrounds.gsd_m, load or load_detector)
+            judges = load_apart(open_ones, device, backgrounds.gsd_m, load)
             with progress_bar("check") as update:
                 made = check_detectors(
                     judges,

@@ -186,10 +186,10 @@ class Score(Rendering):
         self, device: torch.device, gsd_m: float, load: Load | None
     ) -> list[LoadedDetector[Any]]:
         """Loads the detectors; if they are only checked, folders tell those of one kind apart."""
-        from skyproof.detectors.loaded import load_apart, load_detector, load_ensemble
+        from skyproof.detectors.loaded import load_apart, load_ensemble
 
         load_all = load_apart if self.original is None else load_ensemble
-        return load_all(self.detectors, device, gsd_m, load or load_detector)
+        return load_all(self.detectors, device, gsd_m, load)
 
     @contextmanager
     def _rendered(self, device: torch.device) -> Iterator[dict[str, Path]]:

@@ -23,6 +23,7 @@ __all__ = [
     "covering_windows",
     "detect_all",
     "detect_batch",
+    "device_of",
     "to_detector",
 ]
 
@@ -81,10 +82,16 @@ def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[D
 
 def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
     """Brings sRGB bytes onto a detector's own device, as numbers in [0, 1]."""
-    parameter = next(detector.parameters(), None) if isinstance(detector, nn.Module) else None
-    device = parameter.device if parameter is not None else torch.device("cpu")
-    batch = images.to(device).float() / 255
+    batch = images.to(device_of(detector)).float() / 255
     return batch.contiguous(memory_format=torch.channels_last)
+
+
+def device_of(thing: object) -> torch.device:
+    """Says where a network or a camouflage lies; what is none is shown images on the CPU."""
+    if not isinstance(thing, nn.Module):
+        return torch.device("cpu")
+    first = next(itertools.chain(thing.parameters(), thing.buffers()), None)
+    return torch.device("cpu") if first is None else first.device
 
 
 def covering_windows(

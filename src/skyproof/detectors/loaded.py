@@ -117,7 +117,7 @@ def load_ensemble(
     folders: Sequence[Path],
     device: torch.device | str,
     gsd_m: float,
-    load: Load = load_detector,
+    load: Load | None = None,
 ) -> list[LoadedDetector[Any]]:
     """Loads detectors that are to look at the same images, onto the device they will run on.
 
@@ -125,7 +125,7 @@ def load_ensemble(
         folders: detector folders.
         device: where the detectors will run.
         gsd_m: metres per pixel of the images.
-        load: gives the detector of a folder.
+        load: gives the detector of a folder, where a folder alone does not hold it.
 
     Raises:
         ConfigurationError: two of one name, or another resolution than the images'.
@@ -133,7 +133,7 @@ def load_ensemble(
     """
     ensemble: list[LoadedDetector[Any]] = []
     for folder in folders:
-        loaded = load(folder)
+        loaded = (load or load_detector)(folder)
         if any(loaded.name == other.name for other in ensemble):
             raise ConfigurationError(
                 f"{folder} is a second {loaded.name}; give each kind of detector once."
@@ -154,7 +154,7 @@ def load_apart(
     folders: Sequence[Path],
     device: torch.device | str,
     gsd_m: float,
-    load: Load = load_detector,
+    load: Load | None = None,
 ) -> list[LoadedDetector[Any]]:
     """Loads detectors that are looked at one by one: those of one kind go by their folders' names.
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
-from statistics import mode
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 from msgspec import Meta
@@ -119,7 +119,7 @@ def _usual(name: str) -> str:
             for (detector, each), preset in TRAINING_PRESETS.items()
             if each == size
         }
-        common = mode(found.values())
+        common = Counter(found.values()).most_common(1)[0][0]
         others = [f"{one} {value:g}" for one, value in found.items() if value != common]
         told.append((label, f"{common:g}" + (f" ({', '.join(others)})" if others else "")))
     if told[0][1] == told[1][1]:
@@ -132,6 +132,6 @@ if not TYPE_CHECKING:
     TrainingChanges.__doc__ = re.sub(
         r"^ {8}(\w+): (.*?)\.$(?=\n {8}\w+: |\s*\Z)",
         lambda entry: f"        {entry[1]}: {entry[2]}; {_usual(entry[1])}.",
-        TrainingSettings.__doc__,
+        TrainingSettings.__doc__ or "",
         flags=re.MULTILINE | re.DOTALL,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,13 +48,11 @@ class Frozen:
 
     Attributes:
         box: what answers.
-        gsd_m: metres per pixel that it is shown.
         validation: labelled images.
         out: its folder.
     """
 
     box: Any
-    gsd_m: float
     validation: Path
     out: Path
 
@@ -66,9 +64,10 @@ class Frozen:
 
         images = Dataset.open(self.validation)
         check_validation(images)
-        found = validate(self.box, images)
+        scores = validate(self.box, images)
+        threshold = scores.pop("threshold")
         vehicles = sum(map(len, images.boxes))
-        if not found["f1"]:
+        if not scores["f1"]:
             raise ConfigurationError(
                 f"{self.box.name} finds none of the {vehicles} vehicles of the validation images, "
                 "so no threshold can be frozen on them; see that it gives pixel boxes, left, top, "
@@ -77,18 +76,18 @@ class Frozen:
         width_px, height_px = images.pictures[0].size_px
         card = DetectorCard(
             name=self.box.name,
-            threshold=found["threshold"],
-            gsd_m=self.gsd_m,
+            threshold=threshold,
+            gsd_m=images.gsd_m,
             image_size_px=(min(height_px, WINDOW_PX), min(width_px, WINDOW_PX)),
-            validation={key: found[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
+            validation=scores,
             validation_vehicles=vehicles,
             skyproof_version=installed_version(),
         )
         self.out.mkdir(parents=True, exist_ok=True)
         write_card(self.out / "detector.json", card, "")
         say(
-            f"Validation AP (centre within 1 m) {found['ap_centre_1m']:.3f}, threshold "
-            f"{card.threshold:.3f}."
+            f"Validation AP (centre within 1 m) {scores['ap_centre_1m']:.3f}, threshold "
+            f"{threshold:.3f}."
         )
 
 
@@ -119,6 +118,13 @@ class Query:
     places: Places
     settings: QuerySettings
     device: str = "auto"
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """What it leaves to be scored, relative to `out`: itself and its kept copies."""
+        name = CamouflageName.parse(self.name)
+        kept = (f"{name}/snapshots/{name.asked(images)}" for images in self.settings.keep_at)
+        return (self.name, *kept)
 
     def run(self) -> None:
         """Seeks it, or goes on where it stopped."""
@@ -169,4 +175,4 @@ def loaded_or_asked(folder: Path, box: Any, own: Path) -> LoadedDetector[Any]:
 
     if box is None or folder != own:
         return load_detector(folder)
-    return LoadedDetector(box, replace(read_card(folder), name=box.name))
+    return LoadedDetector(box, read_card(folder))

@@ -295,7 +295,7 @@ def _brought_step(given: Given, validation: Path, needed: Path, out: Path, box: 
     """A checkpoint or a black box, with a threshold frozen on these images."""
     outputs = (out / "detector.json",)
     if given.detector is None:
-        frozen = Frozen(box, given.gsd_m, validation, out)
+        frozen = Frozen(box, validation, out)
         return Step("threshold", given.name, frozen, (needed,), outputs, effort_s=_IMPORT_S)
     command = Import(
         checkpoint=given.detector,

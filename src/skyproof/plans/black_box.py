@@ -107,12 +107,8 @@ class ByAnswers:
     def made(self, steps: list[Step]) -> Iterator[str]:
         """What steps of these leave to be scored, relative to `camouflages/`."""
         for step in steps:
-            command = step.command
-            if isinstance(command, Query):
-                yield command.name
-                name = CamouflageName.parse(command.name)
-                for images in command.settings.keep_at:
-                    yield f"{command.name}/snapshots/{name.asked(images)}"
+            if isinstance(step.command, Query):
+                yield from step.command.folders
             elif step.kind in ("attack", "choose"):
                 yield step.name
 
