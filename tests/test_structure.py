@@ -18,7 +18,7 @@ FLOORS = [
     {"datasets", "ground"},
     {"camouflage", "render", "detectors"},
     {"attacks", "cycles", "results", "imagery"},
-    {"gate"},
+    {"gate", "maite"},
     {"paper"},
     {"report"},
     {"cli"},

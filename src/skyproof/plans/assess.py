@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -259,10 +259,12 @@ def assess(
     Of a detector that is an object, only `name` and `detect` are used: attacks are learnt on the
     detectors that come with skyproof, and carried on by what it answers. Its threshold is frozen on
     the labels; without any, on rendered vehicles. What stops half-way, a server too, goes on when
-    the same is asked again.
+    the same is asked again. A MAITE model of object detection is such a detector, too, under its
+    `id`; one that takes bytes instead of floats is given as `skyproof.maite.ModelDetector`.
 
     Args:
-        detector: a detector folder, a checkpoint file, or an object with `name` and `detect`.
+        detector: a detector folder, a checkpoint file, an object with `name` and `detect`, or a
+            MAITE model, of which `vehicle_classes` names the classes that are vehicles.
         out: run folder.
         imagery: photographs, or folders of them; drawn ground where not given.
         labels: of the vehicles in them.
@@ -286,9 +288,10 @@ def assess(
             f"assess takes no option {unknown!r}; choose from {', '.join(sorted(known))}."
         )
     several = {name: tuple(options[name]) for name in _SEVERAL if name in options}
-    box = None if isinstance(detector, str | Path) else _checked(detector)
+    stored = isinstance(detector, str | Path)
+    box = None if stored else _checked(detector, {**options, **several})
     command = Assess(
-        detector=Path(detector if isinstance(detector, str | Path) else detector.name),
+        detector=Path(str(detector) if box is None else box.name),
         out=Path(out),
         imagery=tuple(map(Path, places)),
         labels=None if labels is None else Path(labels),
@@ -299,20 +302,31 @@ def assess(
     return Layout(command.out).report
 
 
-def _checked(detector: object) -> Detector:
+def _checked(detector: object, options: Mapping[str, Any]) -> Detector:
     """The object, with its answers checked.
 
     Raises:
-        ConfigurationError: it has no name that can be a file's, or nothing to ask it by.
+        ConfigurationError: it has no name that can be a file's, or nothing to ask it by; or an
+            option speaks of files.
     """
     from skyproof.detectors.answers import CheckedAnswers
     from skyproof.detectors.detector import Detector
+    from skyproof.maite.models import ModelDetector, is_maite_model
 
-    name = getattr(detector, "name", None)
-    if not isinstance(detector, Detector) or not isinstance(name, str) or not is_name(name):
+    of_files = ["architecture", *([] if is_maite_model(detector) else ["vehicle_classes"])]
+    for name in of_files:
+        if options.get(name):
+            raise ConfigurationError(
+                f"{name} is for checkpoint files, and the detector is an object, which decides it "
+                "itself; leave the option out."
+            )
+    if is_maite_model(detector):
+        detector = ModelDetector(detector, vehicle_classes=options.get("vehicle_classes", ()))
+    own = getattr(detector, "name", None)
+    if not isinstance(detector, Detector) or not isinstance(own, str) or not is_name(own):
         raise ConfigurationError(
-            "assess expects a folder, a file, or an object with detect and a plain name (no "
-            f"separators, not dots alone), got {type(detector).__name__} named "
-            f"{str(name)[:100]!r}."
+            "assess expects a folder, a file, a MAITE model, or an object with detect and a plain "
+            f"name (no separators, not dots alone), got {type(detector).__name__} named "
+            f"{str(own)[:100]!r}."
         )
     return CheckedAnswers(detector)

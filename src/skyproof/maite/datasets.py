@@ -1,0 +1,119 @@
+"""Datasets of ours as MAITE datasets; pixels are decoded when they are asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyproof.datasets.dataset import Dataset
+from skyproof.datasets.pictures import PictureFile
+from skyproof.maite.targets import LABELS, Target
+from skyproof.scenes.scene import Scene
+
+__all__ = ["VehicleDataset"]
+
+
+class VehicleDataset:
+    """A dataset folder of ours as a MAITE object-detection dataset, field by field, too.
+
+    Beside its `id`, the metadata of an image holds
+
+    - `img_gsd`: metres per pixel, the key that NRTK's sensor models read;
+    - `ignore`: `[m][4]` regions where nothing is scored, for which MAITE has no field of its own;
+    - of rendered scenes `place`, the tile of ground, which is the cluster of all intervals;
+      `vehicles` and `placements`, per box which vehicle of the fleet it is and its number in the
+      scene; and `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
+
+    A vehicle out of sight, whose box has no area, is left out.
+
+    Args:
+        folder: as `skyproof render` and `skyproof imagery frames` write them.
+
+    Attributes:
+        metadata: `id`, the folder's name and the first digits of a digest of its labels and of the
+            sizes of its image files; `index2label`; and `gsd_m`, our own addition.
+
+    Raises:
+        StoredFileError: the folder is missing or damaged.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self._images = Dataset.open(folder)
+        scenes = Path(folder) / "scenes.jsonl"
+        self._scenes = self._images.scenes if scenes.exists() else None
+        name = Path(folder).resolve().name
+        self.metadata: dict[str, Any] = {
+            "id": f"{name}-{_digest(self._images)[:12]}",
+            "index2label": dict(LABELS),
+            "gsd_m": self._images.gsd_m,
+        }
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, ind: int, /) -> tuple[np.ndarray, Target, dict[str, Any]]:
+        """Gives image, target and metadata.
+
+        Raises:
+            IndexError: there are fewer images.
+            StoredFileError: the image file is missing or damaged.
+        """
+        return self.get_input(ind), self.get_target(ind), self.get_metadata(ind)
+
+    def get_input(self, index: int, /) -> np.ndarray:
+        """Decodes one image: `[3, H, W]` sRGB bytes."""
+        return self._images.image(self._within(index)).numpy()
+
+    def get_target(self, index: int, /) -> Target:
+        """Gives the vehicles in sight, without decoding the image."""
+        index = self._within(index)
+        return Target.of(self._images.boxes[index][self._in_sight(index)])
+
+    def get_metadata(self, index: int, /) -> dict[str, Any]:
+        """Gives what is known of one image, without decoding it."""
+        index = self._within(index)
+        told: dict[str, Any] = {
+            "id": self._images.ids[index],
+            "img_gsd": self._images.gsd_m,
+            "ignore": self._images.ignore[index].tolist(),
+        }
+        if self._scenes is not None:
+            told |= scene_metadata(self._scenes[index], self._in_sight(index).nonzero()[0].tolist())
+        return told
+
+    def _within(self, index: int) -> int:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"There are {len(self)} images, so there is no number {index}.")
+        return index % len(self)
+
+    def _in_sight(self, index: int) -> np.ndarray:
+        boxes = self._images.boxes[index]
+        return ((boxes[:, 2:] - boxes[:, :2]) > 0).all(1).numpy()
+
+
+def scene_metadata(scene: Scene, placements: list[int]) -> dict[str, Any]:
+    """Gives what MAITE's metadata say of a scene of which these placements are in sight."""
+    return {
+        "place": scene.background.tile,
+        "vehicles": [scene.placements[place].vehicle for place in placements],
+        "placements": placements,
+        "sun_elevation_deg": math.degrees(scene.sun.elevation_rad),
+        "sun_azimuth_deg": math.degrees(scene.sun.azimuth_rad) % 360,
+        "tilt_deg": math.degrees(scene.camera.tilt_rad),
+        "weather": scene.weather.condition,
+    }
+
+
+def _digest(images: Dataset) -> str:
+    """Tells one set from another, the same scenes with and without a camouflage, too."""
+    # Labels alone are the same under every texture; reading all images would take long.
+    sizes = [
+        picture.path.stat().st_size
+        for picture in images.pictures
+        if isinstance(picture, PictureFile) and picture.path.exists()
+    ]
+    return hashlib.sha256(f"{images.digest} {sizes}".encode()).hexdigest()

@@ -1,0 +1,212 @@
+"""Matched statistics as a MAITE metric: what a change of the images hides from a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.matching import Criterion, match_images
+from skyproof.errors import ConfigurationError
+from skyproof.maite.targets import found_vehicles
+from skyproof.results.rows_file import nulls_for_undefined
+from skyproof.results.statistics.contrasts import Group, mean_interval
+from skyproof.results.statistics.rates import (
+    attack_success_rate,
+    enhancement_rate,
+)
+from skyproof.results.statistics.sample import Sample
+from skyproof.seeds import numpy_generator
+
+__all__ = ["HiddenVehicles"]
+
+_NO_PIXELS = torch.zeros(3, 0, 0, dtype=torch.uint8)
+# Which vehicle: its image's id, and its number in the scene or among the boxes.
+_Vehicle = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One vehicle in one image.
+
+    Attributes:
+        found: whether a detection at or above the threshold matches it.
+        place, vehicle: what the intervals are crossed by.
+    """
+
+    found: bool
+    place: str
+    vehicle: str
+
+
+class HiddenVehicles:
+    """Which of the vehicles that a model found it does not find any more: our EASR with interval.
+
+    The model is asked once about the images as they were; MAITE's `evaluate` then hands it what
+    came of the changed ones: a camouflage, or any other augmentation that keeps every vehicle.
+    Images go by their `id`, vehicles by `placements` in the metadata, else by the order of boxes.
+
+    Args:
+        model: the MAITE model that will be evaluated.
+        dataset: the MAITE dataset without the change.
+        threshold: score from which on a detection counts; where not given, what the model's
+            metadata say, as those of `DetectorModel` do.
+        labels: of the model's classes that are vehicles.
+        gsd_m: metres per pixel; where not given, what `img_gsd` in the metadata says.
+        match: "centre_1m" or "iou_50", how a detection and a vehicle are paired.
+        batch_size: images that the model is asked about at once.
+
+    Attributes:
+        metadata: `id`.
+
+    Raises:
+        ConfigurationError: threshold or resolution are not known.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        dataset: Any,
+        *,
+        threshold: float | None = None,
+        labels: Sequence[int] = (0,),
+        gsd_m: float | None = None,
+        match: Criterion = "centre_1m",
+        batch_size: int = 8,
+    ) -> None:
+        known = model.metadata.get("threshold") if threshold is None else threshold
+        if known is None:
+            raise ConfigurationError(
+                "The model's metadata name no threshold; give the score from which on a detection "
+                "counts."
+            )
+        self.metadata: dict[str, Any] = {"id": f"skyproof-hidden-vehicles-{match}"}
+        self._threshold = float(known)
+        self._labels = labels
+        self._gsd_m = gsd_m
+        self._match: Criterion = match
+        self._unchanged: set[str] = set()
+        self._before: dict[_Vehicle, _Seen] = {}
+        self.reset()
+        for start in range(0, len(dataset), batch_size):
+            data = [dataset[index] for index in range(start, min(start + batch_size, len(dataset)))]
+            images, targets, metadata = zip(*data, strict=True)
+            self._unchanged |= {str(known["id"]) for known in metadata}
+            self._before |= self._seen(model(list(images)), targets, metadata)
+
+    def reset(self) -> None:
+        """Forgets the changed images, not the unchanged ones."""
+        self._changed: set[str] = set()
+        self._after: dict[_Vehicle, _Seen] = {}
+
+    def update(
+        self,
+        pred_batch: Sequence[Any],
+        target_batch: Sequence[Any],
+        metadata_batch: Sequence[Mapping[str, Any]],
+        /,
+    ) -> None:
+        """Takes in what the model made of some changed images.
+
+        Raises:
+            ConfigurationError: an image was not among the unchanged ones, or came before.
+        """
+        for known in metadata_batch:
+            image = str(known["id"])
+            if image not in self._unchanged:
+                raise ConfigurationError(
+                    f"Image {image[:100]!r} is none of the unchanged dataset's; give the metric "
+                    "the dataset that the changed images were made of."
+                )
+            if image in self._changed:
+                raise ConfigurationError(
+                    f"Image {image[:100]!r} came twice; give each once, and reset the metric "
+                    "before another run."
+                )
+            self._changed.add(image)
+        self._after |= self._seen(pred_batch, target_batch, metadata_batch)
+
+    def compute(self) -> dict[str, Any]:
+        """Gives the rates, None where no vehicle was found before.
+
+        Returns:
+            `easr` with `easr_low` and `easr_high`, its 95 % interval over places and vehicles;
+            `asr` and `er`, of which it is the difference; and the counts `vehicles`,
+            `found_before`, `hidden`, `found_only_since` and `places`. Only images of which both
+            versions came are counted.
+        """
+        pairs = [
+            (before, self._after.get(vehicle))
+            for vehicle, before in self._before.items()
+            if vehicle[0] in self._changed
+        ]
+        cells = sorted({(before.place, before.vehicle) for before, _ in pairs})
+        row = {cell: number for number, cell in enumerate(cells)}
+        counts = np.zeros((1, len(cells), 3), dtype=np.int64)
+        for before, after in pairs:
+            # A vehicle that the change put out of sight is not found.
+            found = after is not None and after.found
+            column = {(True, True): 0, (True, False): 1, (False, True): 2}.get(
+                (before.found, found)
+            )
+            if column is not None:
+                counts[0, row[before.place, before.vehicle], column] += 1
+        both, lost, gained = (int(number) for number in counts.sum((0, 1)))
+        told = {
+            "vehicles": len(pairs),
+            "found_before": both + lost,
+            "hidden": lost,
+            "found_only_since": gained,
+            "places": len({place for place, _ in cells}),
+        }
+        if not both + lost:
+            return {**dict.fromkeys(("easr", "easr_low", "easr_high", "asr", "er")), **told}
+        sample = Sample.draw(cells, generator=numpy_generator(0))
+        easr = mean_interval(Group(counts), sample)
+        total = counts.sum(1)[0]
+        rates = {
+            "easr": easr.estimate,
+            "easr_low": easr.low,
+            "easr_high": easr.high,
+            "asr": float(attack_success_rate(total)),
+            "er": float(enhancement_rate(total)),
+        }
+        return {**nulls_for_undefined(rates), **told}
+
+    def _seen(
+        self,
+        predictions: Sequence[Any],
+        targets: Sequence[Any],
+        metadata: Sequence[Mapping[str, Any]],
+    ) -> dict[_Vehicle, _Seen]:
+        """Matches the answers to a batch with its vehicles."""
+        seen: dict[_Vehicle, _Seen] = {}
+        for answer, target, known in zip(predictions, targets, metadata, strict=True):
+            boxes = torch.as_tensor(np.asarray(target.boxes, dtype=np.float32)).reshape(-1, 4)
+            ignore = torch.tensor(known.get("ignore", []), dtype=torch.float32).reshape(-1, 4)
+            # The matcher reads labels alone.
+            labelled = Dataset.of_images(
+                [_NO_PIXELS], [boxes], gsd_m=self._resolution(known), ignore=[ignore]
+            )
+            found = found_vehicles(answer, self._labels)
+            table = match_images([found], labelled, criterion=self._match)
+            reached = table.found_at(self._threshold).tolist()
+            image = str(known["id"])
+            numbers = known.get("placements", range(len(boxes)))
+            names = known.get("vehicles", [f"{image} {number}" for number in numbers])
+            for index, is_found in zip(table.index_of_vehicle.tolist(), reached, strict=True):
+                place = str(known.get("place", image))
+                seen[image, numbers[index]] = _Seen(is_found, place, str(names[index]))
+        return seen
+
+    def _resolution(self, known: Mapping[str, Any]) -> float:
+        gsd_m = known.get("img_gsd") if self._gsd_m is None else self._gsd_m
+        if gsd_m is None:
+            raise ConfigurationError(
+                "The images' metadata name no img_gsd; give gsd_m, the metres per pixel."
+            )
+        return float(gsd_m)

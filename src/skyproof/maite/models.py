@@ -1,0 +1,143 @@
+"""Detectors both ways: ours as MAITE models, and MAITE models as detectors of ours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.common import LOWEST_SCORE
+from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import LoadedDetector, load_detector
+from skyproof.detectors.weights import weights_digest
+from skyproof.errors import ConfigurationError
+from skyproof.maite.targets import LABELS, Target, bytes_of, found_vehicles
+
+__all__ = ["DetectorModel", "ModelDetector", "is_maite_model"]
+
+
+class DetectorModel:
+    """A detector of ours as a MAITE object-detection model.
+
+    Args:
+        detector: a folder of ours, or what `load_detector` gives.
+
+    Attributes:
+        metadata: `id`, the name and the first digits of the weights' digest; `index2label`; and as
+            our own additions `threshold`, the frozen score from which on a detection counts, and
+            `gsd_m`, the resolution that it was made for. Answers are not cut at the threshold, so
+            that MAITE's metrics see the whole curve.
+
+    Raises:
+        StoredFileError: the folder is missing or damaged.
+    """
+
+    def __init__(self, detector: str | Path | LoadedDetector[Detector]) -> None:
+        loaded = load_detector(detector) if isinstance(detector, str | Path) else detector
+        self._loaded = loaded
+        network = loaded.detector
+        digest = f"-{weights_digest(network)[:12]}" if isinstance(network, nn.Module) else ""
+        self.metadata: dict[str, Any] = {
+            "id": loaded.name + digest,
+            "index2label": dict(LABELS),
+            "threshold": loaded.threshold,
+            "gsd_m": loaded.card.gsd_m,
+        }
+
+    def __call__(self, batch_input: Sequence[Any], /) -> Sequence[Target]:
+        """Finds vehicles; images may be of several sizes, and large ones are seen in windows.
+
+        Args:
+            batch_input: per image `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
+
+        Raises:
+            ConfigurationError: an image has another shape or other values.
+        """
+        images = [bytes_of(image) for image in batch_input]
+        unknown = [torch.zeros(0, 4)] * len(images)
+        shown = Dataset.of_images(images, unknown, gsd_m=self._loaded.card.gsd_m)
+        with torch.no_grad():
+            found = detect_all(self._loaded.detector, shown)
+        return [Target.of(each.boxes, each.scores) for each in found]
+
+
+class ModelDetector:
+    """A MAITE object-detection model as a detector of ours, of which only the answers are known.
+
+    Args:
+        model: any MAITE model of object detection, no matter from which library.
+        vehicle_classes: names in its `index2label` that are vehicles; may be left out where that
+            knows one class.
+        largest_value: of the images that it takes: 1 for floats in [0, 1], 255 for bytes. MAITE
+            does not prescribe it, and a model that is shown the wrong range finds nothing, or the
+            wrong things.
+
+    Attributes:
+        name: the model's `id`, with hyphens for what cannot stand in a file's name.
+
+    Raises:
+        ConfigurationError: the model does not know the classes, or several and none was named.
+    """
+
+    def __init__(
+        self, model: Any, *, vehicle_classes: Sequence[str] = (), largest_value: Literal[1, 255] = 1
+    ) -> None:
+        metadata: Mapping[str, Any] = model.metadata
+        self.name = re.sub(r"[^\w.-]+", "-", str(metadata["id"])).strip("-.") or "model"
+        self._model = model
+        self._bytes = largest_value == 255
+        self._labels = _vehicle_labels(metadata, vehicle_classes, self.name)
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`."""
+        shown = images.detach().cpu()
+        if self._bytes:
+            shown = (shown * 255).round().byte()
+        answers = self._model([np.ascontiguousarray(image.numpy()) for image in shown])
+        return [_likely(found_vehicles(answer, self._labels)) for answer in answers]
+
+
+def is_maite_model(thing: object) -> bool:
+    """Whether something is to be asked as MAITE's models are: by a call, and not by `detect`."""
+    metadata = getattr(thing, "metadata", None)
+    return (
+        callable(thing)
+        and not isinstance(thing, Detector)
+        and isinstance(metadata, Mapping)
+        and "id" in metadata
+    )
+
+
+def _likely(found: Detections) -> Detections:
+    # What is not a number stays, to be noticed.
+    kept = ~(found.scores < LOWEST_SCORE)
+    return Detections(found.boxes[kept], found.scores[kept])
+
+
+def _vehicle_labels(
+    metadata: Mapping[str, Any], vehicle_classes: Sequence[str], name: str
+) -> list[int]:
+    known: Mapping[int, str] = metadata.get("index2label") or {}
+    if not vehicle_classes and len(known) <= 1:
+        return [int(label) for label in known] or [0]
+    named = ", ".join(map(str, known.values()))
+    if not vehicle_classes:
+        raise ConfigurationError(
+            f"The MAITE model {name} knows {len(known)} classes ({named}); say with "
+            "vehicle_classes which of them are vehicles."
+        )
+    missing = next((each for each in vehicle_classes if each not in known.values()), None)
+    if missing is not None:
+        raise ConfigurationError(
+            f"The MAITE model {name} knows no class {missing!r}; "
+            + (f"choose from {named}." if known else "its metadata has no index2label.")
+        )
+    return [int(label) for label, text in known.items() if text in vehicle_classes]

@@ -1,0 +1,221 @@
+"""Our components by MAITE's own checks, and in MAITE's own tasks."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+from maite.protocols import object_detection as od
+from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
+from maite.tasks import evaluate, predict
+
+import skyproof as sp
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.maite import DetectorModel, HiddenVehicles, ModelDetector, Target, VehicleDataset
+from skyproof.results.pairs.tiles import read_tiles
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from tests.maite.conftest import Folders
+
+
+def test_spotcheck_finds_no_fault(folders: Folders, model: DetectorModel) -> None:
+    dataset = spotcheck_component(od.FieldwiseDataset)(VehicleDataset(folders.original))
+    checked = spotcheck_component(od.Model)(model)
+    metric = spotcheck_component(od.Metric)(HiddenVehicles(model, dataset))
+    augmentation = spotcheck_component(od.Augmentation)(folders.augmentation())
+    images, targets, metadata = zip(*(dataset[index] for index in range(2)), strict=True)
+    changed = augmentation((list(images), list(targets), list(metadata)))
+    metric.update(checked(changed[0]), changed[1], changed[2])
+    assert metric.compute()["found_before"] > 0
+    assert dataset.get_target(1).boxes.shape == targets[1].boxes.shape
+
+
+def test_spotcheck_would_find_one() -> None:
+    class Wrong:
+        metadata: ClassVar = {"id": "wrong"}
+
+        def __call__(self, batch_input: Any, /) -> list[SimpleNamespace]:
+            boxes, labels, scores = np.zeros((2, 4)), np.zeros(2), np.zeros(1)
+            return [SimpleNamespace(boxes=boxes, labels=labels, scores=scores)] * len(batch_input)
+
+    with pytest.raises(SpotcheckError):
+        spotcheck_component(od.Model)(Wrong())([np.zeros((3, 8, 8), dtype=np.uint8)])
+
+
+def test_maite_evaluates_a_camouflage(folders: Folders, model: DetectorModel) -> None:
+    dataset = VehicleDataset(folders.original)
+    metric = HiddenVehicles(model, dataset)
+    told, _, data = spotcheck(ai_problem="object_detection")(evaluate)(
+        model=model,
+        dataset=dataset,
+        augmentation=folders.augmentation(),
+        metric=metric,
+        batch_size=4,
+        return_augmented_data=True,
+    )
+    # The same as `skyproof render` and then MAITE's predictions on that folder.
+    rendered = VehicleDataset(folders.camouflaged)
+    other = HiddenVehicles(model, dataset)
+    predictions, _ = predict(model=model, dataset=rendered, batch_size=3)
+    for start, batch in zip((0, 3), predictions, strict=True):
+        some = [rendered[index] for index in range(start, start + 3)]
+        other.update(batch, [each[1] for each in some], [each[2] for each in some])
+    assert told == other.compute()
+    drawn = [image for images, _, _ in data for image in images]
+    assert all(np.array_equal(drawn[index], rendered.get_input(index)) for index in range(6))
+    assert not np.array_equal(drawn[0], dataset.get_input(0))
+    assert {known["camouflage"] for _, _, metadata in data for known in metadata} == {"R-U"}
+
+
+def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorModel) -> None:
+    judge = sp.reference_detector("retinanet")
+    out = folders.original.parent / "scores"
+    sp.score_detectors(
+        [judge], out, original=folders.original, camouflaged={"R-U-0": folders.camouflaged}
+    )
+    tiles = read_tiles(out / "tiles.parquet")
+    (counts,) = (value.sum(0) for key, value in tiles.series.items() if key.match == "centre_1m")
+    dataset, rendered = VehicleDataset(folders.original), VehicleDataset(folders.camouflaged)
+    metric = HiddenVehicles(model, dataset)
+    predictions, _ = predict(model=model, dataset=rendered, batch_size=6)
+    data = [rendered[index] for index in range(6)]
+    metric.update(predictions[0], [each[1] for each in data], [each[2] for each in data])
+    told = metric.compute()
+    assert told["found_before"] == counts[1] + counts[2] > 4
+    assert (told["hidden"], told["found_only_since"]) == (counts[2], counts[3])
+    assert told["easr"] == pytest.approx(overall_attack_success_rate(counts[1:]))
+    assert told["vehicles"] == counts[0]
+    metric.reset()
+    blind = [Target.of(torch.zeros(0, 4)) for _ in data]
+    metric.update(blind, [each[1] for each in data], [each[2] for each in data])
+    assert metric.compute()["easr"] == 1
+    assert metric.compute()["easr_low"] < 1
+
+
+def test_the_dataset_reads_pixels_when_asked(folders: Folders) -> None:
+    dataset = VehicleDataset(folders.original)
+    image, target, metadata = dataset[0]
+    assert image.shape == (3, 160, 160)
+    assert image.dtype == np.uint8
+    assert metadata["img_gsd"] == 0.125
+    assert len(metadata["vehicles"]) == len(target.boxes) == len(metadata["placements"])
+    assert (target.scores == 1).all()
+    assert dataset.metadata["id"] != VehicleDataset(folders.camouflaged).metadata["id"]
+    with pytest.raises(IndexError):
+        dataset[6]
+    (folders.camouflaged / "images").rename(folders.camouflaged / "gone")
+    try:
+        lazy = VehicleDataset(folders.camouflaged)
+        assert len(lazy.get_target(2).boxes)
+        with pytest.raises(StoredFileError):
+            lazy.get_input(2)
+    finally:
+        (folders.camouflaged / "gone").rename(folders.camouflaged / "images")
+
+
+def test_images_of_several_sizes_and_ranges(folders: Folders, model: DetectorModel) -> None:
+    image = VehicleDataset(folders.original).get_input(0)
+    whole, floats, wide = model(
+        [image, image / np.float32(255), np.pad(image, ((0, 0), (0, 32), (0, 64)))]
+    )
+    assert np.array_equal(whole.boxes, floats.boxes)
+    assert (wide.scores[:2] > 0.5).all()
+    with pytest.raises(ConfigurationError, match="floats are sRGB from 0 to 1"):
+        model([image.astype(np.float32)])
+    with pytest.raises(ConfigurationError, match="channels first"):
+        model([image.transpose(1, 2, 0)])
+
+
+def test_a_camouflage_is_no_patch_for_anybodys_images(folders: Folders) -> None:
+    augmentation = folders.augmentation()
+    image, target, metadata = VehicleDataset(folders.original)[0]
+    for batch in (
+        ([image], [target], [{**metadata, "id": "elsewhere"}]),
+        ([image[:, :80]], [target], [metadata]),
+    ):
+        with pytest.raises(ConfigurationError, match="none of them"):
+            augmentation(batch)
+
+
+def test_the_metric_refuses_what_it_cannot_pair(folders: Folders, model: DetectorModel) -> None:
+    dataset = VehicleDataset(folders.original)
+    metric = HiddenVehicles(model, dataset)
+    image, target, metadata = dataset[0]
+    found = model([image])
+    with pytest.raises(ConfigurationError, match="none of the unchanged"):
+        metric.update(found, [target], [{**metadata, "id": "elsewhere"}])
+    metric.update(found, [target], [metadata])
+    with pytest.raises(ConfigurationError, match="came twice"):
+        metric.update(found, [target], [metadata])
+    metric.reset()
+    assert metric.compute()["easr"] is None
+    nameless = SomebodysModel(["car"])
+    with pytest.raises(ConfigurationError, match="no threshold"):
+        HiddenVehicles(nameless, dataset)
+
+
+class SomebodysModel:
+    """A MAITE model of somebody else: our RetinaNet, which knows trees, too, and takes bytes."""
+
+    def __init__(self, classes: list[str], *, columns: bool = False) -> None:
+        self.metadata = {"id": "else/where 1", "index2label": dict(enumerate(classes))}
+        self._columns = columns
+        self._model = DetectorModel(sp.reference_detector("retinanet"))
+
+    def __call__(self, batch_input: Any, /) -> list[SimpleNamespace]:
+        answers = []
+        for found in self._model(batch_input):
+            label = len(self.metadata["index2label"]) - 1
+            scores = found.scores
+            if self._columns:
+                scores = np.stack([scores * 0.25, 1 - scores, scores * 0.75], axis=1)
+            labels = found.labels + label
+            answers.append(SimpleNamespace(boxes=found.boxes, labels=labels, scores=scores))
+        return answers
+
+
+@pytest.mark.parametrize("columns", [False, True])
+def test_a_maite_model_is_a_detector(folders: Folders, *, columns: bool) -> None:
+    theirs = SomebodysModel(["van", "tree", "car"], columns=columns)
+    image = torch.from_numpy(VehicleDataset(folders.original).get_input(0))[None]
+    (expected,) = sp.reference_detector("retinanet").detector.detect(image / 255)
+    for largest_value in (1, 255):
+        detector = ModelDetector(
+            theirs, vehicle_classes=["car", "van"], largest_value=largest_value
+        )
+        assert detector.name == "else-where-1"
+        (found,) = detector.detect(image / 255)
+        assert torch.allclose(found.boxes, expected.boxes)
+        assert torch.allclose(found.scores, expected.scores)
+    (trees,) = ModelDetector(theirs, vehicle_classes=["tree"]).detect(image / 255)
+    if columns:
+        assert trees.scores.max() == pytest.approx(1 - float(expected.scores.min()), abs=1e-6)
+    else:
+        assert not len(trees.scores)
+
+
+@pytest.mark.parametrize(
+    ("classes", "words"),
+    [([], "knows 2 classes"), (["lorry"], "no class 'lorry'; choose from tree, car")],
+)
+def test_a_models_classes_are_named(classes: list[str], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        ModelDetector(SomebodysModel(["tree", "car"]), vehicle_classes=classes)
+
+
+def test_entry_points_lead_to_the_components() -> None:
+    for kind, name in {
+        "Model": "DetectorModel",
+        "Dataset": "VehicleDataset",
+        "Augmentation": "CamouflageAugmentation",
+        "Metric": "HiddenVehicles",
+    }.items():
+        group = importlib.metadata.entry_points(group=f"maite.protocols.object_detection.{kind}")
+        (point,) = (
+            each for each in group if each.dist is not None and each.dist.name == "skyproof"
+        )
+        assert point.name == f"skyproof_{name}"
+        assert point.load().__name__ == name
