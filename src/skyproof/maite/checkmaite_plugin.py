@@ -1,0 +1,187 @@
+"""Camouflages as a capability of checkmaite, which finds it by its entry point.
+
+This is the one file that imports checkmaite, and nothing of skyproof imports this file.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import maite.protocols.object_detection as od
+from checkmaite.core.capability_core import (
+    Capability,
+    CapabilityConfigBase,
+    CapabilityOutputsBase,
+    CapabilityRunBase,
+    Number,
+)
+from checkmaite.core.report import InlineTextReport
+from pydantic import Field
+
+from skyproof.maite.metric import HiddenVehicles
+
+__all__ = [
+    "SkyproofCamouflage",
+    "SkyproofCamouflageConfig",
+    "SkyproofCamouflageOutputs",
+    "SkyproofCamouflageRun",
+    "exports",
+]
+
+
+class SkyproofCamouflageConfig(CapabilityConfigBase):
+    """How vehicles count as found."""
+
+    threshold: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="Score from which on a detection counts; what the model's metadata say where "
+        "it is unset.",
+    )
+    labels: tuple[int, ...] = Field(
+        default=(0,), description="The model's classes that are vehicles."
+    )
+    match: Literal["centre_1m", "iou_50"] = Field(
+        default="centre_1m", description="How a detection and a vehicle are paired."
+    )
+    batch_size: int = Field(default=8, ge=1, description="Images that the model is shown at once.")
+
+
+class SkyproofCamouflageOutputs(CapabilityOutputsBase):
+    """What each camouflage hides.
+
+    Attributes:
+        hidden: per camouflaged dataset, by its id, what `HiddenVehicles.compute` gives.
+    """
+
+    hidden: dict[str, dict[str, float | int | None]]
+
+
+class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, SkyproofCamouflageOutputs]):
+    """The results of one run."""
+
+    config: SkyproofCamouflageConfig
+    outputs: SkyproofCamouflageOutputs
+
+    def collect_md_report(self, threshold: float) -> InlineTextReport:
+        """Writes the table of what each camouflage hides.
+
+        Args:
+            threshold: least share of the vehicles found before that the model must still find.
+        """
+        about = (
+            "# Camouflage\n\nNet share of the vehicles found before that the model "
+            f"{self.model_metadata[0]['id']} finds no more (EASR), with its 95 % interval over "
+            "places and vehicles. The limit is met where the whole interval leaves at least "
+            f"{threshold:.0%} found.\n\n"
+        )
+        headers = ("Dataset", "EASR", "95 % interval", "Found before", "Limit")
+        rows = [
+            (name, _percent(row, "easr"), _interval(row), row["found_before"], _met(row, threshold))
+            for name, row in self.outputs.hidden.items()
+        ]
+        lines = [headers, ("--",) * len(headers), *rows]
+        table = "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+        return InlineTextReport(
+            media_type="text/markdown",
+            content=f"{about}{table}\n",
+            filename="skyproof_camouflage.md",
+        )
+
+
+class SkyproofCamouflage(
+    Capability[SkyproofCamouflageOutputs, od.Dataset, od.Model, od.Metric, SkyproofCamouflageConfig]
+):
+    """Which vehicles camouflages hide from a model, in matched pairs.
+
+    It takes one model and datasets of the same images: the first without camouflage, each of the
+    others with one, as `skyproof render --camouflage` writes them and `VehicleDataset` opens them.
+    """
+
+    _RUN_TYPE = SkyproofCamouflageRun
+
+    @classmethod
+    def _create_config(cls) -> SkyproofCamouflageConfig:
+        return SkyproofCamouflageConfig()
+
+    @property
+    def supports_datasets(self) -> Number:
+        """The one without camouflage, and at least one with it."""
+        return Number.MANY
+
+    @property
+    def supports_models(self) -> Number:
+        """One."""
+        return Number.ONE
+
+    @property
+    def supports_metrics(self) -> Number:
+        """None: it brings its own."""
+        return Number.ZERO
+
+    def _run(
+        self,
+        models: list[od.Model],
+        datasets: list[od.Dataset],
+        metrics: list[od.Metric],
+        config: SkyproofCamouflageConfig,
+        use_prediction_and_evaluation_cache: bool,
+    ) -> SkyproofCamouflageOutputs:
+        (model,) = models
+        original, *camouflaged = datasets
+        if not camouflaged:
+            raise TypeError(
+                "SkyproofCamouflage compares images without and with a camouflage, got one dataset "
+                "alone; give the camouflaged ones after it."
+            )
+        metric = HiddenVehicles(
+            model,
+            original,
+            threshold=config.threshold,
+            labels=config.labels,
+            match=config.match,
+            batch_size=config.batch_size,
+        )
+        hidden: dict[str, dict[str, Any]] = {}
+        for dataset in camouflaged:
+            metric.reset()
+            for start in range(0, len(dataset), config.batch_size):
+                end = min(start + config.batch_size, len(dataset))
+                batch = [dataset[index] for index in range(start, end)]
+                images, targets, metadata = zip(*batch, strict=True)
+                metric.update(model(list(images)), targets, metadata)
+            hidden[dataset.metadata["id"]] = metric.compute()
+        return SkyproofCamouflageOutputs(hidden=hidden)
+
+
+def exports() -> dict[str, Any]:
+    """Gives checkmaite what it shows beside its own capabilities."""
+    return {
+        "__plugin_api_version__": "1.0.0",
+        "SkyproofCamouflage": SkyproofCamouflage,
+        "SkyproofCamouflageConfig": SkyproofCamouflageConfig,
+        "SkyproofCamouflageOutputs": SkyproofCamouflageOutputs,
+    }
+
+
+def _cell(value: object) -> str:
+    return str(value).replace("|", "\\|").replace("\n", " ")
+
+
+def _percent(row: dict[str, float | int | None], key: str) -> str:
+    value = row[key]
+    return "not known" if value is None else f"{100 * value:.0f} %"
+
+
+def _interval(row: dict[str, float | int | None]) -> str:
+    return f"{_percent(row, 'easr_low')} to {_percent(row, 'easr_high')}"
+
+
+def _met(row: dict[str, float | int | None], threshold: float) -> str:
+    low, high = row["easr_low"], row["easr_high"]
+    if low is None or high is None:
+        return "not known"
+    if 1 - high >= threshold:
+        return "met"
+    return "missed" if 1 - low < threshold else "open"
