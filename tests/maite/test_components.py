@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -14,8 +15,10 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
-from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.detectors.answers import CheckedAnswers
+from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
 from skyproof.maite import DetectorModel, HiddenVehicles, ModelDetector, Target, VehicleDataset
+from skyproof.plans.assess import Assess
 from skyproof.results.pairs.tiles import read_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from tests.maite.conftest import Folders
@@ -204,6 +207,37 @@ def test_a_maite_model_is_a_detector(folders: Folders, *, columns: bool) -> None
 def test_a_models_classes_are_named(classes: list[str], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         ModelDetector(SomebodysModel(["tree", "car"]), vehicle_classes=classes)
+
+
+def test_assess_asks_a_maite_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Assess, Any]] = []
+    monkeypatch.setattr(Assess, "run", lambda command, box=None: asked.append((command, box)))
+    theirs = SomebodysModel(["tree", "car"])
+    sp.assess(theirs, tmp_path / "run", vehicle_classes=["car"])
+    ((command, box),) = asked
+    assert command.detector == Path("else-where-1")
+    images = torch.rand(1, 3, 96, 96, generator=torch.Generator().manual_seed(0))
+    (found,) = box.detect(images)
+    assert len(found.boxes) == len(found.scores)
+    assert box.images == 1
+    with pytest.raises(ConfigurationError, match="knows 2 classes"):
+        sp.assess(theirs, tmp_path / "run")
+    with pytest.raises(ConfigurationError, match="architecture is for checkpoint files"):
+        sp.assess(theirs, tmp_path / "run", vehicle_classes=["car"], architecture="retinanet")
+    with pytest.raises(ConfigurationError, match="vehicle_classes is for checkpoint files"):
+        sp.assess(box, tmp_path / "run", vehicle_classes=["car"])
+
+
+def test_an_answer_of_nonsense_is_one_sentence(tmp_path: Path) -> None:
+    theirs = SomebodysModel(["car"])
+    found = SimpleNamespace(boxes=np.ones((1, 4)), labels=np.zeros(1), scores=np.full(1, np.nan))
+    theirs._model = lambda batch: [found] * len(batch)  # type: ignore[assignment]
+    detector = CheckedAnswers(ModelDetector(theirs))
+    with pytest.raises(DetectorAnswerError, match="finite numbers, got NaN"):
+        detector.detect(torch.zeros(1, 3, 8, 8))
+    found.scores = np.zeros((1, 2, 3))
+    with pytest.raises(DetectorAnswerError, match="did not answer"):
+        detector.detect(torch.zeros(1, 3, 8, 8))
 
 
 def test_entry_points_lead_to_the_components() -> None:
