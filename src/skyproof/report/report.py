@@ -28,6 +28,7 @@ from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, many_figure
 from skyproof.report.gate import read_gate
+from skyproof.report.hardening import hardening, readings
 from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.queries import by_answers
@@ -186,6 +187,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             paper=paper,
             training=training_loss(results),
             advice=advice(every[0][0]) if every else [],
+            hardening=hardening(results, every, _panels),
             limits=limits(results, every, several_trainings=_several_trainings(paper)),
             settings=list(_flat(results.config.every)),
         )
@@ -242,7 +244,7 @@ def _section(results: Results, headline: Headline, second: Headline | None = Non
         model=model(results.pattern(name, "vehicle.glb")),
         loss=attack_loss(results, headline),
         conditions=Markup(condition_figure(panels)) if panels else None,
-        readings=_readings(panels),
+        readings=readings(panels),
         second=_second(results, headline, second) if second else None,
     )
 
@@ -362,29 +364,6 @@ def _tables(results: Results) -> list[tuple[str, list[Row]]]:
             if rows:
                 tables.append((f"{whose}, {meaning}", rows))
     return tables
-
-
-def _readings(panels: Sequence[Panel]) -> list[str]:
-    """Says in one sentence per panel whether the intervals of its extremes part company."""
-    sentences = []
-    for panel in panels:
-        known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
-        if len(known) < 2:
-            continue
-        least = min(known, key=lambda bar: bar.rate.estimate)
-        most = max(known, key=lambda bar: bar.rate.estimate)
-        ends = [
-            f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
-            for bar in (most, least)
-        ]
-        if most.rate.low > least.rate.high:
-            sentences.append(
-                f"{panel.title}: most hidden at {ends[0]}, least at {ends[1]}; the intervals do "
-                "not overlap."
-            )
-        else:
-            sentences.append(f"{panel.title}: no clear difference; the intervals overlap.")
-    return sentences
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:

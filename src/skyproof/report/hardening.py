@@ -1,0 +1,146 @@
+"""What to add to training, and by which commands; never how to hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from skyproof import words
+from skyproof.camouflage.name import CamouflageName
+from skyproof.layout import Layout
+from skyproof.results.conditions import Bin, Panel
+from skyproof.results.results import Results
+from skyproof.results.rows import Headline
+from skyproof.scenes.scene import read_scenes
+
+__all__ = ["Hardening", "hardening", "readings"]
+
+_STRONGEST = 2
+_SIZES = ("slim", "wide", "full")
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """How the weaknesses that were found are trained away.
+
+    Attributes:
+        images: sentences that say which images to add.
+        commands: to be given in the run folder, one per line.
+        after: sentences on what to do then.
+    """
+
+    images: Sequence[str]
+    commands: Sequence[str]
+    after: Sequence[str]
+
+
+def hardening(
+    results: Results,
+    every: Sequence[Sequence[Headline]],
+    panels: Callable[[Results, Headline], Sequence[Panel]],
+) -> Hardening | None:
+    """Says which images help against the strongest attacks, and how they are made.
+
+    They show vehicles and tiles of the attack, not those of the test, which would flatter the next
+    test.
+
+    Args:
+        results: of the run.
+        every: headlines by camouflage.
+        panels: gives a headline's success by condition.
+
+    Returns:
+        None where no attack hides anything for sure, or the run folder lacks what is needed.
+    """
+    layout = Layout(results.folder)
+    fleet = layout.fleets / "attack"
+    sure = [each[0] for each in every if each[0].row.easr.low > 0]
+    known = [headline for headline in sure if _folder(results, headline.camouflage) is not None]
+    ranked = sorted(known, key=lambda headline: -headline.row.easr.estimate)[:_STRONGEST]
+    needed = (layout.backgrounds / "index.json", fleet, layout.scenes("test"))
+    if not ranked or not all(place.exists() for place in needed):
+        return None
+    names = [_folder(results, headline.camouflage) for headline in ranked]
+    shown = " and ".join(str(headline.camouflage) for headline in ranked)
+    images = [
+        f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most: add images of vehicles in such "
+        "coats or shapes, with their true labels, to those that the detector learns from. The "
+        "commands below draw them on the ground and with the vehicles that the attack saw, not "
+        "with those of the test."
+    ]
+    for headline in ranked:
+        for panel, most, _ in _clear(panels(results, headline)):
+            images.append(
+                f"{headline.camouflage} hides most at {panel.title.lower()} {_told(most)}: see "
+                "that such views are among them."
+            )
+    places = "--backgrounds backgrounds --fleet fleets/attack"
+    size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
+    commands = [
+        f"skyproof scenes {places} --split attack --count 400 --seed 1 "
+        f"--settings.size-px {size_px} --out hardening/scenes.jsonl"
+    ]
+    for name in names:
+        commands.append(
+            f"skyproof render --scenes hardening/scenes.jsonl {places} "
+            f"--camouflage camouflages/{name} --out hardening/{name}"
+        )
+    commands += [
+        f"skyproof export hardening/{name} --format yolo --out hardening/{name}-yolo"
+        for name in names
+    ]
+    after = [
+        "Train on your images and these together. The export is what Ultralytics trains from; "
+        "others take --format coco or dota. A detector of skyproof’s own learns from the rendered "
+        "folders themselves (skyproof train).",
+        "Then assess the new detector again: its attacks are learnt anew. A detector that is "
+        "hardened against a known pattern is not thereby hardened against the next.",
+    ]
+    return Hardening(images, commands, after)
+
+
+def readings(panels: Sequence[Panel]) -> list[str]:
+    """Says in one sentence per panel whether the intervals of its extremes part company."""
+    clear = {id(panel): (most, least) for panel, most, least in _clear(panels)}
+    sentences = []
+    for panel in panels:
+        if len(_known(panel)) < 2:
+            continue
+        if id(panel) in clear:
+            most, least = clear[id(panel)]
+            sentences.append(
+                f"{panel.title}: most hidden at {_told(most)}, least at {_told(least)}; the "
+                "intervals do not overlap."
+            )
+        else:
+            sentences.append(f"{panel.title}: no clear difference; the intervals overlap.")
+    return sentences
+
+
+def _clear(panels: Sequence[Panel]) -> list[tuple[Panel, Bin, Bin]]:
+    """Gives the panels whose extremes do not overlap, with the most and the least hidden."""
+    found = []
+    for panel in panels:
+        known = _known(panel)
+        if len(known) < 2:
+            continue
+        least = min(known, key=lambda bar: bar.rate.estimate)
+        most = max(known, key=lambda bar: bar.rate.estimate)
+        if most.rate.low > least.rate.high:
+            found.append((panel, most, least))
+    return found
+
+
+def _known(panel: Panel) -> list[Bin]:
+    # An interval that is undefined has no limits.
+    return [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+
+
+def _told(bar: Bin) -> str:
+    return f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
+
+
+def _folder(results: Results, camouflage: CamouflageName) -> str | None:
+    """Gives the name of a camouflage's folder in the run, of the first of its repeats."""
+    names = (str(camouflage), str(camouflage.with_repeat(0)))
+    return next((name for name in names if name in results.records), None)
