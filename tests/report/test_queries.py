@@ -9,6 +9,8 @@ import pytest
 from skyproof.files import write_json
 from skyproof.report.queries import by_answers
 from skyproof.report.report import write_report
+from skyproof.results.results import Results
+from skyproof.results.statistics.intervals import Interval
 from tests.results.test_worst import scored
 
 IMAGES = 6000
@@ -48,6 +50,21 @@ def test_gradients_that_hide_less_than_answers_raise_an_alarm(
     if alarmed:
         assert "T-U hides 0" in found.alarms[0]
         assert "by its answers alone: +100 points" in found.alarms[0]
+
+
+@pytest.mark.parametrize(("low", "alarmed"), [(0.01, False), (0.24, True), (-0.02, False)])
+def test_what_another_start_can_change_is_no_alarm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, low: float, alarmed: bool
+) -> None:
+    sought(tmp_path, "T-U_asked")
+    results = scored(tmp_path, missed({"T-U": {0}, "T-U_transfer": {0}, "T-U_asked": {0, 1}}))
+    more = Interval(low + 0.03, low, low + 0.06)
+    monkeypatch.setattr(Results, "difference", lambda *_: more)
+    found = by_answers(results)
+    assert found is not None
+    assert bool(found.alarms) == alarmed
+    assert ("no more than another start" in found.told) == (0 < low < 0.2)
+    assert ("do not surely hide more" in found.told) == (low < 0)
 
 
 def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +13,12 @@ from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
 from skyproof.report.queries_figure import Curve, queries_figure
 from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import interval, percent, points
 
 __all__ = ["ByAnswers", "by_answers"]
 
+_QUANTILE = 1.96
 _KEPT = re.compile(rf"{ASKED}(?P<images>\d+)")
 
 
@@ -48,7 +51,8 @@ class ByAnswers:
         rows: one per attack.
         figure: success against answers.
         only: whether the detector has nothing but answers.
-        alarms: a sentence for every attack that hides more by answers than by gradients.
+        alarms: a sentence for every attack that hides more by answers than by gradients, and by
+            more than another start of either could explain.
         told: a sentence that says what it comes to.
     """
 
@@ -57,6 +61,14 @@ class ByAnswers:
     only: bool
     alarms: Sequence[str]
     told: str
+
+
+@dataclass(frozen=True)
+class _More:
+    """That answers hide more than gradients, and whether by more than starts explain."""
+
+    told: str
+    misleads: bool
 
 
 def by_answers(results: Results) -> ByAnswers | None:
@@ -68,8 +80,11 @@ def by_answers(results: Results) -> ByAnswers | None:
     rows = [row for name in names if (row := _row(results, name)) is not None]
     curves = [curve for row in rows for curve in _curves(results, row, scored)]
     only = all(row.gradients is None for row in rows)
-    alarms = [alarm for row in rows if (alarm := _alarm(results, row)) is not None]
-    return ByAnswers(rows, Markup(queries_figure(curves)), only, alarms, _told(rows, only, alarms))
+    more = [found for row in rows if (found := _more(results, row)) is not None]
+    alarms = [found.told for found in more if found.misleads]
+    small = [found.told for found in more if not found.misleads]
+    told = _told(rows, only, alarms, small)
+    return ByAnswers(rows, Markup(queries_figure(curves)), only, alarms, told)
 
 
 def _is_final(results: Results, name: CamouflageName) -> bool:
@@ -123,21 +138,25 @@ def _known(curve: Sequence[tuple[int, Interval | None]]) -> list[tuple[int, Inte
     return [(images, rate) for images, rate in curve if rate is not None]
 
 
-def _alarm(results: Results, row: Row) -> str | None:
-    """Says that gradients mislead, where answers alone surely hide more; else None."""
+def _more(results: Results, row: Row) -> _More | None:
+    """Gives how much more answers surely hide than gradients; None where that is not sure."""
     if row.gradients is None:
         return None
     more = results.difference(str(row.name.with_variant(ASKED)), str(row.name))
     if more is None or not more.low > 0:
         return None
-    return (
+    told = (
         f"{row.name} hides {percent(row.gradients.estimate)} where it follows the detector’s "
         f"gradients, and {percent(row.asked.estimate)} by its answers alone: "
         f"{points(more.estimate)} points (95 % interval {interval(more.low, more.high)})."
     )
+    # Either attack is one run; another start of it would have ended elsewhere.
+    of_starts = _QUANTILE * math.sqrt(2) * SEEDS.usual_sd
+    reach = math.hypot(more.estimate - more.low, of_starts)
+    return _More(told, misleads=more.estimate > reach)
 
 
-def _told(rows: Sequence[Row], only: bool, alarms: Sequence[str]) -> str:
+def _told(rows: Sequence[Row], only: bool, alarms: Sequence[str], small: Sequence[str]) -> str:
     if only:
         return (
             "Of this detector only answers are known. Every attack was learnt on detectors that "
@@ -149,6 +168,12 @@ def _told(rows: Sequence[Row], only: bool, alarms: Sequence[str]) -> str:
             "Masking alarm: the detector’s gradients mislead attacks, as some defences do that "
             "only make attacks fail. What the suite hides is less than what can be hidden, and no "
             "acceptance is to be trusted; attack a copy of the detector without that defence."
+        )
+    if small:
+        return (
+            f"{' '.join(small)} That is no more than another start of an attack can change, so it "
+            "is no sign that gradients mislead; but the suite’s numbers are not the most that can "
+            "be hidden."
         )
     tried = ", ".join(str(row.name) for row in rows)
     return (
