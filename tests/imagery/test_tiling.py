@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.tiles.georeference import map_tile
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
 
@@ -169,6 +171,80 @@ def test_a_cell_on_the_seam_of_two_sheets_is_put_together(tmp_path):
         assert np.array_equal(
             backgrounds.pixels(one.id).numpy(), scene[:, row : row + 64, column : column + 64]
         )
+
+
+@pytest.fixture
+def town(tmp_path):
+    """A map of 7 x 7 tiles of 256 px at zoom 20 above Munich, some 26 m each, and where it lies."""
+    side = 2 * math.pi * 6378137 / 2**20
+    column, row = 558_060, 364_070
+    corner = column * side - math.pi * 6378137, math.pi * 6378137 - row * side
+    pixel = side / 256
+    return smooth_noise(1792, 1792), column, row, from_origin(*corner, pixel, pixel)
+
+
+def save_map_tile(path, scene, across, down):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = scene[:, down * 256 : down * 256 + 256, across * 256 : across * 256 + 256]
+    Image.fromarray(part.transpose(1, 2, 0)).save(path)
+
+
+@pytest.mark.parametrize("kind", ["xyz", "world files"])
+def test_touching_map_tiles_are_one_map(tmp_path, town, kind):
+    scene, column, row, transform = town
+    folder = tmp_path / "town"
+    for across in range(7):
+        for down in range(7):
+            if kind == "xyz":
+                save_map_tile(
+                    folder / f"20/{column + across}/{row + down}.png", scene, across, down
+                )
+                continue
+            place = folder / f"{across}_{down}.png"
+            save_map_tile(place, scene, across, down)
+            left, top = transform * (across * 256, down * 256)
+            half = transform.a / 2
+            lines = (transform.a, 0, 0, -transform.a, left + half, top - half)
+            place.with_suffix(".pgw").write_text("\n".join(map(repr, lines)))
+    if kind == "xyz":
+        # Another zoom shows the same ground again.
+        save_map_tile(folder / f"19/{column // 2}/{row // 2}.png", scene, 0, 0)
+    write_image(tmp_path / "whole.tif", scene, crs="EPSG:3857", transform=transform)
+    joined, record = tile(
+        [folder], tmp_path / "joined", size_px=300, crs=None if kind == "xyz" else "EPSG:3857"
+    )
+    whole, _ = tile([tmp_path / "whole.tif"], tmp_path / "set", size_px=300)
+    assert {one.source for one in all_tiles(joined)} == {"town"}
+    assert len(record.sources) == 49
+    assert not any("_0.png" in note for note in record.notes)
+    names = {one.id for one in all_tiles(joined)}
+    assert len(names) >= 4
+    assert names == {one.id for one in all_tiles(whole)}
+    for name in names:
+        difference = joined.pixels(name).float() - whole.pixels(name).float()
+        # Seams are a little less sharp or smooth than what is read through.
+        assert difference.abs().mean() < 1.0
+        assert difference.abs().max() < 30
+
+
+def test_a_path_of_numbers_is_a_map_tile_only_where_it_can_be(tmp_path):
+    assert map_tile(Path("town/20/558060/364070.png")) == (20, 558060, 364070)
+    for other in ("town/2024/05/12.png", "20/558060/a.png", "3/8/1.png", "1.png", "3/1/-1.png"):
+        assert map_tile(Path(other)) is None
+    save_map_tile(tmp_path / "town/x/1.png", smooth_noise(256, 256), 0, 0)
+    with pytest.raises(ImageryError, match="holds no image"):
+        tile([tmp_path / "town"], tmp_path / "set")
+
+
+def test_map_tiles_that_leave_gaps_fill_no_cell(tmp_path, town):
+    scene, column, row, _ = town
+    for across in range(7):
+        for down in range(7):
+            if (across + down) % 2:
+                place = tmp_path / f"town/20/{column + across}/{row + down}.png"
+                save_map_tile(place, scene, across, down)
+    with pytest.raises(ImageryError, match="no image holds a whole tile of 300 px"):
+        tile([tmp_path / "town"], tmp_path / "set", size_px=300)
 
 
 def test_imagery_across_a_zone_border_has_one_grid(tmp_path):

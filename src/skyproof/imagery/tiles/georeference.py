@@ -19,6 +19,7 @@ from skyproof.errors import ImageryError
 __all__ = [
     "Georeference",
     "is_true_to_scale",
+    "map_tile",
     "outline",
     "read_georeference",
     "to_reference_system",
@@ -27,6 +28,9 @@ __all__ = [
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
 TRUE_TO_SCALE = 0.0015
+
+_DEEPEST_ZOOM = 24
+_WEB_MERCATOR = "EPSG:3857"
 
 EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
 """WGS 84."""
@@ -86,6 +90,32 @@ def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     return [*half, *((width - x, height - y) for x, y in half)]
 
 
+def map_tile(path: Path) -> tuple[int, int, int] | None:
+    """Reads zoom, column and row of a map tile from its place z/x/y.
+
+    None is given where the path says no such thing. Rows are counted from the north, as web maps
+    and XYZ folders count them; TMS, which counts from the south, cannot be told apart.
+    """
+    parts = (*path.parts[-3:-1], path.stem)
+    # More digits than a place can have would be a date or a hash.
+    if len(parts) < 3 or not all(part.isdecimal() and len(part) <= 8 for part in parts):
+        return None
+    zoom, column, row = map(int, parts)
+    return (zoom, column, row) if zoom <= _DEEPEST_ZOOM and max(column, row) < 2**zoom else None
+
+
+def _of_map_tile(path: Path, width_px: int, height_px: int) -> Affine | None:
+    """Gives where a square map tile lies in Web Mercator."""
+    place = map_tile(path)
+    if place is None or width_px != height_px:
+        return None
+    zoom, column, row = place
+    half = math.pi * EQUATOR_RADIUS_M
+    side = 2 * half / 2**zoom
+    corner = Affine.translation(column * side - half, half - row * side)
+    return corner * Affine.scale(side / width_px, -side / height_px)
+
+
 def read_georeference(
     dataset: DatasetReader,
     path: Path,
@@ -95,10 +125,10 @@ def read_georeference(
 ) -> Georeference:
     """Finds out where an image lies.
 
-    What the file says comes first. Where it has a transform (its own or a world file's) but names
-    no reference system, `crs` names it; failing that the image gets a grid of its own, at
-    `source_gsd_m` or, if not given either, at the transform's pixel size taken as metres where that
-    is between 0.5 and 50 cm.
+    What the file says comes first, then its place among map tiles (z/x/y). Where it has a transform
+    (its own or a world file's) but names no reference system, `crs` names it; failing that the
+    image gets a grid of its own, at `source_gsd_m` or, if not given either, at the transform's
+    pixel size taken as metres where that is between 0.5 and 50 cm.
 
     Args:
         dataset: the opened image.
@@ -111,6 +141,9 @@ def read_georeference(
         ImageryError: no resolution, an impossible one, or coarser than 50 cm.
     """
     affine, system = dataset.transform, dataset.crs
+    tile = _of_map_tile(path, dataset.width, dataset.height) if affine.is_identity else None
+    if tile is not None:
+        affine, system = tile, CRS.from_user_input(_WEB_MERCATOR)
     plain = affine.is_identity
     if not plain and abs(affine.determinant) < 1e-30:
         raise ImageryError(

@@ -103,9 +103,40 @@ class Grid:
         return range(low(left), high(right)), range(low(top), high(bottom))
 
     def whole_cells(self) -> int:
-        """Counts about how many cells its sources fill."""
+        """Counts about how many cells its sources fill, each alone or, where none can, together."""
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
-        return sum(len(columns) * len(rows) for columns, rows in ranges)
+        alone = sum(len(columns) * len(rows) for columns, rows in ranges)
+        return alone or len(self.filled())
+
+    def filled(self) -> dict[tuple[int, int], list[int]]:
+        """Returns the cells that its sources together may fill: row and column to their numbers.
+
+        Raises:
+            ImageryError: they may be more than `MOST_CELLS`.
+        """
+        ranges = [self.places(extent, whole=False) for extent in self.extents.values()]
+        count = sum(len(columns) * len(rows) for columns, rows in ranges)
+        if count > MOST_CELLS:
+            raise ImageryError(
+                f"The imagery of grid {self.name} would become {count:,} tiles of {self.size_px} "
+                f"px, more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
+                "(--tiling.size-px)."
+            )
+        side_m = self.size_px * self.gsd_m
+        seen: dict[tuple[int, int], list[int]] = {}
+        covered: dict[tuple[int, int], float] = {}
+        for number, extent in self.extents.items():
+            columns, rows = self.places(extent, whole=False)
+            for row in rows:
+                top = self.top_m - row * side_m
+                height = min(top, extent[3]) - max(top - side_m, extent[1])
+                for column in columns:
+                    left = self.left_m + column * side_m
+                    width = min(left + side_m, extent[2]) - max(left, extent[0])
+                    seen.setdefault((row, column), []).append(number)
+                    covered[row, column] = covered.get((row, column), 0.0) + width * height
+        enough = (FULL_SHARE - 0.005) * side_m**2
+        return {place: seen[place] for place in sorted(seen) if covered[place] >= enough}
 
 
 def plane_of(crs: CRS | None, sources: Sequence[int]) -> str:
@@ -241,31 +272,9 @@ def cells_of(grid: Grid) -> list[Cell]:
     Raises:
         ImageryError: they are more than `MOST_CELLS`.
     """
-    ranges = [grid.places(extent, whole=False) for extent in grid.extents.values()]
-    count = sum(len(columns) * len(rows) for columns, rows in ranges)
-    if count > MOST_CELLS:
-        raise ImageryError(
-            f"The imagery of grid {grid.name} would become {count:,} tiles of {grid.size_px} px, "
-            f"more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
-            "(--tiling.size-px)."
-        )
     side_m = grid.size_px * grid.gsd_m
-    seen: dict[tuple[int, int], list[int]] = {}
-    covered: dict[tuple[int, int], float] = {}
-    for number, extent in grid.extents.items():
-        columns, rows = grid.places(extent, whole=False)
-        for row in rows:
-            top = grid.top_m - row * side_m
-            height = min(top, extent[3]) - max(top - side_m, extent[1])
-            for column in columns:
-                left = grid.left_m + column * side_m
-                width = min(left + side_m, extent[2]) - max(left, extent[0])
-                seen.setdefault((row, column), []).append(number)
-                covered[row, column] = covered.get((row, column), 0.0) + width * height
     cells = []
-    for (row, column), numbers in sorted(seen.items()):
-        if covered[row, column] < (FULL_SHARE - 0.005) * side_m**2:
-            continue
+    for (row, column), numbers in grid.filled().items():
         left_m, top_m = grid.left_m + column * side_m, grid.top_m - row * side_m
         offset_px = (column * grid.size_px, row * grid.size_px)
         if grid.crs is None:

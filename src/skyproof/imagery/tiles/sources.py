@@ -23,7 +23,7 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.text import IMAGE_FOLDER
 from skyproof.imagery.rasters import open_raster
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.georeference import Georeference, read_georeference
+from skyproof.imagery.tiles.georeference import Georeference, map_tile, read_georeference
 
 __all__ = [
     "Source",
@@ -76,6 +76,12 @@ class Source:
     licence: str | None
     notes: tuple[str, ...]
 
+    @property
+    def collection(self) -> str:
+        """Names the folder that holds it and its neighbours; of a map tile the one above z/x/y."""
+        place = self.path.resolve()
+        return place.parents[0 if map_tile(place) is None else 2].name
+
 
 def gdal_limits() -> rasterio.Env:
     """Sets what to read with: a small block cache, and errors for damaged JPEGs, not grey areas."""
@@ -87,7 +93,8 @@ def gdal_limits() -> rasterio.Env:
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths` and in the folders among them, sorted within a folder.
 
-    Sub-folders are not searched, but for `images/` of a folder that holds none itself.
+    Sub-folders are not searched, but for `images/` of a folder that holds none itself, and for map
+    tiles named z/x/y, of which the finest zoom is taken.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -95,7 +102,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            images = _images_in(path) or _images_in(path / IMAGE_FOLDER)
+            images = _images_in(path) or _images_in(path / IMAGE_FOLDER) or _map_tiles_in(path)
             if not images:
                 raise ImageryError(
                     f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
@@ -109,9 +116,11 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
         raise ImageryError("No imagery was given; name images or folders of them.")
     seen: set[str] = set()
     for file in files:
-        if file.stem in seen:
+        # Map tiles are told apart by their place.
+        name = "/".join(file.parts[-3:]) if map_tile(file) is not None else file.stem
+        if name in seen:
             raise ImageryError(f"{file} shares its name with another image; rename one of them.")
-        seen.add(file.stem)
+        seen.add(name)
     return files
 
 
@@ -119,6 +128,19 @@ def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
+
+
+def _map_tiles_in(folder: Path) -> list[Path]:
+    zooms = sorted(
+        (path for path in folder.iterdir() if path.is_dir() and path.name.isdecimal()),
+        key=lambda path: -int(path.name),
+    )
+    for zoom in zooms:
+        columns = sorted(path for path in zoom.iterdir() if path.name.isdecimal())
+        tiles = [file for column in columns for file in _images_in(column)]
+        if tiles:
+            return [file for file in tiles if map_tile(file) is not None]
+    return []
 
 
 @contextmanager

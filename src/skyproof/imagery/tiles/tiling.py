@@ -44,6 +44,7 @@ from skyproof.scenes.splits import SPLITS, Split
 __all__ = ["TilingRecord", "tile_imagery"]
 
 _WAITING = "waiting"
+_SAME_NOTES = 8
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def tile_imagery(
     # Every cell that sources fill becomes a tile, written while it is at hand.
     with gdal_limits(), SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]
-        notes += [f"{source.path.name}: {note}" for source in sources for note in source.notes]
+        notes += _notes(sources)
         cells = _cells(sources, settings, notes)
         # A time that cannot be, or a mask that is missing, is refused before anything is cut.
         taken = source_settings.taken
@@ -276,10 +277,36 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
         split=SPLITS[0],
         width_px=cell.size_px,
         height_px=cell.size_px,
-        source=" + ".join(source.path.name for source in shown),
+        source=" + ".join(_names(cell, shown)),
         offset_px=cell.offset_px,
         licence="; ".join(licences) or None,
     )
+
+
+def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
+    """Names what a tile shows: its images, or of map tiles, smaller than itself, their folder."""
+    side_m = cell.size_px * cell.gsd_m
+    small = all(
+        min(source.width_px * gsd[0], source.height_px * gsd[1]) < side_m
+        for source in shown
+        for gsd in [source.georeference.gsd_m]
+    )
+    if small and len(shown) > 1:
+        return list(dict.fromkeys(source.collection for source in shown))
+    return [source.path.name for source in shown]
+
+
+def _notes(sources: Sequence[Source]) -> list[str]:
+    """Says what was assumed of each source, once where it is the same for many."""
+    of_note: dict[str, list[str]] = {}
+    for source in sources:
+        for note in source.notes:
+            of_note.setdefault(note, []).append(source.path.name)
+    return [
+        f"{name}: {note}"
+        for note, names in of_note.items()
+        for name in (names if len(names) <= _SAME_NOTES else [f"{len(names):,} images"])
+    ]
 
 
 def _splits(
