@@ -19,7 +19,7 @@ from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, drop_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, grown_to_what_is_seen
 from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.background_index import BackgroundTile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -258,6 +258,29 @@ def test_the_detector_finds_what_is_not_labelled(tmp_path):
     rows = {row["id"]: (row["labelled"], row["detected"]) for row in record["tiles"]}
     assert rows == {"a": (2, 0), "b": (0, 0), "c": (0, 1), "d": (0, 1), "e": (0, 1)}
     assert record["vehicles_from"] == ["labels", "reds"]
+
+
+def test_labels_grow_to_what_the_detector_sees_of_the_same_vehicle():
+    label = torch.tensor([[10.0, 10.0, 42.0, 42.0], [100.0, 10.0, 132.0, 42.0]])
+    seen = torch.tensor(
+        [[6.0, 14.0, 47.0, 38.0], [8.0, 12.0, 44.0, 40.0], [200.0, 0.0, 240.0, 9.0]]
+    )
+    grown = grown_to_what_is_seen(label, Detections(seen, torch.tensor([0.9, 0.8, 0.7])))
+    # The second is likest: what is left of the label stays, bumpers on both sides are added.
+    assert grown.tolist() == [[8.0, 10.0, 44.0, 42.0], [100.0, 10.0, 132.0, 42.0]]
+    nothing = Detections(torch.zeros(0, 4), torch.zeros(0))
+    assert torch.equal(grown_to_what_is_seen(label, nothing), label)
+
+
+def test_no_bumper_of_a_point_label_is_left(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="acde")
+    # The label says 10 px less at either end than the vehicle is long.
+    change_rows(folder / "validation", bbox=[50.0, 40.0, 10.0, 14.0])
+    left, _ = cleared(folder, tmp_path / "labels")
+    assert reds(left, "c")
+    grown, record = cleared(folder, tmp_path / "seen", finder=finder())
+    assert not reds(grown, "c")
+    assert {row["id"]: (row["labelled"], row["detected"]) for row in record["tiles"]}["c"] == (1, 0)
 
 
 def test_a_detection_below_the_detectors_threshold_is_left_alone(tmp_path):

@@ -30,6 +30,7 @@ from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_finder import (
     VehicleFinder,
     check_resolution,
+    grown_to_what_is_seen,
     other_vehicles,
 )
 from skyproof.imagery.clearing.vehicle_masks import (
@@ -246,7 +247,9 @@ def _find(
     else:
         threshold = finder.loaded.threshold
         lowest_score = threshold if settings.finding_score is None else settings.finding_score
-        detections = other_vehicles(finder.detections(image, lowest_score), labelled)
+        everything = finder.detections(image, lowest_score)
+        detections = other_vehicles(everything, labelled)
+        labelled = grown_to_what_is_seen(labelled, everything)
         detected = detections.boxes
         # Much of what is removed to be safe is no vehicle.
         sure = detected[detections.scores >= threshold]

@@ -14,7 +14,7 @@ from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["VehicleFinder", "check_resolution", "other_vehicles"]
+__all__ = ["VehicleFinder", "check_resolution", "grown_to_what_is_seen", "other_vehicles"]
 
 SAME_VEHICLE_IOU = 0.3
 
@@ -53,6 +53,25 @@ def other_vehicles(detections: Detections, known: Float[Tensor, "n 4"]) -> Detec
         return detections
     other = ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU
     return Detections(boxes[other], detections.scores[other])
+
+
+def grown_to_what_is_seen(
+    known: Float[Tensor, "n 4"], detections: Detections
+) -> Float[Tensor, "n 4"]:
+    """Grows known boxes so that they hold the same vehicles as they were detected.
+
+    A label that is a point stands for a square, beyond which bumpers would be left. Of several
+    detections of one vehicle (IoU of at least 0.3) the likest counts; no box shrinks.
+    """
+    boxes = detections.boxes
+    if not len(known) or not len(boxes):
+        return known
+    likeness, nearest = ops.box_iou(known, boxes).max(dim=1)
+    seen = boxes[nearest]
+    grown = torch.cat(
+        [torch.minimum(known[:, :2], seen[:, :2]), torch.maximum(known[:, 2:], seen[:, 2:])], dim=1
+    )
+    return torch.where((likeness >= SAME_VEHICLE_IOU)[:, None], grown, known)
 
 
 def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
