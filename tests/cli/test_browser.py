@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import shutil
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,6 +120,53 @@ COLOURS = """async (hex) => {
   return new Set(data).size;
 }"""
 """How many colours a PNG has."""
+
+
+def test_a_model_of_a_stranger_fetches_nothing(page: Any) -> None:
+    # A fetch would be among the faults that the fixture looks at.
+    page.evaluate(
+        "(model) => document.querySelectorAll('[data-model]').forEach("
+        "(place) => { place.dataset.model = model; })",
+        base64.b64encode(_naming("http://127.0.0.1:9/picture.png")).decode(),
+    )
+    refused: list[str] = []
+    page.on("console", lambda message: refused.append(message.text))
+    page.locator("button.turn").first.click()
+    page.wait_for_timeout(1500)
+    assert any("Content Security Policy" in text for text in refused)
+
+
+def _naming(address: str) -> bytes:
+    """A triangle as GLB whose texture lies elsewhere."""
+    places = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"mesh": 0}, {"camera": 0}],
+        "cameras": [{"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": address}],
+        "buffers": [{"byteLength": len(places)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(places)}],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": 3,
+                "type": "VEC3",
+                "min": [0, 0, 0],
+                "max": [1, 1, 0],
+            }
+        ],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(places), b"BIN\0") + places
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def test_without_webgl_the_page_says_so(finished: Path, playwright: Any) -> None:

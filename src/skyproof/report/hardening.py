@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -60,7 +61,7 @@ def hardening(
     needed = (layout.backgrounds / "index.json", fleet, layout.scenes("test"))
     if not ranked or not all(place.exists() for place in needed):
         return None
-    names = [_folder(results, headline.camouflage) for headline in ranked]
+    names = [shlex.quote(str(_folder(results, headline.camouflage))) for headline in ranked]
     shown = " and ".join(str(headline.camouflage) for headline in ranked)
     images = [
         f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most: add images of vehicles in such "

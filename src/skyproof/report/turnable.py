@@ -14,6 +14,12 @@ __all__ = ["PLACE_OF_MODEL", "model", "viewer"]
 PLACE_OF_MODEL = "@MODEL@"
 """Stands in the viewer where the model goes, in base64."""
 
+# A model may name pictures elsewhere; nothing is fetched.
+_POLICY = (
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    'connect-src data: blob:">'
+)
 # The viewer shows linear light as if it were sRGB, in the light of one lamp: whites burn out and
 # sides are black. Its own variables are set before the model has been read.
 _LIGHT = """<script>
@@ -45,4 +51,7 @@ def viewer() -> str:
     parts = page.split(base64.b64encode(some.export(file_type="glb")).decode())
     if len(parts) != 2:
         raise RuntimeError("trimesh's viewer does not hold its model once, in base64")
-    return base64.b64encode((PLACE_OF_MODEL.join(parts) + _LIGHT).encode()).decode()
+    page = PLACE_OF_MODEL.join(parts).replace("<head>", f"<head>{_POLICY}", 1) + _LIGHT
+    if _POLICY not in page:
+        raise RuntimeError("trimesh's viewer has no head to put a policy into")
+    return base64.b64encode(page.encode()).decode()
