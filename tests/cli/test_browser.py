@@ -6,7 +6,7 @@ import base64
 import json
 import shutil
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,15 @@ def _note(url: str, faults: list[str]) -> None:
         faults.append(url)
 
 
+def _until(page: Any, holds: Callable[[], bool]) -> None:
+    """Waits for what must come; a busy machine draws slowly."""
+    for _ in range(120):
+        if holds():
+            return
+        page.wait_for_timeout(500)
+    raise AssertionError("it did not come within a minute")
+
+
 def test_the_page_fits_and_its_pictures_show(page: Any) -> None:
     wide, visible = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide <= visible
@@ -91,18 +100,15 @@ def test_a_vehicle_is_turned_and_put_away(page: Any) -> None:
     view = page.locator("iframe").first
     canvas = page.frame_locator("iframe").locator("canvas")
     canvas.wait_for()
-    page.wait_for_timeout(1500)
-    before = view.screenshot()
-    colours = page.evaluate(COLOURS, before.hex())
     # A vehicle in a pattern, and not the even background of a viewer that shows nothing.
-    assert colours > 300
+    _until(page, lambda: page.evaluate(COLOURS, view.screenshot().hex()) > 300)
+    before = view.screenshot()
     box = view.bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.down()
     page.mouse.move(box["x"] + box["width"] / 5, box["y"] + box["height"] / 2, steps=8)
     page.mouse.up()
-    page.wait_for_timeout(800)
-    assert view.screenshot() != before
+    _until(page, lambda: view.screenshot() != before)
     button.click()
     assert page.locator("iframe").count() == 0
     assert "in 3D" in button.inner_text()
@@ -132,8 +138,7 @@ def test_a_model_of_a_stranger_fetches_nothing(page: Any) -> None:
     refused: list[str] = []
     page.on("console", lambda message: refused.append(message.text))
     page.locator("button.turn").first.click()
-    page.wait_for_timeout(1500)
-    assert any("Content Security Policy" in text for text in refused)
+    _until(page, lambda: any("Content Security Policy" in text for text in refused))
 
 
 def _naming(address: str) -> bytes:
