@@ -19,6 +19,7 @@ from checkmaite.core.report import InlineTextReport
 from pydantic import Field
 
 from skyproof.maite.metric import HiddenVehicles
+from skyproof.maite.targets import batches
 
 __all__ = [
     "SkyproofCamouflage",
@@ -146,11 +147,8 @@ class SkyproofCamouflage(
         hidden: dict[str, dict[str, Any]] = {}
         for dataset in camouflaged:
             metric.reset()
-            for start in range(0, len(dataset), config.batch_size):
-                end = min(start + config.batch_size, len(dataset))
-                batch = [dataset[index] for index in range(start, end)]
-                images, targets, metadata = zip(*batch, strict=True)
-                metric.update(model(list(images)), targets, metadata)
+            for images, targets, metadata in batches(dataset, config.batch_size):
+                metric.update(model(images), targets, metadata)
             hidden[dataset.metadata["id"]] = metric.compute()
         return SkyproofCamouflageOutputs(hidden=hidden)
 

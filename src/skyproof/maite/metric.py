@@ -12,7 +12,8 @@ import torch
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
-from skyproof.maite.targets import found_vehicles
+from skyproof.maite.targets import batches, found_vehicles
+from skyproof.results.pairs.tiles import column_of_pair
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.rates import (
@@ -92,11 +93,9 @@ class HiddenVehicles:
         self._unchanged: set[str] = set()
         self._before: dict[_Vehicle, _Seen] = {}
         self.reset()
-        for start in range(0, len(dataset), batch_size):
-            data = [dataset[index] for index in range(start, min(start + batch_size, len(dataset)))]
-            images, targets, metadata = zip(*data, strict=True)
+        for images, targets, metadata in batches(dataset, batch_size):
             self._unchanged |= {str(known["id"]) for known in metadata}
-            self._before |= self._seen(model(list(images)), targets, metadata)
+            self._before |= self._seen(model(images), targets, metadata)
 
     def reset(self) -> None:
         """Forgets the changed images, not the unchanged ones."""
@@ -150,9 +149,7 @@ class HiddenVehicles:
         for before, after in pairs:
             # A vehicle that the change put out of sight is not found.
             found = after is not None and after.found
-            column = {(True, True): 0, (True, False): 1, (False, True): 2}.get(
-                (before.found, found)
-            )
+            column = column_of_pair(before=before.found, after=found)
             if column is not None:
                 counts[0, row[before.place, before.vehicle], column] += 1
         both, lost, gained = (int(number) for number in counts.sum((0, 1)))

@@ -5,7 +5,7 @@ MAITE's protocols are structural, so nothing here imports the library.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
-__all__ = ["LABELS", "Batch", "Target", "bytes_of", "found_vehicles"]
+__all__ = ["LABELS", "Batch", "Target", "batches", "bytes_of", "found_vehicles"]
 
 LABELS = {0: "vehicle"}
 """Our detectors and datasets know one class."""
@@ -50,6 +50,14 @@ class Target:
             if scores is None
             else scores.detach().cpu().numpy().astype(np.float32),
         )
+
+
+def batches(dataset: Any, size: int) -> Iterator[Batch]:
+    """Reads a MAITE dataset, some images at a time."""
+    for start in range(0, len(dataset), size):
+        data = [dataset[index] for index in range(start, min(start + size, len(dataset)))]
+        images, targets, metadata = zip(*data, strict=True)
+        yield list(images), list(targets), list(metadata)
 
 
 def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:

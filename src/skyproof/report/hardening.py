@@ -17,7 +17,6 @@ from skyproof.scenes.scene import read_scenes
 __all__ = ["Hardening", "hardening", "readings"]
 
 _STRONGEST = 2
-_SIZES = ("slim", "wide", "full")
 
 
 @dataclass(frozen=True)
@@ -70,11 +69,13 @@ def hardening(
         "with those of the test."
     ]
     for headline in ranked:
-        for panel, most, _ in _clear(panels(results, headline)):
-            images.append(
-                f"{headline.camouflage} hides most at {panel.title.lower()} {_told(most)}: see "
-                "that such views are among them."
-            )
+        for panel in panels(results, headline):
+            extremes = _extremes(panel)
+            if extremes is not None and _apart(*extremes):
+                images.append(
+                    f"{headline.camouflage} hides most at {panel.title.lower()} "
+                    f"{_told(extremes[0])}: see that such views are among them."
+                )
     places = "--backgrounds backgrounds --fleet fleets/attack"
     size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
     commands = [
@@ -102,13 +103,13 @@ def hardening(
 
 def readings(panels: Sequence[Panel]) -> list[str]:
     """Says in one sentence per panel whether the intervals of its extremes part company."""
-    clear = {id(panel): (most, least) for panel, most, least in _clear(panels)}
     sentences = []
     for panel in panels:
-        if len(_known(panel)) < 2:
+        extremes = _extremes(panel)
+        if extremes is None:
             continue
-        if id(panel) in clear:
-            most, least = clear[id(panel)]
+        most, least = extremes
+        if _apart(most, least):
             sentences.append(
                 f"{panel.title}: most hidden at {_told(most)}, least at {_told(least)}; the "
                 "intervals do not overlap."
@@ -118,23 +119,17 @@ def readings(panels: Sequence[Panel]) -> list[str]:
     return sentences
 
 
-def _clear(panels: Sequence[Panel]) -> list[tuple[Panel, Bin, Bin]]:
-    """Gives the panels whose extremes do not overlap, with the most and the least hidden."""
-    found = []
-    for panel in panels:
-        known = _known(panel)
-        if len(known) < 2:
-            continue
-        least = min(known, key=lambda bar: bar.rate.estimate)
-        most = max(known, key=lambda bar: bar.rate.estimate)
-        if most.rate.low > least.rate.high:
-            found.append((panel, most, least))
-    return found
+def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
+    """Gives the bins where most and least is hidden; None where fewer than two have limits."""
+    known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+    if len(known) < 2:
+        return None
+    least = min(known, key=lambda bar: bar.rate.estimate)
+    return max(known, key=lambda bar: bar.rate.estimate), least
 
 
-def _known(panel: Panel) -> list[Bin]:
-    # An interval that is undefined has no limits.
-    return [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+def _apart(most: Bin, least: Bin) -> bool:
+    return most.rate.low > least.rate.high
 
 
 def _told(bar: Bin) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from affine import Affine
@@ -106,8 +107,9 @@ class Grid:
         """Counts about how many cells its sources fill, each alone or, where none can, together."""
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
         alone = sum(len(columns) * len(rows) for columns, rows in ranges)
-        return alone or len(self.filled())
+        return alone or len(self.filled)
 
+    @cached_property
     def filled(self) -> dict[tuple[int, int], list[int]]:
         """Returns the cells that its sources together may fill: row and column to their numbers.
 
@@ -274,7 +276,7 @@ def cells_of(grid: Grid) -> list[Cell]:
     """
     side_m = grid.size_px * grid.gsd_m
     cells = []
-    for (row, column), numbers in grid.filled().items():
+    for (row, column), numbers in grid.filled.items():
         left_m, top_m = grid.left_m + column * side_m, grid.top_m - row * side_m
         offset_px = (column * grid.size_px, row * grid.size_px)
         if grid.crs is None:

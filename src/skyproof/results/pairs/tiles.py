@@ -26,6 +26,7 @@ __all__ = [
     "Cell",
     "Series",
     "TileCounts",
+    "column_of_pair",
     "count_cells",
     "count_tiles",
     "read_tiles",
@@ -168,14 +169,18 @@ def read_tiles(path: Path) -> TileCounts:
     return TileCounts(tuple(cells), dict(zip(named, dense[order], strict=True)))
 
 
-def _column(outcome: Outcome) -> int | None:
-    """Says in which of (both, lost, gained) an outcome counts.
+def column_of_pair(*, before: bool, after: bool) -> int | None:
+    """Says in which of (both, lost, gained) a vehicle counts that was found, or not, in two images.
 
-    It is None where the vehicle was missed in both images.
+    It is None where the vehicle was missed in both.
     """
-    if outcome.detected_original:
-        return 0 if outcome.detected_adversarial else 1
-    return 2 if outcome.detected_adversarial else None
+    if before:
+        return 0 if after else 1
+    return 2 if after else None
+
+
+def _column(outcome: Outcome) -> int | None:
+    return column_of_pair(before=outcome.detected_original, after=outcome.detected_adversarial)
 
 
 def _coded(table: pa.Table, name: str) -> tuple[list[str], Int[np.ndarray, " rows"]]:
