@@ -13,11 +13,11 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.maite.targets import batches, found_vehicles
-from skyproof.results.pairs.tiles import column_of_pair
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.rates import (
     attack_success_rate,
+    column_of_pair,
     enhancement_rate,
 )
 from skyproof.results.statistics.sample import Sample

@@ -21,12 +21,12 @@ from skyproof.files import write_beside
 from skyproof.ranges import Name
 from skyproof.results.pairs.outcomes import Match, Outcome
 from skyproof.results.pairs.parquet import REMEDY, read_table
+from skyproof.results.statistics.rates import column_of_pair
 
 __all__ = [
     "Cell",
     "Series",
     "TileCounts",
-    "column_of_pair",
     "count_cells",
     "count_tiles",
     "read_tiles",
@@ -167,16 +167,6 @@ def read_tiles(path: Path) -> TileCounts:
     order = np.argsort(first)
     named = [Series(*(names[field][code] for field, code in enumerate(keys[row]))) for row in order]
     return TileCounts(tuple(cells), dict(zip(named, dense[order], strict=True)))
-
-
-def column_of_pair(*, before: bool, after: bool) -> int | None:
-    """Says in which of (both, lost, gained) a vehicle counts that was found, or not, in two images.
-
-    It is None where the vehicle was missed in both.
-    """
-    if before:
-        return 0 if after else 1
-    return 2 if after else None
 
 
 def _column(outcome: Outcome) -> int | None:

@@ -13,10 +13,21 @@ from jaxtyping import Float, Num
 
 __all__ = [
     "attack_success_rate",
+    "column_of_pair",
     "enhancement_rate",
     "false_alarms_per_km2",
     "overall_attack_success_rate",
 ]
+
+
+def column_of_pair(*, before: bool, after: bool) -> int | None:
+    """Says in which of (both, lost, gained) a vehicle counts that was found, or not, in two images.
+
+    It is None where the vehicle was missed in both.
+    """
+    if before:
+        return 0 if after else 1
+    return 2 if after else None
 
 
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
