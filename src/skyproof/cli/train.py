@@ -22,7 +22,7 @@ class Train:
     A training that was stopped goes on where it was.
 
     Attributes:
-        detector: retinanet, faster_rcnn or yolov5.
+        detector: retinanet, faster_rcnn, yolov5 or yolov5_anchors.
         data: dataset folder to train on.
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.

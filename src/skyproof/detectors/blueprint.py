@@ -39,7 +39,7 @@ GhostConv HGBlock HGStem PSA RepC3 RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN S
 nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample nn.ZeroPad2d
 """
 _LAYERS = frozenset(_LAYER_NAMES.split())
-_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+)?\)")
+_ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
 ClassName = Annotated[str, Meta(max_length=200)]
 Classes = Annotated[list[ClassName], Meta(max_length=5000)]
@@ -63,6 +63,11 @@ _Scale = Annotated[float, Meta(gt=0, le=16)]
 _Limit = Annotated[float, Meta(gt=0, le=65_536)]
 
 
+_Anchors = Annotated[
+    list[Annotated[float, Meta(gt=0, le=65_536)]], Meta(min_length=2, max_length=20)
+]
+
+
 class _Architecture(msgspec.Struct):
     """The fields of an Ultralytics architecture that are no plain values."""
 
@@ -76,6 +81,8 @@ class _Architecture(msgspec.Struct):
     nc: Annotated[int, Meta(ge=1, le=5000)] = 80
     scales: Annotated[dict[str, tuple[_Scale, _Scale, _Limit]], Meta(max_length=100)] | None = None
     kpt_shape: _Few | None = None
+    # Of the YOLOv5 of 2020 alone: width, height, width, height, ... per level, pixels.
+    anchors: Annotated[list[_Anchors], Meta(min_length=1, max_length=5)] | None = None
 
 
 @dataclass(frozen=True)
@@ -155,6 +162,8 @@ def check_layers(architecture: Any) -> None:
             f"the network ends in {head!r}, not in one of {', '.join(HEADS)}; give one that "
             "finds boxes."
         )
+    if read.anchors is not None:
+        _check_anchors(read, read.anchors)
     if read.activation is not None and not _ACTIVATION.fullmatch(read.activation):
         raise ConfigurationError(
             f"the network's activation {read.activation!r} is not that of a plain layer; give "
@@ -164,6 +173,27 @@ def check_layers(architecture: Any) -> None:
         raise ConfigurationError(
             f"the network takes images of {read.channels} channels; red, green and blue are "
             "expected."
+        )
+
+
+def _check_anchors(read: _Architecture, anchors: list[list[float]]) -> None:
+    """Refuses anchors that are no pairs, or not as many for every level of the head.
+
+    Raises:
+        ConfigurationError: they are not.
+    """
+    sources, _, head, _ = read.head[-1]
+    levels = len(sources) if isinstance(sources, list) else 1
+    if head != "Detect" or len(anchors) != levels or len({len(row) for row in anchors}) > 1:
+        raise ConfigurationError(
+            f"expected as many anchors for each of {levels} levels and a head Detect, got "
+            f"{len(anchors)} levels of {', '.join(str(len(row)) for row in anchors)} numbers and "
+            f"{head}; give a checkpoint as YOLOv5 saves it."
+        )
+    if len(anchors[0]) % 2:
+        raise ConfigurationError(
+            f"anchors are pairs of width and height, got {len(anchors[0])} numbers for a level; "
+            "give a checkpoint as YOLOv5 saves it."
         )
 
 

@@ -9,14 +9,14 @@ from skyproof.errors import ConfigurationError
 
 __all__ = ["DETECTOR_NAMES", "build_detector"]
 
-DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5")
+DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 
 def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
     """Builds an untrained detector on the CPU; its first weights depend on `generator` alone.
 
     Args:
-        name: "retinanet", "faster_rcnn" or "yolov5".
+        name: "retinanet", "faster_rcnn", "yolov5" (YOLOv5u) or "yolov5_anchors" (of 2020).
         size: "slim" (about 1 to 2.5 M parameters, for a CPU), "wide" (2 to 5.3 M, for a CPU at
             up to twice the time) or "full" (9 to 43 M, for a GPU).
         generator: one number is drawn from it.
@@ -38,6 +38,10 @@ def _build(name: str, size: str) -> TrainableDetector:
         from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 
         return YoloV5Detector(size)
+    if name == "yolov5_anchors":
+        from skyproof.detectors.anchor_detector import AnchorDetector, trainable_architecture
+
+        return AnchorDetector(trainable_architecture(size), [0], size)
     if name not in DETECTOR_NAMES:
         raise ConfigurationError(
             f"{name[:100]!r} is no detector; choose from {', '.join(DETECTOR_NAMES)}."

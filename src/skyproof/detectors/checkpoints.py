@@ -19,7 +19,7 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 
-__all__ = ["StandIn", "network_of", "read_checkpoint", "state_of"]
+__all__ = ["StandIn", "activations_of", "network_of", "parts_of", "read_checkpoint", "state_of"]
 
 # An averaged network is the one that is used.
 _WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
@@ -125,6 +125,39 @@ def state_of(network: Any) -> dict[str, Tensor]:
     }
 
 
+def activations_of(network: StandIn) -> set[str]:
+    """Names the activations of torch that a whole stored network computes, such as "SiLU".
+
+    Raises:
+        StoredFileError: the network has no end.
+    """
+    before = "torch.nn.modules.activation."
+    origins = {part.origin for part, _ in parts_of(network)}
+    return {origin.removeprefix(before) for origin in origins if origin.startswith(before)}
+
+
+def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
+    """A stored network and all its parts, each with what the names of its tensors begin with."""
+    waiting = [(network, "")]
+    walked = 0
+    while waiting:
+        module, prefix = waiting.pop()
+        walked += 1
+        if walked > _MOST_MODULES or len(prefix) > _LONGEST_NAME:
+            raise StoredFileError(
+                f"The checkpoint's network has more than {_MOST_MODULES:,} parts, or holds itself; "
+                "give the file of a detector."
+            )
+        yield module, prefix
+        children = [
+            (child, f"{prefix}{name}.")
+            for name, child in _named(module, "_modules")
+            if isinstance(child, StandIn)
+        ]
+        # As a state dict has them: a part with all below it, then the next.
+        waiting += reversed(children)
+
+
 def _foreign_names(path: Path) -> list[str]:
     """Lists the dotted names that the unpickler would refuse.
 
@@ -139,28 +172,12 @@ def _foreign_names(path: Path) -> list[str]:
 
 def _walk(network: StandIn) -> Iterator[tuple[str, Tensor]]:
     """A stored network's tensors under the names its state dict would give them."""
-    waiting = [(network, "")]
-    walked = 0
-    while waiting:
-        module, prefix = waiting.pop()
-        walked += 1
-        if walked > _MOST_MODULES or len(prefix) > _LONGEST_NAME:
-            raise StoredFileError(
-                f"The checkpoint's network has more than {_MOST_MODULES:,} parts, or holds itself; "
-                "give the file of a detector."
-            )
+    for module, prefix in parts_of(network):
         fleeting = vars(module).get("_non_persistent_buffers_set") or ()
         for kind in ("_parameters", "_buffers"):
             for name, value in _named(module, kind):
                 if isinstance(value, Tensor) and not (kind == "_buffers" and name in fleeting):
                     yield prefix + name, value
-        children = [
-            (child, f"{prefix}{name}.")
-            for name, child in _named(module, "_modules")
-            if isinstance(child, StandIn)
-        ]
-        # As a state dict has them: a part with all below it, then the next.
-        waiting += reversed(children)
 
 
 def _named(module: StandIn, kind: str) -> list[tuple[str, Any]]:

@@ -64,7 +64,7 @@ class TrainableDetector(nn.Module):
     """A detector that can be trained and attacked: it knows its own loss.
 
     Attributes:
-        name: "retinanet", "faster_rcnn", "yolov5".
+        name: "retinanet", "faster_rcnn", "yolov5", "yolov5_anchors".
         size: "slim" (CPU) or "full" (GPU).
     """
 

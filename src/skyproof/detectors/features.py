@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torchvision import ops
 
-__all__ = ["FeatureDetector", "anchor_levels", "area_levels", "finest_level", "pool_boxes"]
+__all__ = ["FeatureDetector", "anchor_levels", "area_levels", "pool_boxes", "pool_finest"]
 
 # A vehicle of 36 px spans 4.5 cells of stride 8: one sample in each.
 _SAMPLES = 4
@@ -106,6 +106,21 @@ def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
     return level_of
 
 
-def finest_level(boxes: Float[Tensor, "K 4"]) -> Int[Tensor, " K"]:
-    """Chooses the finest level for every box."""
-    return torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
+def pool_finest(
+    finest: Float[Tensor, "B C _ _"], stride_px: float, boxes: Sequence[Float[Tensor, "_ 4"]]
+) -> list[Float[Tensor, "_ C"]]:
+    """Averages the finest level of a YOLO's pyramid over each box.
+
+    Which levels are to find a vehicle is not told by its size alone there, and levels differ in
+    channels. On the finest one every vehicle has points.
+
+    Args:
+        finest: features of B images.
+        stride_px: of that level.
+        boxes: per image, pixel xyxy.
+    """
+
+    def level_of(places: Tensor) -> Tensor:
+        return torch.zeros(len(places), dtype=torch.int64, device=places.device)
+
+    return pool_boxes([finest], round(finest.shape[-1] * stride_px), boxes, level_of)

@@ -14,12 +14,13 @@ from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.blueprint import Blueprint, plain_architecture
+from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard, installed_version
-from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
+from skyproof.detectors.checkpoints import network_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.imported_torchvision import count_classes
 from skyproof.detectors.loaded import save_detector
+from skyproof.detectors.stored_ultralytics import read_ultralytics
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
@@ -33,10 +34,8 @@ _WITHOUT_EPS = {
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
 }
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-_NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
 # What tables call the average of all detectors.
 _TAKEN = ("mean",)
-_MOST_CLASSES = 5000
 
 
 @dataclass(frozen=True)
@@ -197,44 +196,22 @@ def _torchvision(
 def _ultralytics(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float
 ) -> Blueprint:
-    path = checkpoint.path
     if checkpoint.architecture is not None:
         raise ConfigurationError(
             "an Ultralytics checkpoint holds its architecture; leave --architecture out."
         )
-    origin = network.origin if isinstance(network, StandIn) else "a state dict"
-    if origin not in _NETWORKS:
-        raise StoredFileError(
-            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5u, YOLOv8, "
-            "YOLO11 or later); give a checkpoint that was trained to find boxes."
-        )
-    values = vars(network)
-    names = values.get("names")
-    listed = dict(enumerate(names)) if isinstance(names, list | tuple) else names
-    if not isinstance(listed, dict) or len(listed) > _MOST_CLASSES:
-        raise StoredFileError(
-            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
-        )
-    found = [listed.get(index) for index in range(len(listed))]
-    classes = [name for name in found if isinstance(name, str)]
-    if len(classes) < len(found):
-        raise StoredFileError(
-            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
-        )
-    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
-    if missing or not checkpoint.vehicle_classes:
-        raise ConfigurationError(
-            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
-            f"{', '.join(missing) or 'none'}."
-        )
-    numbers = [classes.index(name) for name in checkpoint.vehicle_classes]
-    try:
-        architecture = plain_architecture(values.get("yaml"))
-        return Blueprint(
-            "ultralytics", architecture, classes, numbers, scale, None, path.name, _sha256(path)
-        )
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path} cannot be imported: {error}") from error
+    path = checkpoint.path
+    stored = read_ultralytics(path, network, state, checkpoint.vehicle_classes)
+    return Blueprint(
+        "ultralytics",
+        stored.architecture,
+        stored.classes,
+        stored.vehicle_classes,
+        scale,
+        None,
+        path.name,
+        _sha256(path),
+    )
 
 
 def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:

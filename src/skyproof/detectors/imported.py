@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from skyproof.detectors.anchor_detector import AnchorDetector
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.common import (
     PADDING_GREY,
@@ -109,8 +110,10 @@ class ImportedDetector(TrainableDetector):
         return functional.pad(images, margins, value=PADDING_GREY) if any(margins) else images
 
 
-def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork:
+def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
     if isinstance(blueprint.architecture, dict):
+        if "anchors" in blueprint.architecture:
+            return AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
         return YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
     return build_torchvision(
         blueprint.architecture,

@@ -101,12 +101,15 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
     ("retinanet", "slim"): replace(_CPU, steps=800),
     ("faster_rcnn", "slim"): _CPU,
     ("yolov5", "slim"): _CPU,
+    ("yolov5_anchors", "slim"): _CPU,
     ("retinanet", "wide"): replace(_CPU, steps=800),
     ("faster_rcnn", "wide"): _CPU,
     ("yolov5", "wide"): _CPU,
+    ("yolov5_anchors", "wide"): _CPU,
     ("retinanet", "full"): _GPU,
     ("faster_rcnn", "full"): _GPU,
     ("yolov5", "full"): _GPU,
+    ("yolov5_anchors", "full"): _GPU,
 }
 
 

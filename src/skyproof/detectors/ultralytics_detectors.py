@@ -5,8 +5,8 @@ requires it; installing the extra `skyproof[yolo]` and using this detector bring
 AGPL-3.0 with it, for network services too.
 
 What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the
-anchor-free head and the task-aligned loss of YOLOv8. The anchor-based YOLOv5 of 2020, which the
-paper may have used, is not in the package.
+anchor-free head and the task-aligned loss of YOLOv8. The anchors of the YOLOv5 of 2020 are ours
+(`anchor_detector`), on the backbone and neck that this file builds.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from torch.nn import functional
 from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
 from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
-from skyproof.detectors.features import finest_level, pool_boxes
+from skyproof.detectors.features import pool_finest
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
-__all__ = ["YoloNetwork", "YoloV5Detector"]
+__all__ = ["YoloNetwork", "YoloV5Detector", "build_model", "yolov5_architecture"]
 
 # Of the layers in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
 WIDTH_FACTORS = {"slim": 0.25, "wide": 0.375, "full": 0.5}
@@ -66,16 +66,14 @@ class YoloV5Detector(TrainableDetector):
 
     def __init__(self, size: str) -> None:
         super().__init__()
-        check_size(size)
         self.size = size
+        architecture = yolov5_architecture(size)
         with _quiet_import():
-            from ultralytics.nn.tasks import DetectionModel, yaml_model_load
+            from ultralytics.nn.tasks import DetectionModel
             from ultralytics.utils import DEFAULT_CFG
 
-            architecture = yaml_model_load("yolov5n.yaml")
-            depth, _, most_channels = architecture["scales"]["n"]
-            architecture["scales"]["n"] = [depth, WIDTH_FACTORS[size], most_channels]
             self.model = DetectionModel(architecture, nc=1, verbose=False)
+        _activate_pooling(self.model, architecture)
         self.model.args = DEFAULT_CFG
         self._criterion: Any = None
 
@@ -130,7 +128,8 @@ class YoloV5Detector(TrainableDetector):
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
         """See `FeatureDetector.features`; of what the head is given."""
-        return _finest_features(self._outputs(images), self.model, boxes)
+        finest = self._outputs(images)["feats"][0]
+        return pool_finest(finest, float(self.model.stride.min()), boxes)
 
     def _outputs(self, images: Tensor) -> dict[str, Any]:
         """Runs the network; the answer is the same in both modes.
@@ -172,21 +171,8 @@ class YoloNetwork(TrainableDetector):
 
     def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
         super().__init__()
-        check_layers(architecture)
         self.vehicle_classes = list(vehicle_classes)
-        with _quiet_import():
-            from ultralytics.nn.tasks import DetectionModel, OBBModel
-
-            kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
-            _refuse_giants(architecture)
-            try:
-                self.model = kind(copy.deepcopy(dict(architecture)), ch=3, verbose=False)
-            except Exception as error:
-                # Whatever a row of numbers can bring about in another library.
-                raise ConfigurationError(
-                    "the installed Ultralytics cannot build the network "
-                    f"({' '.join(str(error).split())[:200]}); install the version that trained it."
-                ) from error
+        self.model = build_model(architecture)
 
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
@@ -228,7 +214,8 @@ class YoloNetwork(TrainableDetector):
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
         """See `FeatureDetector.features`; of what the head is given."""
-        return _finest_features(self._outputs(images), self.model, boxes)
+        finest = self._outputs(images)["feats"][0]
+        return pool_finest(finest, float(self.model.stride.min()), boxes)
 
     def _outputs(self, images: Tensor) -> dict[str, Any]:
         check_images(images)
@@ -239,57 +226,97 @@ class YoloNetwork(TrainableDetector):
         return raw
 
 
-def _finest_features(
-    outputs: Mapping[str, Any], model: Any, boxes: Sequence[Float[Tensor, "_ 4"]]
-) -> list[Float[Tensor, "_ C"]]:
-    """Pools the finest level alone.
+def yolov5_architecture(size: str) -> dict[str, Any]:
+    """Gives Ultralytics' YOLOv5n with another width of its layers.
 
-    The assigner picks points of every level by what the network answers there, so that size alone
-    gives a box no level, and the levels differ in channels. On the finest one every vehicle has
-    points.
+    Raises:
+        ConfigurationError: ultralytics is not installed, or a size that is none of `SIZES`.
     """
-    finest = outputs["feats"][0]
-    width_px = round(finest.shape[-1] * float(model.stride.min()))
-    return pool_boxes([finest], width_px, boxes, finest_level)
+    check_size(size)
+    with _quiet_import():
+        from ultralytics.nn.tasks import yaml_model_load
+
+        architecture: dict[str, Any] = yaml_model_load("yolov5n.yaml")
+    depth, _, most_channels = architecture["scales"]["n"]
+    architecture["scales"]["n"] = [depth, WIDTH_FACTORS[size], most_channels]
+    return architecture
+
+
+def build_model(architecture: Mapping[str, Any]) -> Any:
+    """Builds a stranger's network, its weights yet to be loaded.
+
+    Args:
+        architecture: as `check_layers` describes it.
+
+    Raises:
+        ConfigurationError: as `check_layers`; the network is too large, ultralytics is not
+            installed, or it cannot build the network.
+    """
+    check_layers(architecture)
+    with _quiet_import():
+        from ultralytics.nn.modules.conv import Conv
+        from ultralytics.nn.tasks import DetectionModel, OBBModel
+
+        kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
+        # An architecture's activation is the library's for all networks from then on.
+        usual = Conv.default_act
+        try:
+            _refuse_giants(architecture)
+            model = kind(copy.deepcopy(dict(architecture)), ch=3, verbose=False)
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            # Whatever a row of numbers can bring about in another library.
+            raise ConfigurationError(
+                "the installed Ultralytics cannot build the network "
+                f"({' '.join(str(error).split())[:200]}); install the version that trained it."
+            ) from error
+        finally:
+            Conv.default_act = usual
+    _activate_pooling(model, architecture)
+    return model
+
+
+def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
+    """Activates the first convolution of each SPPF whose row has no number of poolings.
+
+    So the later releases of Ultralytics 8.4 do and all before 8.4; those between do not.
+    """
+    rows = [*architecture["backbone"], *architecture["head"]]
+    for layer, (_, _, name, given) in zip(model.model, rows, strict=True):
+        if name == "SPPF" and len(given) < 3:
+            blocks: Any = layer if isinstance(layer, torch.nn.Sequential) else [layer]
+            for block in blocks:
+                block.cv1.act = block.cv2.act
 
 
 def _refuse_giants(architecture: Mapping[str, Any]) -> None:
     """Builds a network without memory for its numbers, and runs it so, to count them first.
 
     Raises:
-        ConfigurationError: it has too many, or it cannot be built.
+        ConfigurationError: it has too many.
     """
     from ultralytics.nn.tasks import parse_model
 
     plan = copy.deepcopy(dict(architecture))
     answers: list[Tensor | None] = []
-    count = 0
-    try:
-        with torch.device("meta"), torch.no_grad():
-            layers, kept = parse_model(plan, ch=3, verbose=False)
-            _refuse_wide_windows(layers)
-            count = sum(parameter.numel() for parameter in layers.parameters())
-            answer: Any = torch.zeros(1, 3, 256, 256)
-            # The head's own answers are as small as what it is given.
-            for layer in list(layers)[:-1]:
-                if layer.f != -1:
-                    sources = [layer.f] if isinstance(layer.f, int) else layer.f
-                    given = [answer if source == -1 else answers[source] for source in sources]
-                    answer = given[0] if isinstance(layer.f, int) else given
-                answer = layer(answer)
-                parts = answer if isinstance(answer, list | tuple) else [answer]
-                count += sum(part.numel() for part in parts)
-                answers.append(answer if layer.i in kept else None)
-                if count > MOST_NUMBERS:
-                    break
-    except ConfigurationError:
-        raise
-    except Exception as error:
-        # Whatever a row of numbers can bring about in another library.
-        raise ConfigurationError(
-            "the installed Ultralytics cannot build the network "
-            f"({' '.join(str(error).split())[:200]}); install the version that trained it."
-        ) from error
+    with torch.device("meta"), torch.no_grad():
+        layers, kept = parse_model(plan, ch=3, verbose=False)
+        _refuse_wide_windows(layers)
+        count = sum(parameter.numel() for parameter in layers.parameters())
+        answer: Any = torch.zeros(1, 3, 256, 256)
+        # The head's own answers are as small as what it is given.
+        for layer in list(layers)[:-1]:
+            if layer.f != -1:
+                sources = [layer.f] if isinstance(layer.f, int) else layer.f
+                given = [answer if source == -1 else answers[source] for source in sources]
+                answer = given[0] if isinstance(layer.f, int) else given
+            answer = layer(answer)
+            parts = answer if isinstance(answer, list | tuple) else [answer]
+            count += sum(part.numel() for part in parts)
+            answers.append(answer if layer.i in kept else None)
+            if count > MOST_NUMBERS:
+                break
     if count > MOST_NUMBERS:
         raise ConfigurationError(
             f"the network would hold more than {MOST_NUMBERS:,} numbers; no detector needs so many."

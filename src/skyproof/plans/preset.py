@@ -31,7 +31,7 @@ PRESETS = {
 """The paper's tables in small and in full, the training of the shipped detectors, and the headline
 attacks on three trainings of each detector."""
 
-Known = Literal["retinanet", "faster_rcnn", "yolov5"]
+Known = Literal["retinanet", "faster_rcnn", "yolov5", "yolov5_anchors"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
 _Magnitudes = Annotated[tuple[_Magnitude, ...], Meta(max_length=100)]
 _Few = Annotated[int, Meta(ge=1, le=100)]

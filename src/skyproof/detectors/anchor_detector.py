@@ -1,0 +1,117 @@
+"""The YOLOv5 of 2020, with anchors and objectness: ours to train, and imported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.detectors.anchor_head import AnchorAnswers, AnchorHead, anchor_loss
+from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
+from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.features import pool_finest
+from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
+
+__all__ = ["AnchorDetector", "trainable_architecture"]
+
+# Of release 7.0, for three levels; chosen on COCO. A vehicle of 4 m at 12.5 cm per pixel is of like
+# size (up to four times, down to a fourth) with six of the nine.
+_ANCHORS_PX = (
+    (10, 13, 16, 30, 33, 23),
+    (30, 61, 62, 45, 59, 119),
+    (116, 90, 156, 198, 373, 326),
+)
+
+
+class AnchorDetector(TrainableDetector):
+    """Ultralytics' backbone and neck, the head and loss of the YOLOv5 of 2020 (section 5.3).
+
+    Args:
+        architecture: as `check_layers` has passed it, with "anchors" per level.
+        vehicle_classes: whose best score is the vehicle's.
+        size: as tables show it.
+
+    Raises:
+        ConfigurationError: as `build_model`.
+    """
+
+    name = "yolov5_anchors"
+    model: Any
+
+    def __init__(
+        self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int], size: str
+    ) -> None:
+        super().__init__()
+        self.size = size
+        self.vehicle_classes = list(vehicle_classes)
+        plain = {name: value for name, value in architecture.items() if name != "anchors"}
+        *necks, (sources, _, _, _) = architecture["head"]
+        # Built with Ultralytics' own head for one class, which tells channels and strides, and
+        # whose number of classes cannot be taken for a number of channels.
+        plain |= {"nc": 1, "head": [*necks, [sources, 1, "Detect", ["nc"]]]}
+        self.model = build_model(plain)
+        replaced = self.model.model[-1]
+        head: Any = AnchorHead(
+            [branch[0].conv.in_channels for branch in replaced.cv2],
+            architecture["nc"],
+            [list(zip(row[::2], row[1::2], strict=True)) for row in architecture["anchors"]],
+            self.model.stride.tolist(),
+        )
+        # What Ultralytics' model asks of every layer: where its input is from, and its number.
+        head.f, head.i, head.type = replaced.f, replaced.i, "AnchorHead"
+        self.model.model[-1] = head
+
+    def loss(
+        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
+    ) -> Float[Tensor, " B"]:
+        """YOLOv5's own loss, image by image (`anchor_loss`).
+
+        Against an empty truth nothing is to be an object, whatever class it shows.
+        """
+        check_targets(images, targets)
+        return anchor_loss(self._head, self._answers(images), targets)
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor's box; objectness times the score of its best vehicle class."""
+        answers = self._answers(images)
+        classes = self._head.classes(answers)[..., self.vehicle_classes].amax(dim=-1)
+        scores = self._head.objectness(answers).sigmoid() * classes.sigmoid()
+        boxes = self._head.boxes(answers)
+        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    @torch.no_grad()
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+        """See `Detector.detect`."""
+        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
+
+    @torch.no_grad()
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`; of what the head is given."""
+        return pool_finest(self._answers(images).features[0], self._head.strides_px[0], boxes)
+
+    @property
+    def _head(self) -> AnchorHead:
+        head = self.model.model[-1]
+        assert isinstance(head, AnchorHead)
+        return head
+
+    def _answers(self, images: Tensor) -> AnchorAnswers:
+        check_images(images)
+        stride_px = int(max(32, *self._head.strides_px))
+        # 114/255 is the grey YOLOv5 pads with.
+        answers: AnchorAnswers = self.model(pad_to_stride(images, 114 / 255, stride_px))
+        return answers
+
+
+def trainable_architecture(size: str) -> dict[str, Any]:
+    """Gives the architecture of ours for one class: YOLOv5n ("slim") to YOLOv5s ("full").
+
+    Raises:
+        ConfigurationError: as `yolov5_architecture`.
+    """
+    return {**yolov5_architecture(size), "nc": 1, "anchors": [list(row) for row in _ANCHORS_PX]}

@@ -1,0 +1,163 @@
+"""What builds the network of an Ultralytics checkpoint, told from the network that it stores."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from skyproof.detectors.blueprint import plain_architecture
+from skyproof.detectors.checkpoints import StandIn, activations_of, parts_of
+from skyproof.errors import ConfigurationError, StoredFileError
+
+__all__ = ["StoredNetwork", "read_ultralytics"]
+
+_NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
+# Of the repository of 2020, as a checkout and as the package of that name.
+_ANCHOR_NETWORKS = tuple(
+    f"{package}models.yolo.{name}"
+    for package in ("", "yolov5.")
+    for name in ("Model", "DetectionModel")
+)
+_MOST_CLASSES = 5000
+
+
+@dataclass(frozen=True)
+class StoredNetwork:
+    """What a checkpoint of Ultralytics says of its network; see `Blueprint`."""
+
+    architecture: dict[str, Any]
+    classes: list[str]
+    vehicle_classes: list[int]
+
+
+def read_ultralytics(
+    path: Path, network: Any, state: dict[str, Tensor], vehicle_classes: Sequence[str]
+) -> StoredNetwork:
+    """Reads architecture and classes.
+
+    Args:
+        path: of the checkpoint, for messages.
+        network: as `network_of` finds it.
+        state: of it; loses the anchors of 2020, which become a part of the architecture.
+        vehicle_classes: names of the classes that are vehicles.
+
+    Raises:
+        StoredFileError: another network, or one without class names.
+        ConfigurationError: a class that is not there, or an architecture that cannot be built here.
+    """
+    origin = network.origin if isinstance(network, StandIn) else "a state dict"
+    if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
+        raise StoredFileError(
+            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5, YOLOv8, "
+            "YOLO11 or later); give a checkpoint that was trained to find boxes."
+        )
+    classes = _class_names(path, vars(network).get("names"))
+    missing = [name for name in vehicle_classes if name not in classes]
+    if missing or not vehicle_classes:
+        raise ConfigurationError(
+            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
+            f"{', '.join(missing) or 'none'}."
+        )
+    stored = vars(network).get("yaml")
+    plain = {name: value for name, value in _items(stored) if name != "anchors"}
+    try:
+        if origin in _ANCHOR_NETWORKS:
+            plain = _with_anchors(network, state, plain)
+        else:
+            plain = _with_pooling(network, plain)
+        architecture = plain_architecture(plain)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path} cannot be imported: {error}") from error
+    return StoredNetwork(architecture, classes, [classes.index(name) for name in vehicle_classes])
+
+
+def _class_names(path: Path, names: Any) -> list[str]:
+    listed = dict(enumerate(names)) if isinstance(names, list | tuple) else names
+    found: list[Any] = []
+    if isinstance(listed, dict) and len(listed) <= _MOST_CLASSES:
+        found = [listed.get(index) for index in range(len(listed))]
+    classes = [name for name in found if isinstance(name, str)]
+    if not classes or len(classes) < len(found):
+        raise StoredFileError(
+            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
+        )
+    return classes
+
+
+def _with_anchors(
+    network: StandIn, state: dict[str, Tensor], stored: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Completes the architecture of a YOLOv5 of 2020 with the anchors that it was trained with.
+
+    Those of its YAML file may be others: its trainer replaces them where they fit its boxes badly.
+
+    Raises:
+        ConfigurationError: it holds no anchors, or activations that its layers do not have here.
+    """
+    cells = next((state.pop(name) for name in list(state) if name.endswith(".anchors")), None)
+    # Until release 5.0 they are stored a second time, in pixels.
+    for name in [name for name in state if name.endswith(".anchor_grid")]:
+        del state[name]
+    strides = vars(network).get("stride")
+    *rows, last = stored.get("head") or [None]
+    if (
+        cells is None
+        or cells.ndim != 3
+        or not isinstance(strides, Tensor)
+        or strides.shape != cells.shape[:1]
+        or not isinstance(last, list | tuple)
+        or len(last) != 4
+    ):
+        raise ConfigurationError(
+            "its network holds no anchors, or no strides for them; give a checkpoint as YOLOv5 "
+            "saves it."
+        )
+    wanted = re.search(r"nn\.(\w+)", str(stored.get("activation") or "nn.SiLU"))
+    found = activations_of(network)
+    if wanted is None or found - {wanted[1]}:
+        raise ConfigurationError(
+            f"its layers compute {', '.join(sorted(found))}, as those of releases before 4.0 "
+            "(January 2021) do, but SiLU is expected; train it with a later release."
+        )
+    pixels = (cells.double() * strides.double().view(-1, 1, 1)).flatten(1).tolist()
+    # The head's arguments were the number of classes and the anchors.
+    return {**stored, "head": [*rows, [*last[:3], ["nc"]]], "anchors": pixels}
+
+
+def _with_pooling(network: StandIn, stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Says in the rows of pooling layers (SPPF) whether their first convolution is activated.
+
+    Ultralytics 8.4.0 took the activation away for YOLO26, whose rows say the number of poolings. At
+    first it did so for all networks; later not for those whose rows do not say it. What a network
+    was trained with is told by what it stores alone.
+    """
+    bare = {
+        prefix.split(".")[1]
+        for part, prefix in parts_of(network)
+        if prefix.endswith(".cv1.act.") and part.origin == "torch.nn.modules.linear.Identity"
+    }
+    told = dict(stored)
+    number = 0
+    for section in ("backbone", "head"):
+        rows = stored.get(section)
+        if not isinstance(rows, list | tuple):
+            continue
+        told[section] = []
+        for row in rows:
+            if isinstance(row, list | tuple) and len(row) == 4 and row[2] == "SPPF":
+                source, count, name, given = row
+                # Channels, side of the window; three poolings are usual.
+                if isinstance(given, list | tuple) and len(given) < 3 and str(number) in bare:
+                    row = [source, count, name, [*given, *[5, 3][len(given) - 1 :]]]
+            told[section].append(row)
+            number += 1
+    return told
+
+
+def _items(stored: Any) -> list[tuple[Any, Any]]:
+    return list(stored.items())[:100] if isinstance(stored, Mapping) else []
