@@ -11,15 +11,14 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 
-YOLO = pytest.param(
-    "yolov5",
-    marks=[
-        pytest.mark.yolo,
-        pytest.mark.skipif(
-            importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"
-        ),
-    ],
-)
+NEEDS_YOLO = [
+    pytest.mark.yolo,
+    pytest.mark.skipif(
+        importlib.util.find_spec("ultralytics") is None, reason="ultralytics is not installed"
+    ),
+]
+YOLO = pytest.param("yolov5", marks=NEEDS_YOLO)
+YOLO_ANCHORS = pytest.param("yolov5_anchors", marks=NEEDS_YOLO)
 
 
 def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,12 +26,12 @@ def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
 
     It is not imported here, as that would patch other libraries.
     """
-    for mark in YOLO.marks:
+    for mark in NEEDS_YOLO:
         test = mark(test)
     return test
 
 
-NAMES = ["retinanet", "faster_rcnn", YOLO]
+NAMES = ["retinanet", "faster_rcnn", YOLO, YOLO_ANCHORS]
 
 
 def bar_images(count: int, size_px: int = 96, *, seed: int) -> Dataset:

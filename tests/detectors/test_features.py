@@ -17,7 +17,6 @@ from skyproof.detectors.features import (
     FeatureDetector,
     anchor_levels,
     area_levels,
-    finest_level,
     pool_boxes,
 )
 from skyproof.detectors.imported import ImportedDetector
@@ -103,10 +102,6 @@ def test_imported_at_another_resolution(architecture: str) -> None:
         else replace(PLAN, architecture=architecture)
     )
     check_features(ImportedDetector("mine", replace(plan, image_scale=2.0)).eval())
-
-
-def test_the_finest_level_for_all() -> None:
-    assert finest_level(BOXES[2]).tolist() == [0, 0]
 
 
 def test_a_black_box_shows_no_features() -> None:

@@ -57,7 +57,7 @@ class AnchorDetector(TrainableDetector):
         head: Any = AnchorHead(
             [branch[0].conv.in_channels for branch in replaced.cv2],
             architecture["nc"],
-            [list(zip(row[::2], row[1::2], strict=True)) for row in architecture["anchors"]],
+            torch.tensor(architecture["anchors"], dtype=torch.float32).unflatten(1, (-1, 2)),
             self.model.stride.tolist(),
         )
         # What Ultralytics' model asks of every layer: where its input is from, and its number.

@@ -15,10 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.ops import complete_box_iou_loss
 
-__all__ = ["AnchorAnswers", "AnchorHead", "Anchors", "anchor_loss"]
-
-# Per level: the pairs width, height of its anchors, pixels.
-Anchors = Sequence[Sequence[tuple[float, float]]]
+__all__ = ["AnchorAnswers", "AnchorHead", "anchor_loss"]
 
 # Its settings for training from nothing, given for three levels, 80 classes and images of 640 px.
 BOX_GAIN = 0.05
@@ -45,8 +42,8 @@ class AnchorAnswers:
         features: what the head was given, the finest level first.
     """
 
-    levels: list[Float[Tensor, "B A h w N"]]
-    features: list[Float[Tensor, "B C h w"]]
+    levels: list[Float[Tensor, "B A _ _ N"]]
+    features: list[Float[Tensor, "B _ _ _"]]
 
 
 class AnchorHead(nn.Module):
@@ -55,7 +52,7 @@ class AnchorHead(nn.Module):
     Args:
         channels: of the features of each level.
         class_count: how many classes there are.
-        anchors: of each level; as many on every one.
+        anchors: width and height of those of each level, pixels.
         strides_px: of the levels, the finest first.
     """
 
@@ -65,15 +62,15 @@ class AnchorHead(nn.Module):
         self,
         channels: Sequence[int],
         class_count: int,
-        anchors: Anchors,
+        anchors: Float[Tensor, "L A 2"],
         strides_px: Sequence[float],
     ) -> None:
         super().__init__()
         self.numbers = 5 + class_count
         self.strides_px = [float(stride) for stride in strides_px]
         # Stored beside the weights, as text, and therefore not among them.
-        self.register_buffer("anchors_px", torch.tensor(anchors), persistent=False)
-        count = len(anchors[0])
+        self.register_buffer("anchors_px", anchors, persistent=False)
+        count = anchors.shape[1]
         # Named as in the checkpoints of 2020.
         convolutions = [nn.Conv2d(width, count * self.numbers, 1) for width in channels]
         self.m = nn.ModuleList(convolutions)
@@ -85,7 +82,7 @@ class AnchorHead(nn.Module):
                 bias[:, 4] += math.log(8 / (_USUAL_SIDE_PX / stride) ** 2)
                 bias[:, 5:] += math.log(0.6 / (class_count - 0.99999))
 
-    def forward(self, features: list[Float[Tensor, "B C h w"]]) -> AnchorAnswers:
+    def forward(self, features: list[Float[Tensor, "B _ _ _"]]) -> AnchorAnswers:
         """Gives the raw numbers of every level."""
         levels = []
         for convolution, level in zip(self.m, features, strict=True):
