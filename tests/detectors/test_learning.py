@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from detector_images import YOLO_ANCHORS
 from tests.rendered_world import RenderedWorld, make_world
 
 from skyproof.detectors.build import build_detector
@@ -14,7 +15,8 @@ from skyproof.detectors.training import train, validate
 
 TRAINING_IMAGES, VALIDATION_IMAGES, TEST_IMAGES = 160, 24, 40
 # Focal loss starts slowly.
-STEPS = {"retinanet": 200, "faster_rcnn": 140}
+STEPS = {"retinanet": 200, "faster_rcnn": 140, "yolov5_anchors": 200}
+NAMES = ["retinanet", "faster_rcnn", YOLO_ANCHORS]
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> RenderedWorld:
     return make_world(tmp_path_factory.mktemp("world"))
 
 
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_detector_learns_to_find_vehicles_that_it_never_saw(
     name: str, world: RenderedWorld, tmp_path: Path
 ) -> None:

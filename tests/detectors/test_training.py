@@ -14,9 +14,9 @@ from detector_images import bar_images
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
-from skyproof.detectors.build import build_detector
+from skyproof.detectors.build import DETECTOR_NAMES, build_detector
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.settings import TRAINING_PRESETS, TrainingSettings
+from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import (
@@ -179,8 +179,7 @@ def test_useless_data_and_settings_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_detector_has_a_preset() -> None:
-    names, sizes = ("retinanet", "faster_rcnn", "yolov5"), ("slim", "wide", "full")
-    assert set(TRAINING_PRESETS) == {(name, size) for name in names for size in sizes}
+    assert set(TRAINING_PRESETS) == {(name, size) for name in DETECTOR_NAMES for size in SIZES}
 
 
 def test_a_training_that_diverges_stops_with_a_sentence_and_keeps_its_checkpoint(

@@ -1,9 +1,12 @@
 """Splits by place: disjoint blocks, shares, none empty, determinism."""
 
+import pytest
 import torch
 
+from skyproof.errors import ConfigurationError
+from skyproof.imagery.settings import TilingSettings
 from skyproof.imagery.tiles.grid import Cell
-from skyproof.imagery.tiles.splits import SPLIT_SHARES, assign_splits
+from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.scenes.splits import SPLITS
 
 
@@ -25,8 +28,12 @@ def cells(rows, columns, grid="f"):
     ]
 
 
-def divide(grid, block_m=None, seed=0):
-    return assign_splits(grid, block_m=block_m, generator=torch.Generator().manual_seed(seed))
+USUAL = TilingSettings().split_shares
+
+
+def divide(grid, block_m=None, seed=0, shares=USUAL):
+    generator = torch.Generator().manual_seed(seed)
+    return assign_splits(grid, shares, block_m=block_m, generator=generator)
 
 
 def test_blocks_are_whole_and_shares_come_out():
@@ -38,7 +45,7 @@ def test_blocks_are_whole_and_shares_come_out():
         assert splits[cell.id] == splits[f"f-{row // 8 * 8}-{column // 8 * 8}"]
     for split in SPLITS:
         share = sum(one == split for one in splits.values()) / len(grid)
-        assert abs(share - SPLIT_SHARES[split]) <= 64 / len(grid)
+        assert abs(share - USUAL[split]) <= 64 / len(grid)
 
 
 def test_neighbours_are_mostly_together():
@@ -67,3 +74,13 @@ def test_the_seed_alone_decides_and_frames_are_apart():
     assert divide(grid)[0] != divide(grid, seed=1)[0]
     splits = divide(grid)[0]
     assert any(splits[f"a-{r}-{c}"] != splits[f"b-{r}-{c}"] for r in range(12) for c in range(12))
+
+
+def test_a_split_without_a_share_gets_nothing():
+    shares = TilingSettings(shares=(0, 0.25, 0.25, 0.5)).split_shares
+    splits, _ = divide(cells(20, 20), shares=shares)
+    counts = [sum(one == split for one in splits.values()) for split in SPLITS]
+    assert counts == [0, 100, 100, 200]
+    assert {*divide(cells(1, 3), shares=shares)[0].values()} == {*SPLITS[1:]}
+    with pytest.raises(ConfigurationError, match=r"expect a sum of 1, got 0\.5 0\.5 0\.5 0"):
+        TilingSettings(shares=(0.5, 0.5, 0.5, 0))

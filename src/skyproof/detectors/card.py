@@ -37,8 +37,8 @@ class DetectorCard:
     """What is known of a detector. A black box needs a name, a threshold and a resolution.
 
     Attributes:
-        name: as tables show it: "retinanet", "faster_rcnn" or "yolov5" of ours; of another
-            detector the name it was given.
+        name: as tables show it: of ours one of `DETECTOR_NAMES`; of another detector the name it
+            was given.
         size: "slim", "wide" or "full" of ours, "brought" of an imported one, empty of a black box.
         threshold: frozen score threshold, chosen by F1 on clean validation images where
             `threshold_from` says nothing else; see `frozen_threshold`.

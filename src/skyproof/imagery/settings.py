@@ -13,7 +13,8 @@ from typing import Annotated
 from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import GroundResolution, check_ranges
+from skyproof.ranges import Fraction, GroundResolution, check_ranges
+from skyproof.scenes.splits import SPLITS, Split
 
 __all__ = ["ClearSettings", "LabelSettings", "SourceSettings", "TilingSettings"]
 
@@ -28,13 +29,15 @@ class TilingSettings:
     Attributes:
         gsd_m: metres per pixel of the tiles.
         size_px: side of the tiles in pixels.
-        minimum_px: side to which tiles may shrink until there is one for each of the four splits;
-            imagery that still yields fewer is refused. Where it is not given, tiles do not shrink,
-            and a split may stay empty.
+        minimum_px: side to which tiles may shrink until there is one for each split; imagery that
+            still yields fewer is refused. Where it is not given, tiles do not shrink, and a split
+            may stay empty.
         block_m: width in metres of the blocks of tiles that go to one split; about 400 where it is
             not given, less for little imagery.
         like: a tiled folder; the same ground is cut into the same tiles and splits from these
             sources.
+        shares: of the tiles that go to train, validation, attack and test; a split whose share is
+            0 gets none.
     """
 
     gsd_m: GroundResolution = 0.125
@@ -42,9 +45,21 @@ class TilingSettings:
     minimum_px: _TileSide | None = None
     block_m: Annotated[float, Meta(ge=0.1, le=1e6)] | None = None
     like: Path | None = None
+    shares: tuple[Fraction, Fraction, Fraction, Fraction] = (0.5, 0.15, 0.15, 0.2)
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        if abs(sum(self.shares) - 1) > 1e-6:
+            raise ConfigurationError(
+                "the shares of train, validation, attack and test expect a sum of 1, got "
+                f"{' '.join(f'{share:g}' for share in self.shares)}."
+            )
+
+    @property
+    def split_shares(self) -> dict[Split, float]:
+        """The share of each split that gets tiles."""
+        named = zip(SPLITS, self.shares, strict=True)
+        return {split: share for split, share in named if share}
 
 
 @dataclass(frozen=True)

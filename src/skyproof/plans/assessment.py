@@ -36,6 +36,8 @@ from skyproof.scenes.places import Places
 __all__ = ["Given", "assessment_plan"]
 
 _SCORED_AT_ONCE = 24
+# Of train, validation, attack and test: as many tiles as the suite draws, roughly.
+_SHARES = (0.0, 0.25, 0.25, 0.5)
 _CLEAR_S = 0.5
 _IMPORT_S = 60.0
 
@@ -237,6 +239,8 @@ def _ground_and_detector(
         drawn = world_steps(layout, sizes, given.seed, splits=(), device=given.device)[:1]
         return [*drawn, *_without_labels(given, suite, layout, box)]
     tiling = tiling_for_images(sizes.image_px, gsd_m=given.gsd_m, imagery=True)
+    # Nothing is trained here: all the ground is to freeze, to learn attacks on, and to judge.
+    tiling = replace(tiling, shares=_SHARES)
     cut = Ground(
         out=layout.tiles,
         sources=given.imagery,

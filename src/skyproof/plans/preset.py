@@ -120,7 +120,7 @@ class Preset:
     """
 
     seed: Seed
-    detectors: Annotated[tuple[Known, ...], Meta(min_length=1, max_length=3)]
+    detectors: Annotated[tuple[Known, ...], Meta(min_length=1, max_length=4)]
     size: Size
     world: WorldSizes
     training: Mapping[Known, TrainingChanges]

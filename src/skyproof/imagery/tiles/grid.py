@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from skyproof.errors import ImageryError
 from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
 from skyproof.imagery.tiles.sources import Source
-from skyproof.scenes.splits import SPLITS, Split
+from skyproof.scenes.splits import Split
 
 __all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
 
@@ -167,7 +167,13 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
 
 
 def lay_grids(
-    sources: Sequence[Source], *, size_px: int, minimum_px: int, gsd_m: float, notes: list[str]
+    sources: Sequence[Source],
+    *,
+    size_px: int,
+    minimum_px: int,
+    wanted: int,
+    gsd_m: float,
+    notes: list[str],
 ) -> list[Grid]:
     """Lays grids over sources.
 
@@ -180,7 +186,7 @@ def lay_grids(
     georeference has a grid of its own.
 
     Where cells are larger than `minimum_px` they shrink: in a grid that would hold none, and in
-    all grids until there are four, one per split.
+    all grids until there are as many as `wanted`, one per split.
 
     Raises:
         ImageryError: no grid holds a whole cell.
@@ -191,7 +197,7 @@ def lay_grids(
         grids = [
             _grid(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
         ]
-        if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= len(SPLITS):
+        if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= wanted:
             break
         size = max(minimum_px, round(size * SHRINK))
     kept = [grid for grid in grids if grid.whole_cells()]

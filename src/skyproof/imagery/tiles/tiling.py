@@ -170,17 +170,18 @@ def tile_imagery(
             "than 2 % of each is empty (nodata or beyond the border); give larger images or a "
             "smaller size."
         )
-    if settings.minimum_px is not None and len(kept) < len(SPLITS):
+    shares = settings.split_shares
+    if settings.minimum_px is not None and len(kept) < len(shares):
         raise ImageryError(
             f"The imagery yields {len(kept)} tiles of at least {settings.minimum_px} px at "
-            f"{settings.gsd_m} m per pixel but the {len(SPLITS)} splits need {len(SPLITS)}; give "
+            f"{settings.gsd_m} m per pixel but the {len(shares)} splits need {len(shares)}; give "
             "more or larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of "
             "`demo`)."
         )
     # Blocks of tiles go to the splits.
     splits, blocks_m = _splits(kept, settings, generator)
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
-    for split in SPLITS:
+    for split in shares:
         if split not in splits.values():
             notes.append(
                 f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
@@ -262,6 +263,7 @@ def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]
         sources,
         size_px=settings.size_px,
         minimum_px=settings.minimum_px or settings.size_px,
+        wanted=len(settings.split_shares),
         gsd_m=settings.gsd_m,
         notes=notes,
     )
@@ -317,7 +319,9 @@ def _splits(
     cells = [cell for cell, _ in kept]
     if settings.like is not None:
         return {cell.id: cell.split for cell in cells if cell.split is not None}, {}
-    return assign_splits(cells, block_m=settings.block_m, generator=generator)
+    return assign_splits(
+        cells, settings.split_shares, block_m=settings.block_m, generator=generator
+    )
 
 
 def _sort_into_splits(
