@@ -80,7 +80,9 @@ def test_a_split_without_a_share_gets_nothing():
     shares = TilingSettings(shares=(0.0, 0.25, 0.25, 0.5)).split_shares
     splits, _ = divide(cells(20, 20), shares=shares)
     counts = [sum(one == split for one in splits.values()) for split in SPLITS]
-    assert counts == [0, 100, 100, 200]
+    # Blocks of 4 x 4 cells.
+    assert counts[0] == 0
+    assert counts[1:] == pytest.approx([100, 100, 200], abs=16)
     assert {*divide(cells(1, 3), shares=shares)[0].values()} == {*SPLITS[1:]}
     with pytest.raises(ConfigurationError, match=r"expect a sum of 1, got 0\.5 0\.5 0\.5 0"):
         TilingSettings(shares=(0.5, 0.5, 0.5, 0.0))
