@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -278,3 +279,14 @@ def test_a_pooling_layer_computes_what_it_was_trained_with(tmp_path: Path, activ
     rebuilt.load_state_dict(model.state_dict())
     wanted, found = model.eval()(image())[0], rebuilt.eval()(image())[0]
     torch.testing.assert_close(found, wanted)
+
+
+def test_a_program_that_read_an_architecture_ends_well() -> None:
+    """Texts with a `pattern` in msgspec's types made one in six crash while ending."""
+    program = (
+        "from skyproof.detectors.blueprint import check_layers\n"
+        "rows = [[-1, 1, 'Conv', [64, 6, 2, 2]]] * 9\n"
+        "check_layers({'backbone': rows, 'head': [[[1, 2], 1, 'Detect', ['nc']]]})\n"
+    )
+    running = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(16)]
+    assert [each.wait(timeout=120) for each in running] == [0] * 16

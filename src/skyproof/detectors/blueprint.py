@@ -46,8 +46,10 @@ Classes = Annotated[list[ClassName], Meta(max_length=5000)]
 
 _Whole = Annotated[int, Meta(ge=-8192, le=8192)]
 _Real = Annotated[float, Meta(ge=-8192, le=8192)]
-# Ultralytics reads a text that is no name as a number or a list.
-_Word = Annotated[str, Meta(pattern=r"\A[A-Za-z][\w.()=]{0,99}\Z")]
+# Ultralytics reads a text that is no name as a number or a list. Looked at by `_check_words`: a
+# `pattern` in such a nest of types makes msgspec 0.22 crash when the program ends (its issue 717).
+_Word = Annotated[str, Meta(max_length=100)]
+_NAME = re.compile(r"[A-Za-z][\w.()=]*")
 _Plain = bool | _Whole | _Real | _Word | None
 _Few = Annotated[list[_Plain], Meta(max_length=100)]
 _Argument = bool | _Whole | _Real | _Word | _Few | None
@@ -150,6 +152,7 @@ def check_layers(architecture: Any) -> None:
             "expected an Ultralytics architecture with rows of backbone and head "
             f"({' '.join(str(error).split())[:200]}); give the network of a detector."
         ) from error
+    _check_words([read.backbone, read.head, read.kpt_shape])
     *names, head = [name for _, _, name, _ in (*read.backbone, *read.head)]
     unknown = next((name for name in names if name not in _LAYERS), None)
     if unknown is not None:
@@ -173,6 +176,22 @@ def check_layers(architecture: Any) -> None:
         raise ConfigurationError(
             f"the network takes images of {read.channels} channels; red, green and blue are "
             "expected."
+        )
+
+
+def _check_words(nested: Any) -> None:
+    """Refuses texts among numbers and lists that are no names.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    if isinstance(nested, list | tuple):
+        for part in nested:
+            _check_words(part)
+    elif isinstance(nested, str) and not _NAME.fullmatch(nested):
+        raise ConfigurationError(
+            "expected an Ultralytics architecture with rows of backbone and head, got the text "
+            f"{nested[:100]!r} in one; give the network of a detector."
         )
 
 
