@@ -17,11 +17,9 @@ from torchvision.ops import complete_box_iou_loss
 
 __all__ = ["AnchorAnswers", "AnchorHead", "anchor_loss"]
 
-# Its settings for training from nothing, given for three levels, 80 classes and images of 640 px.
-BOX_GAIN = 0.05
-CLASS_GAIN = 0.5
+# Its settings for training from nothing, given for three levels and images of 640 px.
+_BOX_GAIN = 0.05
 _USUAL_SIDE_PX = 640
-_USUAL_CLASSES = 80
 _USUAL_LEVELS = 3
 # A vehicle belongs to anchors of up to four times its width and height, and down to a fourth.
 _LARGEST_RATIO = 4.0
@@ -166,7 +164,7 @@ def anchor_loss(
             missing = complete_box_iou_loss(_corners(found), _corners(offset))
             count = truth.new_zeros(images).index_add(0, image, torch.ones_like(missing))
             summed = truth.new_zeros(images).index_add(0, image, missing)
-            losses = losses + BOX_GAIN * gain * summed / count.clamp(min=1)
+            losses = losses + _BOX_GAIN * gain * summed / count.clamp(min=1)
             # Objectness is to say how good the box is.
             shape = raw.shape[:4]
             flat = torch.zeros(len(missing), dtype=torch.long, device=raw.device)

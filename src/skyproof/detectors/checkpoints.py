@@ -133,7 +133,12 @@ def activations_of(network: StandIn) -> set[str]:
     """
     before = "torch.nn.modules.activation."
     origins = {part.origin for part, _ in parts_of(network)}
-    return {origin.removeprefix(before) for origin in origins if origin.startswith(before)}
+    # Attention is filed there, too.
+    return {
+        origin.removeprefix(before)
+        for origin in origins
+        if origin.startswith(before) and not origin.endswith("MultiheadAttention")
+    }
 
 
 def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
