@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Layout"]
+__all__ = ["CLEARING_RECORD", "Layout"]
+
+CLEARING_RECORD = "clearing.json"
+"""In a background set without vehicles: what was removed."""
 
 
 @dataclass(frozen=True)

@@ -130,6 +130,16 @@ def test_real_ground(run_folder, checked):
     ) == checked
     assert ("The detectors were not checked on real vehicles" in told) != checked
     assert "Selwyn 2012" in real[: real.index("The answer")]
+    assert "are taught as ground in training tiles" in told
+    totals = {"labelled_removed": 1200, "detected_removed": 34, "masked_share": 0.11}
+    (run_folder / "backgrounds").mkdir(exist_ok=True)
+    write_json(run_folder / "backgrounds/clearing.json", {"totals": totals, "tiles": []})
+    told = first_lines(rebuilt(run_folder))
+    assert "1,234 vehicles that stood in the photographs were removed, and 11 % of the" in told
+    assert "are taught as ground" not in told
+    write_json(run_folder / "backgrounds/clearing.json", {"totals": totals | {"masked_share": 2}})
+    with pytest.raises(StoredFileError, match="clear the ground again"):
+        rebuilt(run_folder)
 
 
 def test_what_the_detectors_score_stands_above_the_answer(run_folder, page):

@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
+from msgspec import Meta, Struct
+
+from skyproof.documents import read_document
+from skyproof.layout import CLEARING_RECORD, Layout
+from skyproof.ranges import Fraction
 from skyproof.results.checks import Check
 from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, percent
@@ -119,9 +126,8 @@ def standing(results: Results) -> Standing:
     else:
         heading = "Real ground, rendered vehicles."
         sentences = [
-            "The ground is real imagery; every vehicle that is tested is computer-generated. "
-            "Vehicles that stand in the photographs are taught as ground in training tiles and "
-            "count as false alarms in test tiles, unless they were removed beforehand.",
+            "The ground is real imagery; every vehicle that is tested is computer-generated.",
+            _removed(Layout(results.folder).backgrounds / CLEARING_RECORD),
             f"On real vehicles without camouflage the detectors score {scores}."
             if real
             else unchecked,
@@ -133,6 +139,38 @@ def standing(results: Results) -> Standing:
             "about real imagery."
         )
     return Standing(heading, sentences)
+
+
+class _Removed(Struct, frozen=True):
+    labelled_removed: Annotated[int, Meta(ge=0)]
+    detected_removed: Annotated[int, Meta(ge=0)]
+    masked_share: Fraction
+
+
+class _Clearing(Struct, frozen=True):
+    """Of what clearing a background set records, what is told here."""
+
+    totals: _Removed
+
+
+def _removed(path: Path) -> str:
+    """Says what became of the vehicles that stood in the photographs.
+
+    Raises:
+        StoredFileError: the record is damaged.
+    """
+    if not path.is_file():
+        return (
+            "Vehicles that stand in the photographs are taught as ground in training tiles and "
+            "count as false alarms in test tiles, unless they were removed beforehand."
+        )
+    record: _Clearing = read_document(path, _Clearing, "clear the ground again")
+    totals = record.totals
+    count = totals.labelled_removed + totals.detected_removed
+    return (
+        f"{count:,} vehicles that stood in the photographs were removed, and "
+        f"{percent(totals.masked_share)} of the ground was filled for it."
+    )
 
 
 def _scores(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:

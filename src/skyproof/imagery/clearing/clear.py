@@ -42,6 +42,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
+from skyproof.layout import CLEARING_RECORD
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
@@ -49,7 +50,6 @@ from skyproof.scenes.splits import SPLITS
 
 __all__ = ["Cleared", "clear_backgrounds", "drop_tiles"]
 
-RECORD = "clearing.json"
 
 _REMEDY = "copy the whole folder again, or clear the imagery again"
 
@@ -189,7 +189,7 @@ def clear_backgrounds(
         BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     )
     record |= lights_record(tiles, lights, kept)
-    write_json(out / RECORD, record)
+    write_json(out / CLEARING_RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return record
@@ -215,8 +215,8 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         raise ConfigurationError(
             f"Every tile of {folder} would be dropped; clear the imagery again instead."
         )
-    if (folder / RECORD).is_file():
-        path = folder / RECORD
+    if (folder / CLEARING_RECORD).is_file():
+        path = folder / CLEARING_RECORD
         record: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
         before = record.get("rejected", [])
         if not isinstance(before, list) or not all(isinstance(name, str) for name in before):
