@@ -15,6 +15,7 @@ from skyproof.results.conditions import Bin, Panel
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
 from tests.report.fabricate import HIDES, fabricate
+from tests.report.test_gate import checked
 
 
 def with_world(folder):
@@ -38,7 +39,7 @@ def run_folder(tmp_path_factory):
 
 def commands(page):
     """The words of the commands that the page gives."""
-    (block,) = re.findall(r"<pre>(skyproof scenes.*?)</pre>", page, flags=re.S)
+    (block,) = re.findall(r"<pre>(skyproof (?:scenes|vehicles).*?)</pre>", page, flags=re.S)
     return [shlex.split(html.unescape(line)) for line in block.split("\n")]
 
 
@@ -53,6 +54,20 @@ def test_the_strongest_attack_is_trained_against_with_commands_that_parse(run_fo
     assert given[0][given[0].index("--settings.size-px") + 1] == "192"
     for words in given:
         assert "test" not in " ".join(words)
+        tyro.cli(load_command(words[1]), args=words[2:], console_outputs=False)
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_who_fails_at_paints_adds_vehicles_in_many_coats_first(run_folder, tmp_path, fails):
+    copied = shutil.copytree(run_folder, tmp_path / "run")
+    yellow = Interval(0.97, 0.9, 0.99) if fails else Interval(0.06, -0.01, 0.1)
+    checked(copied, "retinanet", {("paint_body", "#ffff00"): yellow})
+    page = write_report(copied).read_text()
+    assert ("First of all: coats that nobody learnt" in page) == fails
+    given = commands(page)
+    coats = ["vehicles", "scenes", "render", "export"] if fails else []
+    assert [words[1] for words in given] == [*coats, "scenes", "render", "export"]
+    for words in given:
         tyro.cli(load_command(words[1]), args=words[2:], console_outputs=False)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
+from skyproof.gate.record import read_records
+from skyproof.gate.verdict import findings
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.results import Results
@@ -17,6 +19,8 @@ from skyproof.scenes.scene import read_scenes
 __all__ = ["Hardening", "hardening", "readings"]
 
 _STRONGEST = 2
+# Of a check, the kinds of change that are coats of paint.
+_COATS = ("paint_body", "paint_whole", "two_tone", "control")
 
 
 @dataclass(frozen=True)
@@ -76,9 +80,18 @@ def hardening(
                     f"{headline.camouflage} hides most at {panel.title.lower()} "
                     f"{_told(extremes[0])}: see that such views are among them."
                 )
-    places = "--backgrounds backgrounds --fleet fleets/attack"
     size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
-    commands = [
+    commands = []
+    if _fails_at_coats(results):
+        images.insert(
+            0,
+            "First of all: coats that nobody learnt hide too many vehicles. Those that skyproof "
+            "draws to train on wear plain and two-tone paints, liveries and random patterns beside "
+            "usual paints; add images of them.",
+        )
+        commands += _coats(size_px)
+    places = "--backgrounds backgrounds --fleet fleets/attack"
+    commands += [
         f"skyproof scenes {places} --split attack --count 400 --seed 1 "
         f"--settings.size-px {size_px} --out hardening/scenes.jsonl"
     ]
@@ -99,6 +112,26 @@ def hardening(
         "hardened against a known pattern is not thereby hardened against the next.",
     ]
     return Hardening(images, commands, after)
+
+
+def _fails_at_coats(results: Results) -> bool:
+    """Whether a detector failed its check at paints, or at random patterns."""
+    records = read_records(Layout(results.folder).detectors)
+    found = [each for name in results.judges if name in records for each in findings(records[name])]
+    failed = [each for each in found if each.outcome == "failed" and each.rates]
+    return any(each.rates[0].kind in _COATS for each in failed)
+
+
+def _coats(size_px: int) -> list[str]:
+    """Gives the commands that draw vehicles in many coats, on the attack's ground."""
+    places = "--backgrounds backgrounds --fleet hardening/fleets/train"
+    return [
+        "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
+        f"skyproof scenes {places} --split attack --count 800 --seed 2 "
+        f"--settings.size-px {size_px} --out hardening/coats.jsonl",
+        f"skyproof render --scenes hardening/coats.jsonl {places} --out hardening/coats",
+        "skyproof export hardening/coats --format yolo --out hardening/coats-yolo",
+    ]
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
