@@ -24,7 +24,7 @@ from skyproof.errors import ConfigurationError, SkyproofError, StoredFileError
 
 pytestmark = NEEDS_YOLO
 
-# What yolov5 7.0.14 (GPL-3.0, https://pypi.org/project/yolov5) answers; none of it is needed here.
+# What yolov5 7.0.14 (a package under the GPL-3.0) answers; none of it is needed here.
 NUMBERS = Path(__file__).with_name("yolov5_numbers.json")
 VALIDATION = bar_images(3, 128, seed=1)
 CLASSES = ["car", "van", "tree"]
