@@ -213,6 +213,7 @@ def test_a_checkpoint_of_2020(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         ({"stride": -torch.ones(3)}, ConfigurationError, "anchors"),
         ({"yaml": {"head": []}}, ConfigurationError, "no anchors"),
         ({"yaml": None}, ConfigurationError, "no anchors"),
+        ({"yaml": {"head": 5}}, ConfigurationError, "no anchors"),
         ({"names": None}, StoredFileError, "no class names"),
         ({"old": nn.Hardswish()}, ConfigurationError, r"compute Hardswish, SiLU.*before 4\.0"),
     ],

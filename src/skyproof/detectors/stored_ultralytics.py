@@ -104,7 +104,8 @@ def _with_anchors(
     for name in [name for name in state if name.endswith(".anchor_grid")]:
         del state[name]
     strides = vars(network).get("stride")
-    *rows, last = stored.get("head") or [None]
+    head = stored.get("head")
+    *rows, last = head if isinstance(head, list | tuple) and head else [None]
     if (
         cells is None
         or cells.ndim != 3
