@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from skyproof.detectors.average_precision import PrecisionRecall, frozen_threshold
 from skyproof.detectors.card import read_card_and_digest, write_card
-from skyproof.detectors.common import LOWEST_SCORE
+from skyproof.detectors.detector import LOWEST_SCORE
 
 __all__ = ["count_everything", "everything_counts"]
 

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.detectors.anchor_head import AnchorAnswers, AnchorHead, anchor_loss
-from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
-from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.common import check_images, check_targets, pad_to_stride
+from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import pool_finest
 from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
 
@@ -81,11 +81,6 @@ class AnchorDetector(TrainableDetector):
         scores = self._head.objectness(answers).sigmoid() * classes.sigmoid()
         boxes = self._head.boxes(answers)
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
-
-    @torch.no_grad()
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`."""
-        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     @torch.no_grad()
     def features(

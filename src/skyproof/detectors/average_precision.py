@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from skyproof.detectors.common import LOWEST_SCORE
+from skyproof.detectors.detector import LOWEST_SCORE
 from skyproof.detectors.matching import MatchTable
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What detectors share: padding to a stride, suppression, and the cut at the lowest score."""
+"""What detectors share: checks of what they are given, padding to a stride, and targets."""
 
 from __future__ import annotations
 
@@ -8,30 +8,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
-from torchvision import ops
 
-from skyproof.detectors.detector import Candidates, Detections
 from skyproof.errors import ConfigurationError
 
 __all__ = [
-    "LOWEST_SCORE",
-    "MOST_DETECTIONS",
     "PADDING_GREY",
     "SMALLEST_IMAGE_PX",
     "as_targets",
     "check_images",
     "check_targets",
     "pad_to_stride",
-    "suppress",
 ]
 
-LOWEST_SCORE = 0.01
-MOST_DETECTIONS = 100
 SMALLEST_IMAGE_PX = 96
 PADDING_GREY = 0.45
-SUPPRESSION_IOU = 0.5
-# As in torchvision: an attacked image may have many thousand candidates above the lowest score.
-MOST_CANDIDATES = 1000
 
 
 def check_images(images: Tensor) -> None:
@@ -66,33 +56,6 @@ def pad_to_stride(
     """Pads right and below until both sides are multiples of `stride_px`; coordinates stay."""
     height, width = images.shape[-2:]
     return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
-
-
-def suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Makes detections of candidates.
-
-    Those of a score >= 0.01 are clipped to the image, of the best 1000 duplicates are suppressed at
-    an IoU of 0.5, and at most 100 are left, sorted by falling score.
-
-    Args:
-        candidates: before threshold and suppression.
-        height_px, width_px: size of the images before padding.
-    """
-    found = []
-    for boxes, scores, valid in zip(
-        candidates.boxes, candidates.scores, candidates.valid, strict=True
-    ):
-        clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
-        sides = clipped[:, 2:] - clipped[:, :2]
-        keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
-        kept_scores, order = scores[keep].sort(descending=True, stable=True)
-        kept_scores, kept_boxes = (
-            kept_scores[:MOST_CANDIDATES],
-            clipped[keep][order[:MOST_CANDIDATES]],
-        )
-        best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:MOST_DETECTIONS]
-        found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
-    return found
 
 
 def as_targets(boxes: Tensor) -> dict[str, Tensor]:

@@ -9,8 +9,22 @@ from typing import Protocol, runtime_checkable
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torchvision import ops
 
-__all__ = ["Candidates", "Detections", "Detector", "TrainableDetector"]
+__all__ = [
+    "LOWEST_SCORE",
+    "SUPPRESSION_IOU",
+    "Candidates",
+    "Detections",
+    "Detector",
+    "TrainableDetector",
+]
+
+LOWEST_SCORE = 0.01
+_MOST_DETECTIONS = 100
+SUPPRESSION_IOU = 0.5
+# As in torchvision: an attacked image may have many thousand candidates above the lowest score.
+_MOST_CANDIDATES = 1000
 
 
 @dataclass(frozen=True)
@@ -92,4 +106,31 @@ class TrainableDetector(nn.Module):
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         """See `Detector.detect`."""
-        raise NotImplementedError
+        return _suppress(self.candidates(images), images.shape[-2], images.shape[-1])
+
+
+def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
+    """Makes detections of candidates.
+
+    Those of a score >= 0.01 are clipped to the image, of the best 1000 duplicates are suppressed at
+    an IoU of 0.5, and at most 100 are left, sorted by falling score.
+
+    Args:
+        candidates: before threshold and suppression.
+        height_px, width_px: size of the images before padding.
+    """
+    found = []
+    for boxes, scores, valid in zip(
+        candidates.boxes, candidates.scores, candidates.valid, strict=True
+    ):
+        clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
+        sides = clipped[:, 2:] - clipped[:, :2]
+        keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
+        kept_scores, order = scores[keep].sort(descending=True, stable=True)
+        kept_scores, kept_boxes = (
+            kept_scores[:_MOST_CANDIDATES],
+            clipped[keep][order[:_MOST_CANDIDATES]],
+        )
+        best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:_MOST_DETECTIONS]
+        found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
+    return found

@@ -16,9 +16,8 @@ from skyproof.detectors.common import (
     SMALLEST_IMAGE_PX,
     check_images,
     check_targets,
-    suppress,
 )
-from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.imported_torchvision import build_torchvision
 from skyproof.detectors.torchvision_detectors import TorchvisionDetector
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
@@ -78,11 +77,6 @@ class ImportedDetector(TrainableDetector):
             [images.shape[-1] / width, images.shape[-2] / height]
         ).repeat(2)
         return Candidates(found.boxes * ratio, found.scores, found.valid)
-
-    @torch.no_grad()
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`."""
-        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     def features(
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]

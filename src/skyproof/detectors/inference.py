@@ -13,8 +13,7 @@ from torchvision import ops
 from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, Window
-from skyproof.detectors.common import SUPPRESSION_IOU
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
 __all__ = [
     "LARGEST_WHOLE_PX",

@@ -30,9 +30,8 @@ from skyproof.detectors.common import (
     check_images,
     check_targets,
     pad_to_stride,
-    suppress,
 )
-from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import Levels, anchor_levels, area_levels, pool_boxes
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import WIDTHS, SlimBackbone
@@ -86,11 +85,6 @@ class TorchvisionDetector(TrainableDetector):
 
     def _normalise(self, images: Tensor) -> Tensor:
         return (images - 0.45) / 0.25
-
-    @torch.no_grad()
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`."""
-        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     @torch.no_grad()
     def features(

@@ -27,8 +27,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.blueprint import HEADS, check_layers
-from skyproof.detectors.common import check_images, check_targets, pad_to_stride, suppress
-from skyproof.detectors.detector import Candidates, Detections, TrainableDetector
+from skyproof.detectors.common import check_images, check_targets, pad_to_stride
+from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import pool_finest
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
@@ -117,11 +117,6 @@ class YoloV5Detector(TrainableDetector):
         )
         scores = outputs["scores"][:, 0].sigmoid()
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
-
-    @torch.no_grad()
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`."""
-        return suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 
     @torch.no_grad()
     def features(

@@ -10,8 +10,7 @@ import torch
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureFile
 from skyproof.detectors.average_precision import frozen_threshold, precision_recall
-from skyproof.detectors.common import LOWEST_SCORE
-from skyproof.detectors.detector import Detector
+from skyproof.detectors.detector import LOWEST_SCORE, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_images

@@ -13,8 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.common import LOWEST_SCORE
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import LOWEST_SCORE, Detections, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.detectors.weights import weights_digest
