@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from skyproof.errors import ConfigurationError
-from skyproof.paper.agreement import rank_agreement, renderer_agreement
+from skyproof.paper.agreement import rank_agreement, rank_correlations, renderer_agreement
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.tiles import Series, TileCounts
 from tests.results.counted import on_tiles
@@ -55,6 +55,19 @@ def test_correlations_are_those_of_scipy(rng):
     )
     # Tiles that are all alike leave the order as it is.
     assert found.spearman.low == pytest.approx(found.spearman.high)
+
+
+def test_many_orders_at_once_are_each_that_of_scipy(rng):
+    # Of few values, so that some are tied; and all of one row.
+    one, other = rng.integers(0, 4, (2, 30, 6)).astype(float)
+    one[7] = 2.0
+    spearman, kendall = rank_correlations(one, other)
+    assert np.isnan(spearman[7])
+    assert np.isnan(kendall[7])
+    for row in set(range(30)) - {7}:
+        ours, theirs = one[row], other[row]
+        assert spearman[row] == pytest.approx(stats.spearmanr(ours, theirs).statistic)
+        assert kendall[row] == pytest.approx(stats.kendalltau(ours, theirs).statistic)
 
 
 def test_tiles_that_differ_leave_the_order_open(rng):

@@ -196,36 +196,37 @@ def _agreement(
 ) -> Agreement:
     """Correlates two orders; replicates in which an EASR is undefined are left out."""
     defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
-    drawn = list(zip(drawn_ours[defined], drawn_theirs[defined], strict=True))
+    estimates = rank_correlations(ours, theirs)
+    drawn = rank_correlations(drawn_ours[defined], drawn_theirs[defined])
     spearman, kendall = (
-        percentile_interval(
-            correlation(ours, theirs), np.array([correlation(one, other) for one, other in drawn])
-        )
-        for correlation in (_spearman, _kendall)
+        percentile_interval(float(estimate), replicates)
+        for estimate, replicates in zip(estimates, drawn, strict=True)
     )
     return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)
 
 
 def rank_correlations(
-    one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]
-) -> tuple[float, float]:
-    """Gives Spearman's and Kendall's correlation; nan where all of one are equal."""
-    return _spearman(one, other), _kendall(one, other)
+    one: Float[np.ndarray, "*R A"], other: Float[np.ndarray, "*R A"]
+) -> tuple[Float[np.ndarray, "*R"], Float[np.ndarray, "*R"]]:
+    """Gives Spearman's correlation and Kendall's tau-b; nan where all of one are equal.
+
+    Args:
+        one, other: one order of the same attacks in each row.
+    """
+    ranks = (stats.rankdata(one, axis=-1), stats.rankdata(other, axis=-1))
+    deviations = (own - own.mean(axis=-1, keepdims=True) for own in ranks)
+    pairs = (np.sign(values[..., :, None] - values[..., None, :]) for values in (one, other))
+    flat = (own.reshape(*own.shape[:-2], -1) for own in pairs)
+    return _cosine(*deviations), _cosine(*flat)
 
 
-def _spearman(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
-    """Gives Pearson's correlation of the ranks; nan where all of one are equal."""
-    ranks = stats.rankdata(np.stack([one, other]), axis=1)
-    if np.ptp(ranks, axis=1).min() == 0:
-        return math.nan
-    return float(np.corrcoef(ranks)[0, 1])
-
-
-def _kendall(one: Float[np.ndarray, " A"], other: Float[np.ndarray, " A"]) -> float:
-    """Gives tau-b; nan where all of one are equal."""
-    first, second = (np.sign(values[:, None] - values) for values in (one, other))
-    pairs = np.sqrt(np.sum(first**2) * np.sum(second**2))
-    return float(np.sum(first * second) / pairs) if pairs else math.nan
+def _cosine(
+    one: Float[np.ndarray, "*R K"], other: Float[np.ndarray, "*R K"]
+) -> Float[np.ndarray, "*R"]:
+    """Gives the cosine between rows; nan where one of them is zero."""
+    products = (one * other).sum(axis=-1)
+    lengths = np.sqrt((one**2).sum(axis=-1) * (other**2).sum(axis=-1))
+    return np.divide(products, lengths, out=np.full_like(lengths, math.nan), where=lengths > 0)
 
 
 def percentile_interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:

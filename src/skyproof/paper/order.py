@@ -78,7 +78,7 @@ def _with(run: Reproduction, paper: Mapping[str, float], own: Mapping[str, str])
 def _with_itself(blender: Mapping[str, float], renderer: Mapping[str, float]) -> dict[str, Any]:
     """The paper gives no intervals, so that nothing says how sure its own agreement is."""
     columns = [np.array([column[name] for name in blender]) for column in (renderer, blender)]
-    spearman, kendall = rank_correlations(*columns)
+    spearman, kendall = map(float, rank_correlations(*columns))
     return {
         "attacks": len(blender),
         **interval_cells("spearman", Interval(spearman, math.nan, math.nan)),

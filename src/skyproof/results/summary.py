@@ -114,6 +114,7 @@ class _Table:
         self.scores = scores
         known = [cell for cell, seen in zip(cells, shown, strict=True) if seen]
         self.sample = Sample.draw(known, generator=generator)
+        self._groups: dict[tuple[tuple[str, ...], tuple[str, ...]], Group] = {}
 
     def rows(self, renderer: str, match: str) -> list[Row]:
         rows: list[Row] = []
@@ -187,9 +188,13 @@ class _Table:
         return [draw for draw in repeats if all((draw, d) in self.counts for d in detectors)]
 
     def group(self, camouflages: list[str], detectors: list[str]) -> Group:
-        series = [(camouflage, d) for camouflage in camouflages for d in detectors]
-        repeats = [[repeat_of(camouflage)] for camouflage, _ in series]
-        return Group(np.stack([self.counts[each] for each in series]), repeats)
+        """Puts series together, once for all rows in which they stand."""
+        wanted = (tuple(camouflages), tuple(detectors))
+        if wanted not in self._groups:
+            series = [(camouflage, d) for camouflage in camouflages for d in detectors]
+            repeats = [[repeat_of(camouflage)] for camouflage, _ in series]
+            self._groups[wanted] = Group(np.stack([self.counts[each] for each in series]), repeats)
+        return self._groups[wanted]
 
     def _mean(
         self, camouflages: list[str], detectors: list[str], renderer: str, match: str, field: str

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -41,6 +41,16 @@ class Group:
 
     counts: Int[np.ndarray, "S N 3"]
     repeats: Sequence[Sequence[Repeat]] = ()
+    _known: list[tuple[Sample, _Values]] = field(default_factory=list, repr=False, compare=False)
+
+    def easr(self, sample: Sample) -> _Values:
+        """Gives every series' EASR on a sample, worked out once: it stands in many contrasts."""
+        for own, values in self._known:
+            if own is sample:
+                return values
+        values = _Values.of(self.counts, sample, overall_attack_success_rate)
+        self._known.append((sample, values))
+        return values
 
 
 def mean_interval(
@@ -61,7 +71,8 @@ def mean_interval(
         rate: takes summed counts `[..., S, 3]`, gives `[..., S]`; nan where undefined.
         limits: the values that the rate can take.
     """
-    values = _Values.of(group.counts, sample, rate)
+    shared = rate is overall_attack_success_rate
+    values = group.easr(sample) if shared else _Values.of(group.counts, sample, rate)
     series = len(group.counts)
     return _with_repeats(
         values.mean(limits), values.points, np.full(series, 1 / series), group.repeats, limits
@@ -83,7 +94,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: S
         sample: what their counts are crossed by.
     """
     groups = [*plus, *minus]
-    each = [_Values.of(group.counts, sample, overall_attack_success_rate) for group in groups]
+    each = [group.easr(sample) for group in groups]
     factors = np.concatenate(
         [
             np.full(len(values.points), (1 if place < len(plus) else -1) / len(values.points))
