@@ -154,7 +154,8 @@ SCORES = [
     for name in ("score", "sets", "checks", "pairs/pairs", "practicality", "looks")
 ]
 RUNS = [
-    Kind(f"run with {name}", f"{name}.json", demo, copied=".")
+    # What has no bearing on the steps does not end the command before its report.
+    Kind(f"run with {name}", f"{name}.json", demo, copied=".", slow=name != "config")
     for name in ("config", "environment", "timings")
 ]
 # Presets have a module of their own.
