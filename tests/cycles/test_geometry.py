@@ -11,7 +11,7 @@ from skyproof.cycles.jobs import crop_jobs, crop_windows
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.geometry.projection import project
 from skyproof.render.dataset import placed_vehicles
-from skyproof.render.layers import draw_bodies, draw_shadows, windows_around
+from skyproof.render.layers import draw_bodies, draw_shadows, see_bodies, windows_around
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import place
 from skyproof.render.settings import RenderSettings
@@ -111,15 +111,8 @@ def silhouettes(drawn):
     scenes, vehicles, placed, crops, results = drawn
     light = lighting(placed, scene_lights([Light()] * SCENES, scenes, placed.vertices))
     window = windows_around(placed.screen)
-    _, layers = draw_bodies(
-        window,
-        placed.screen,
-        placed.depth,
-        placed.vertices,
-        light,
-        vehicles,
-        SETTINGS,
-    )
+    seen = see_bodies(window, placed.screen, placed.depth, placed.vertices, vehicles, SETTINGS)
+    layers = draw_bodies(seen, light, vehicles, SETTINGS)
     theirs = [onto_crop(*each) for each in zip(layers[:, 3], window.origin, crops, strict=True)]
     return [(result[..., 3] > 0.5, other) for result, other in zip(results, theirs, strict=True)]
 

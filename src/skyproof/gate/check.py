@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -198,8 +199,10 @@ class _Gate:
         batches = [
             scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)
         ]
-        settings = RenderSettings(blur_sigma_px=trial.blur_sigma_px)
-        renderer = TorchRenderer(self.backgrounds, settings)
+        renderer = self._renderer
+        if trial.blur_sigma_px is not None:
+            settings = RenderSettings(blur_sigma_px=trial.blur_sigma_px)
+            renderer = TorchRenderer(self.backgrounds, settings)
         camouflage = None if trial.camouflage is None else trial.camouflage.to(self.device)
 
         @torch.no_grad()
@@ -276,6 +279,11 @@ class _Gate:
         centre = match_images(found, clean.images, criterion="centre_1m")
         overlap = match_images(found, clean.images, criterion="iou_50")
         return check_clean(judge, clean, centre, overlap, generator=numpy_generator(self.seed))
+
+    @cached_property
+    def _renderer(self) -> TorchRenderer:
+        """One for all trials, so that what they share is worked out once."""
+        return TorchRenderer(self.backgrounds)
 
     @property
     def _places(self) -> list[str]:

@@ -18,7 +18,15 @@ from skyproof.render.shade import Lighting, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Layers", "Windows", "draw_bodies", "draw_shadows", "windows_around"]
+__all__ = [
+    "Layers",
+    "SeenBodies",
+    "Windows",
+    "draw_bodies",
+    "draw_shadows",
+    "see_bodies",
+    "windows_around",
+]
 
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
 # average, but a single hit outweighs the whole body. Below this width the derivative is held at
@@ -67,67 +75,121 @@ def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
     return Windows(low.long(), int((high - low).max()))
 
 
-def draw_bodies(
+@dataclass(frozen=True)
+class SeenBodies:
+    """What samples see of bodies, whatever these wear; differentiable in the bodies' vertices.
+
+    Whatever samples and faces have is kept in planes, one channel after the other, as `at_corners`
+    does.
+
+    Attributes:
+        visibility: which face each of K samples sees.
+        samples: vertices in samples of the windows.
+        depth: metres, smaller is nearer.
+        uvs, normals: at the three corners of all faces of all bodies.
+        levels: the level of the texture's pyramid that fits, of each of these faces.
+        uv, normal, level: at each of the samples.
+    """
+
+    visibility: Visibility
+    samples: Float[Tensor, "N V 2"]
+    depth: Float[Tensor, "N V"]
+    uvs: Float[Tensor, "3 2 M"]
+    normals: Float[Tensor, "3 3 M"]
+    levels: Int[Tensor, " M"]
+    uv: Float[Tensor, "2 K"]
+    normal: Float[Tensor, "3 K"]
+    level: Int[Tensor, " K"]
+
+
+def see_bodies(
     window: Windows,
     screen: Float[Tensor, "N V 2"],
     depth: Float[Tensor, "N V"],
     vertices: Float[Tensor, "N V 3"],
-    lighting: Lighting,
     vehicles: VehicleBatch,
     settings: RenderSettings,
-) -> tuple[Visibility, Float[Tensor, "N 4 S S"]]:
-    """Draws vehicles as the camera sees them, averaged from samples to pixels (section S2.2).
+) -> SeenBodies:
+    """Looks at vehicles as the camera does, whatever they wear.
 
     Args:
         window: around every vehicle.
         screen: vertices in image pixels.
         depth: metres, smaller is nearer.
         vertices: metres, world frame.
-        lighting: on each vehicle.
+        vehicles: give template and size of texture.
+        settings: supersampling.
+    """
+    template, factor = vehicles.template, settings.supersampling
+    # Visibility: which face each sample sees.
+    samples = window.samples(screen, factor)
+    wide = window.size * factor
+    visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
+    # What the faces' corners have.
+    corners = at_corners(samples, template.faces)
+    levels = _texture_levels(corners.detach(), vehicles)
+    normals = at_corners(vertex_normals(vertices, template.faces), template.faces)
+    uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
+    uvs = uvs.repeat(1, 1, len(vertices))
+    # What the samples have.
+    row = visibility.vehicle * len(template.faces) + visibility.face
+    centre = torch.stack((visibility.x, visibility.y)) + 0.5
+    weights = _held_weights(corners.flatten(0, 1).index_select(1, row).view(3, 2, -1), centre)
+    surface = _surface(uvs, normals, levels, row, weights)
+    return SeenBodies(visibility, samples, depth, uvs, normals, levels, *surface)
+
+
+def draw_bodies(
+    seen: SeenBodies, lighting: Lighting, vehicles: VehicleBatch, settings: RenderSettings
+) -> Float[Tensor, "N 4 S S"]:
+    """Draws vehicles in what they wear, averaged from samples to pixels (section S2.2).
+
+    Args:
+        seen: of these vehicles.
+        lighting: on each of them.
         vehicles: give template, texture and parts.
         settings: light and supersampling.
 
     Returns:
-        What each sample sees, and per pixel linear colour times coverage (3) and coverage (1).
+        Per pixel linear colour times coverage (3) and coverage (1).
     """
-    template, factor = vehicles.template, settings.supersampling
-    # Visibility: which face each sample sees.
-    wide = window.size * factor
-    samples = window.samples(screen, factor)
-    visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
-    # Whatever samples have is kept in planes, one channel after the other, as `at_corners` does.
-    seen = visibility.vehicle * len(template.faces) + visibility.face
-    corners = at_corners(samples, template.faces)
+    visibility, factor = seen.visibility, settings.supersampling
     # The texture, at the levels that are read.
-    levels = _texture_levels(corners.detach(), vehicles)
-    finest = int(levels.index_select(0, seen).min()) if len(seen) else 0
-    texture = LinearTexture(vehicles.texture, finest, samples.dtype, vehicles.overlay)
-    normals = at_corners(vertex_normals(vertices, template.faces), template.faces)
-    uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
-    uvs = uvs.repeat(1, 1, len(vertices))
+    finest = int(seen.level.min()) if len(seen.level) else 0
+    texture = LinearTexture(vehicles.texture, finest, seen.samples.dtype, vehicles.overlay)
 
-    def radiance(vehicle: Tensor, face: Tensor, weights: Tensor) -> Tensor:
-        row = vehicle * len(template.faces) + face
-        uv, normal = _Interpolated.apply(uvs, normals, row, weights)
-        normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
-        albedo = texture.sample(uv, vehicle, levels.index_select(0, row))
-        diffuse, mirrored = light(
-            normal, lighting, vehicle, _gloss(vehicles, uv, vehicle, settings), settings
-        )
+    def radiance(vehicle: Tensor, uv: Tensor, normal: Tensor, level: Tensor) -> Tensor:
+        albedo = texture.sample(uv, vehicle, level)
+        gloss = _gloss(vehicles, uv, vehicle, settings)
+        diffuse, mirrored = light(normal, lighting, vehicle, gloss, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
     # Light on the visible samples, averaged to pixels.
-    centre = torch.stack((visibility.x, visibility.y)) + 0.5
-    weights = _held_weights(corners.flatten(0, 1).index_select(1, seen).view(3, 2, -1), centre)
-    colour = radiance(visibility.vehicle, visibility.face, weights)
+    colour = radiance(visibility.vehicle, seen.uv, seen.normal, seen.level)
     layers = _average(visibility, colour, factor)
     # What moving silhouettes change; nothing in value.
-    if samples.requires_grad:
-        points = silhouette_points(samples, depth.detach(), template.faces, visibility)
+    if seen.samples.requires_grad:
+        faces = vehicles.template.faces
+        points = silhouette_points(seen.samples, seen.depth.detach(), faces, visibility)
         with torch.no_grad():
-            edge_colour = radiance(points.vehicle, points.face, points.weights)
+            row = points.vehicle * len(faces) + points.face
+            surface = _surface(seen.uvs, seen.normals, seen.levels, row, points.weights)
+            edge_colour = radiance(points.vehicle, *surface)
         layers = layers + _edges(visibility, points, colour.detach(), edge_colour, factor)
-    return visibility, layers
+    return layers
+
+
+def _surface(
+    uvs: Float[Tensor, "3 2 M"],
+    normals: Float[Tensor, "3 3 M"],
+    levels: Int[Tensor, " M"],
+    row: Int[Tensor, " K"],
+    weights: Float[Tensor, "3 K"],
+) -> tuple[Float[Tensor, "2 K"], Float[Tensor, "3 K"], Int[Tensor, " K"]]:
+    """Returns texture coordinates, unit normals and texture levels at points of some faces."""
+    uv, normal = _Interpolated.apply(uvs, normals, row, weights)
+    normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
+    return uv, normal, levels.index_select(0, row)
 
 
 def draw_shadows(

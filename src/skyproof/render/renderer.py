@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -16,10 +16,17 @@ from skyproof.render.composite import composite
 from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
-from skyproof.render.layers import Layers, draw_bodies, draw_shadows, windows_around
+from skyproof.render.layers import (
+    Layers,
+    draw_bodies,
+    draw_shadows,
+    see_bodies,
+    windows_around,
+)
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
+from skyproof.render.stage import Stage, Stages
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
@@ -146,6 +153,7 @@ class TorchRenderer:
     def __init__(self, backgrounds: Backgrounds, settings: RenderSettings | None = None) -> None:
         self.backgrounds = backgrounds
         self.settings = settings or RenderSettings()
+        self._stages = Stages()
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
         """Its settings, with blur and noise as these scenes have them."""
@@ -164,46 +172,75 @@ class TorchRenderer:
             vehicles: one row per placement, scene by scene.
             masks: also give every vehicle's pixel mask.
         """
-        ground = wet_grounds(
-            photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes
-        )
         if not len(vehicles):
-            return nothing_placed(finish_images(ground, scenes), masks=masks)
+            return nothing_placed(
+                finish_images(self._ground(scenes, vehicles), scenes), masks=masks
+            )
+        # Steps of an attack draw other scenes each time; whoever compares camouflages, the same.
+        again = not torch.is_grad_enabled()
+        stage = self._stages.find(scenes, vehicles) if again else None
+        if stage is None:
+            stage = self._set(scenes, vehicles)
+            if again:
+                self._stages.keep(stage)
+        bodies = draw_bodies(stage.bodies, stage.lighting, vehicles, self.settings)
+        placed = stage.placed
+        image = composite(
+            stage.ground.clone() if again else stage.ground,
+            bodies=Layers(stage.window, bodies),
+            shadows=stage.shadows,
+            scene=placed.scene,
+            nearness=(placed.ground * placed.viewer).sum(-1),
+            seeds=[scene.seed for scene in scenes],
+            lights=stage.lights,
+            sensors=stage.sensors,
+            cover=stage.cover,
+        )
+        image = finish_images(image, scenes)
+        if masks not in stage.labels:
+            stage.labels[masks] = label(
+                stage.ground,
+                placed,
+                stage.bodies.visibility,
+                stage.window,
+                self.settings.supersampling,
+                cover=stage.cover,
+                masks=masks,
+            )
+        return replace(stage.labels[masks], image=image)
+
+    def _ground(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "B 3 H W"]:
+        return wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
+
+    def _set(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Stage:
+        """Works out all that does not depend on what the vehicles wear."""
+        settings, faces = self.settings, vehicles.template.faces
         placed = place(scenes, vehicles)
-        settings = self.settings
         window = windows_around(placed.screen)
         cast = windows_around(torch.cat((placed.shadow_screen, surrounded(placed)), dim=1))
         lights = scene_lights(
             photographed_lights(self.backgrounds, scenes, settings), scenes, vehicles.vertices
         )
         light = lighting(placed, lights)
-        visibility, bodies = draw_bodies(
-            window,
-            placed.screen,
-            placed.depth,
-            placed.vertices,
-            light,
-            vehicles,
-            settings,
-        )
         shadows = ground_shadows(
-            draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings),
+            draw_shadows(cast, placed.shadow_screen, faces, settings),
             contact_shadows(cast, placed),
             light,
         )
-        cover = covers(self.backgrounds.cover_of, scenes, placed, vehicles.template.faces)
-        image = composite(
-            ground,
-            bodies=Layers(window, bodies),
+        return Stage(
+            scenes=tuple(scenes),
+            vertices=vehicles.vertices.detach().clone(),
+            faces=faces,
+            texture_px=vehicles.texture.shape[-1],
+            ground=self._ground(scenes, vehicles),
+            placed=placed,
+            window=window,
+            bodies=see_bodies(
+                window, placed.screen, placed.depth, placed.vertices, vehicles, settings
+            ),
             shadows=Layers(cast, shadows),
-            scene=placed.scene,
-            nearness=(placed.ground * placed.viewer).sum(-1),
-            seeds=[scene.seed for scene in scenes],
             lights=lights,
+            lighting=light,
             sensors=sensors(self.backgrounds, scenes, settings),
-            cover=cover,
-        )
-        image = finish_images(image, scenes)
-        return label(
-            image, placed, visibility, window, settings.supersampling, cover=cover, masks=masks
+            cover=covers(self.backgrounds.cover_of, scenes, placed, faces),
         )

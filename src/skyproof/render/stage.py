@@ -1,0 +1,115 @@
+"""Scenes with their vehicles but for what these wear, kept while one camouflage follows another."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skyproof.render.frames import Frames
+from skyproof.render.layers import Layers, SeenBodies, Windows
+from skyproof.render.lighting import SceneLights
+from skyproof.render.placed import Placed
+from skyproof.render.shade import Lighting
+from skyproof.scenes.scene import Scene
+from skyproof.scenes.sensor import Sensor
+from skyproof.vehicles.vehicle import VehicleBatch
+
+__all__ = ["Stage", "Stages"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """All of some scenes that does not depend on what their vehicles wear.
+
+    Attributes:
+        scenes: which these are.
+        vertices, faces: of the vehicles that were placed.
+        texture_px: the side of their texture.
+        ground: the photographs without vehicles, sRGB; not to be written over.
+        placed, window, bodies: where the vehicles stand, and what samples see of them.
+        shadows: what they take from the ground.
+        lights, lighting: of the scenes, and on each vehicle.
+        sensors: one a scene.
+        cover: the part of each pixel in which the photograph hides the vehicles, if any.
+        labels: boxes and all else that is known of the vehicles in the images, by whether masks
+            were asked for; of images that count for nothing.
+    """
+
+    scenes: tuple[Scene, ...]
+    vertices: Float[Tensor, "N V 3"]
+    faces: Int[Tensor, "F 3"]
+    texture_px: int
+    ground: Float[Tensor, "B 3 H W"]
+    placed: Placed
+    window: Windows
+    bodies: SeenBodies
+    shadows: Layers
+    lights: SceneLights
+    lighting: Lighting
+    sensors: Sequence[Sensor]
+    cover: Float[Tensor, "B 1 H W"] | None
+    labels: dict[bool, Frames] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> int:
+        """How many samples see a vehicle: what its memory goes with."""
+        return len(self.bodies.visibility.covered)
+
+    def serves(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> bool:
+        """Says whether these scenes with these bodies are the same."""
+        return (
+            len(scenes) == len(self.scenes)
+            and all(one is other for one, other in zip(scenes, self.scenes, strict=True))
+            and vehicles.template.faces is self.faces
+            and vehicles.texture.shape[-1] == self.texture_px
+            and vehicles.vertices.dtype == self.vertices.dtype
+            and torch.equal(vehicles.vertices, self.vertices)
+        )
+
+
+class Stages:
+    """Some stages, as many as a bounded memory holds; threads may share it.
+
+    Choosing among camouflages, checking detectors and scoring draw the same scenes again and again
+    in other textures.
+    """
+
+    most_samples = 4_000_000
+    """Of some 70 bytes each."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[int, ...], Stage] = {}
+        self._lock = threading.Lock()
+
+    def find(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Stage | None:
+        """Returns the stage of these scenes with these bodies; None where it is not kept."""
+        with self._lock:
+            stage = self._kept.get(_key(scenes))
+        return stage if stage is not None and stage.serves(scenes, vehicles) else None
+
+    def keep(self, stage: Stage) -> None:
+        """Keeps a stage, in the place of others of its scenes.
+
+        Where there is no room it takes that of the youngest: whoever draws more scenes in turn than
+        there is room for finds those with which each turn begins, and who draws one scene twice,
+        that one.
+        """
+        if stage.samples > self.most_samples:
+            return
+        with self._lock:
+            self._kept.pop(_key(stage.scenes), None)
+            kept = sum(each.samples for each in self._kept.values())
+            while kept + stage.samples > self.most_samples:
+                _, youngest = self._kept.popitem()
+                kept -= youngest.samples
+            self._kept[_key(stage.scenes)] = stage
+
+
+def _key(scenes: Sequence[Scene]) -> tuple[int, ...]:
+    """A stage holds its scenes, so that no others have their ids."""
+    return tuple(map(id, scenes))
