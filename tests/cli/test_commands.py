@@ -290,7 +290,7 @@ def test_bench(extra: list[str], tmp_path: Path, skyproof: Skyproof) -> None:
         return
     assert answer.code == 0, answer.err
     figures = json.loads(file.read_text())
-    for key in ("forward", "texture", "vertices"):
+    for key in ("forward", "again", "texture", "vertices"):
         assert figures[f"crop_64px_{key}_ms"] > 0
     assert figures["dataset_images_per_second"] > 0
     for key in ("texture", "fixed_colours", "masked", "shape", "texture_and_shape"):

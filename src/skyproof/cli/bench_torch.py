@@ -161,10 +161,21 @@ class _Crops:
 
     def work(self) -> dict[str, Callable[[], None]]:
         """Returns what is timed, by name."""
-        return {"forward": self._forward, "texture": self._texture, "vertices": self._vertices}
+        return {
+            "forward": self._forward,
+            "again": self._again,
+            "texture": self._texture,
+            "vertices": self._vertices,
+        }
 
     @torch.no_grad()
     def _forward(self) -> None:
+        # One that has drawn nothing yet: see `Stages`.
+        TorchRenderer(_Grey())(self.scenes, self.texture(self.vehicles))
+
+    @torch.no_grad()
+    def _again(self) -> None:
+        """The same scenes as before, as in other textures."""
         self.renderer(self.scenes, self.texture(self.vehicles))
 
     def _texture(self) -> None:
