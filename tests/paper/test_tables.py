@@ -492,3 +492,21 @@ def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
     close(shapes["drawn_shape_easr"], 20)
     close(shapes["net_drawn_shape_easr"], 60)
     assert "What a learnt shape adds to the texture under it:" in page
+
+
+def test_what_was_chosen_and_not_learnt_on_cycles(folder):
+    add_cycles(folder)
+    chosen = {"R-U_plain": 0.125, "R-U_best": 0.25, "R-S-O@0.4_plain": 0.5}
+    write_scores(folder / "scores" / "chosen", chosen, found=0.8, renderer="cycles")
+    page = write_reproduction(folder).read_text()
+    row = table(folder, "textures")["T-U"]
+    assert row["cycles_unlearnt_control"] == "R-U_best"
+    close(row["cycles_unlearnt_easr"], 25)
+    close(row["cycles_net_unlearnt_easr"], 62.5 - 25)
+    # Two repeats that lie so far apart leave it open.
+    assert float(row["cycles_net_unlearnt_easr_low"]) < 0
+    # A learnt shape hides 37.5 % there, every vertex out 50 %.
+    close(table(folder, "shape_combined")["S-O"]["cycles_net_unlearnt_easr"], -12.5)
+    # A plain paint all over is a control of T-Fc, too.
+    said = "Against the strongest control that was chosen and not learnt, 1 of 3 do."
+    assert said in page

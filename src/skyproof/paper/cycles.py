@@ -29,7 +29,7 @@ from skyproof.words import detector_name
 
 __all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
 
-_COLUMNS = ("easr", "easr_repeat_min", "easr_repeat_max", "random_", "net_easr", "apd")
+_COLUMNS = ("easr", "random_", "net_easr", "unlearnt_", "net_unlearnt_easr", "apd")
 _KINDS: Mapping[str, Callable[[str], bool]] = {
     "textures": lambda name: name.startswith("T-"),
     "shapes": lambda name: name.startswith("S-"),
@@ -246,6 +246,13 @@ def _placebo(tables: Mapping[str, Table]) -> str:
         text += (
             " Set against a single draw there, so that nothing is said of others: "
             f"{', '.join(single)}."
+        )
+    compared = [row for row in rows if row["cycles_net_unlearnt_easr_low"] is not None]
+    if compared:
+        above = [row for row in compared if row["cycles_net_unlearnt_easr_low"] > 0]
+        text += (
+            f" Against the strongest control that was chosen and not learnt, {len(above)} of "
+            f"{len(compared)} do."
         )
     return text
 

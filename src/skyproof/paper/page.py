@@ -150,6 +150,7 @@ def _header(table: Table) -> list[str]:
             *ours,
             "EASR on Cycles",
             "net on Cycles",
+            "net of unlearnt on Cycles",
             "paper EASR",
             "paper Blender",
             "paper APD",
@@ -171,7 +172,8 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     ]
     papers = [number(row["paper_easr"], 2) + mark]
     if "cycles_easr" in row:
-        cells += [bracket(row, "cycles_easr"), bracket(row, "cycles_net_easr")]
+        names = ("cycles_easr", "cycles_net_easr", "cycles_net_unlearnt_easr")
+        cells += [bracket(row, name) for name in names]
         papers.append(
             number(row["paper_easr_blender"], 2)
             + (mark if row["paper_easr_blender"] is not None else "")
