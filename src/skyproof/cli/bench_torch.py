@@ -170,7 +170,7 @@ class _Crops:
 
     @torch.no_grad()
     def _forward(self) -> None:
-        # One that has drawn nothing yet: see `Stages`.
+        # One that has drawn nothing yet: see `GeometryBuffers`.
         TorchRenderer(_Grey())(self.scenes, self.texture(self.vehicles))
 
     @torch.no_grad()

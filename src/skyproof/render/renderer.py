@@ -16,6 +16,7 @@ from skyproof.render.composite import composite
 from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
+from skyproof.render.geometry_buffer import GeometryBuffer, GeometryBuffers
 from skyproof.render.layers import (
     Layers,
     draw_bodies,
@@ -26,7 +27,6 @@ from skyproof.render.layers import (
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
-from skyproof.render.stage import Stage, Stages
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
@@ -153,7 +153,7 @@ class TorchRenderer:
     def __init__(self, backgrounds: Backgrounds, settings: RenderSettings | None = None) -> None:
         self.backgrounds = backgrounds
         self.settings = settings or RenderSettings()
-        self._stages = Stages()
+        self._buffers = GeometryBuffers()
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
         """Its settings, with blur and noise as these scenes have them."""
@@ -178,41 +178,41 @@ class TorchRenderer:
             )
         # Steps of an attack draw other scenes each time; whoever compares camouflages, the same.
         again = not torch.is_grad_enabled()
-        stage = self._stages.find(scenes, vehicles) if again else None
-        if stage is None:
-            stage = self._set(scenes, vehicles)
+        buffer = self._buffers.find(scenes, vehicles) if again else None
+        if buffer is None:
+            buffer = self._look(scenes, vehicles)
             if again:
-                self._stages.keep(stage)
-        bodies = draw_bodies(stage.bodies, stage.lighting, vehicles, self.settings)
-        placed = stage.placed
+                self._buffers.keep(buffer)
+        bodies = draw_bodies(buffer.bodies, buffer.lighting, vehicles, self.settings)
+        placed = buffer.placed
         image = composite(
-            stage.ground.clone() if again else stage.ground,
-            bodies=Layers(stage.window, bodies),
-            shadows=stage.shadows,
+            buffer.ground.clone() if again else buffer.ground,
+            bodies=Layers(buffer.window, bodies),
+            shadows=buffer.shadows,
             scene=placed.scene,
             nearness=(placed.ground * placed.viewer).sum(-1),
             seeds=[scene.seed for scene in scenes],
-            lights=stage.lights,
-            sensors=stage.sensors,
-            cover=stage.cover,
+            lights=buffer.lights,
+            sensors=buffer.sensors,
+            cover=buffer.cover,
         )
         image = finish_images(image, scenes)
-        if masks not in stage.labels:
-            stage.labels[masks] = label(
-                stage.ground,
+        if masks not in buffer.labels:
+            buffer.labels[masks] = label(
+                buffer.ground,
                 placed,
-                stage.bodies.visibility,
-                stage.window,
+                buffer.bodies.visibility,
+                buffer.window,
                 self.settings.supersampling,
-                cover=stage.cover,
+                cover=buffer.cover,
                 masks=masks,
             )
-        return replace(stage.labels[masks], image=image)
+        return replace(buffer.labels[masks], image=image)
 
     def _ground(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "B 3 H W"]:
         return wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
 
-    def _set(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Stage:
+    def _look(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> GeometryBuffer:
         """Works out all that does not depend on what the vehicles wear."""
         settings, faces = self.settings, vehicles.template.faces
         placed = place(scenes, vehicles)
@@ -227,7 +227,7 @@ class TorchRenderer:
             contact_shadows(cast, placed),
             light,
         )
-        return Stage(
+        return GeometryBuffer(
             scenes=tuple(scenes),
             vertices=vehicles.vertices.detach().clone(),
             faces=faces,

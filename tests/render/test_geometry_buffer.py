@@ -12,8 +12,8 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.paint import plain_paint
 from skyproof.render import renderer as module
 from skyproof.render.frames import Frames
+from skyproof.render.geometry_buffer import GeometryBuffers
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.stage import Stages
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.weather import Weather
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -125,8 +125,8 @@ def test_with_little_room_the_first_of_each_turn_are_kept(
 ):
     turn: Sequence[Scene] = [dataclasses.replace(scenes[1], seed=seed) for seed in range(4)]
     one = vehicles.row(0)
-    samples = TorchRenderer(PlainGround())._set(turn[:1], one).samples
-    monkeypatch.setattr(Stages, "most_samples", int(room * 4 * samples))
+    each_bytes = TorchRenderer(PlainGround())._look(turn[:1], one).memory_bytes
+    monkeypatch.setattr(GeometryBuffers, "most_bytes", int(room * 4 * each_bytes))
     renderer = TorchRenderer(PlainGround())
     for each in turn:
         renderer([each], one)

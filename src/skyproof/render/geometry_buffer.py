@@ -19,12 +19,14 @@ from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Stage", "Stages"]
+__all__ = ["GeometryBuffer", "GeometryBuffers"]
+
+_SAMPLE_BYTES = 72
 
 
 @dataclass(frozen=True)
-class Stage:
-    """All of some scenes that does not depend on what their vehicles wear.
+class GeometryBuffer:
+    """All of some scenes that does not depend on what their vehicles wear (deferred shading).
 
     Attributes:
         scenes: which these are.
@@ -56,9 +58,15 @@ class Stage:
     labels: dict[bool, Frames] = field(default_factory=dict)
 
     @property
-    def samples(self) -> int:
-        """How many samples see a vehicle: what its memory goes with."""
-        return len(self.bodies.visibility.covered)
+    def memory_bytes(self) -> int:
+        """About how much memory it takes: samples that see a vehicle, ground, cover and masks."""
+        count, _, height, width = self.ground.shape
+        pixels = height * width
+        return (
+            len(self.bodies.visibility.covered) * _SAMPLE_BYTES
+            + 4 * count * pixels * self.ground.element_size()
+            + len(self.vertices) * pixels
+        )
 
     def serves(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> bool:
         """Says whether these scenes with these bodies are the same."""
@@ -72,44 +80,43 @@ class Stage:
         )
 
 
-class Stages:
-    """Some stages, as many as a bounded memory holds; threads may share it.
+class GeometryBuffers:
+    """Some of them, as many as a bounded memory holds; threads may share it.
 
     Choosing among camouflages, checking detectors and scoring draw the same scenes again and again
     in other textures.
     """
 
-    most_samples = 4_000_000
-    """Of some 70 bytes each."""
+    most_bytes = 400_000_000
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[int, ...], Stage] = {}
+        self._kept: dict[tuple[int, ...], GeometryBuffer] = {}
         self._lock = threading.Lock()
 
-    def find(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Stage | None:
-        """Returns the stage of these scenes with these bodies; None where it is not kept."""
+    def find(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> GeometryBuffer | None:
+        """Returns the buffer of these scenes with these bodies; None where it is not kept."""
         with self._lock:
-            stage = self._kept.get(_key(scenes))
-        return stage if stage is not None and stage.serves(scenes, vehicles) else None
+            buffer = self._kept.get(_key(scenes))
+        return buffer if buffer is not None and buffer.serves(scenes, vehicles) else None
 
-    def keep(self, stage: Stage) -> None:
-        """Keeps a stage, in the place of others of its scenes.
+    def keep(self, buffer: GeometryBuffer) -> None:
+        """Keeps a buffer, in the place of others of its scenes.
 
         Where there is no room it takes that of the youngest: whoever draws more scenes in turn than
         there is room for finds those with which each turn begins, and who draws one scene twice,
         that one.
         """
-        if stage.samples > self.most_samples:
+        if buffer.memory_bytes > self.most_bytes:
             return
         with self._lock:
-            self._kept.pop(_key(stage.scenes), None)
-            kept = sum(each.samples for each in self._kept.values())
-            while kept + stage.samples > self.most_samples:
+            self._kept.pop(_key(buffer.scenes), None)
+            kept = sum(each.memory_bytes for each in self._kept.values())
+            while kept + buffer.memory_bytes > self.most_bytes:
                 _, youngest = self._kept.popitem()
-                kept -= youngest.samples
-            self._kept[_key(stage.scenes)] = stage
+                kept -= youngest.memory_bytes
+            self._kept[_key(buffer.scenes)] = buffer
 
 
 def _key(scenes: Sequence[Scene]) -> tuple[int, ...]:
-    """A stage holds its scenes, so that no others have their ids."""
+    """A buffer holds its scenes, so that no others have their ids."""
     return tuple(map(id, scenes))
