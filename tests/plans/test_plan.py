@@ -323,6 +323,14 @@ def test_every_name_can_be_made_and_has_its_control(preset):
     assert settings.draws >= 3
 
 
+@pytest.mark.parametrize("reference", [[], ["retinanet"]])
+def test_images_to_train_on_are_drawn_where_something_is_trained(reference):
+    changes = {"detectors": ["retinanet"], "reference": reference}
+    plan = reproduction_plan(Preset.parse({**TINY, **changes}), Path())
+    drawn = {step.name for step in plan.steps if step.kind == "render"}
+    assert drawn == ({"test", "empty"} if reference else {"train", "validation", "test", "empty"})
+
+
 @pytest.mark.parametrize("blur_sigma_px", [None, 1.25, "paper"])
 def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
     plan = reproduction_plan(Preset.parse({**TINY, "blur_sigma_px": blur_sigma_px}), Path())

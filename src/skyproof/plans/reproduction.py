@@ -78,16 +78,16 @@ def reproduction_plan(
     layout = Layout(folder)
     sizes = preset.world
     jobs = Jobs(preset)
+    trained = [name for name in preset.detectors if name not in preset.reference]
     steps = world_steps(
         layout,
         sizes,
         preset.seed,
-        splits=(*RENDERED, "empty"),
+        splits=(*(RENDERED if trained else ("test",)), "empty"),
         blur_sigma_px=preset.blur_sigma_px,
         device=device,
     )
     steps += [reference_step(layout, name, check=True) for name in preset.reference]
-    trained = [name for name in preset.detectors if name not in preset.reference]
     steps += [
         train_step(
             layout,
