@@ -21,7 +21,7 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["GeometryBuffer", "GeometryBuffers"]
 
-_SAMPLE_BYTES = 72
+_SAMPLE_BYTES, _FACE_BYTES = 72, 68
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,14 @@ class GeometryBuffer:
 
     @property
     def memory_bytes(self) -> int:
-        """About how much memory it takes: samples that see a vehicle, ground, cover and masks."""
+        """About how much memory it takes."""
         count, _, height, width = self.ground.shape
-        pixels = height * width
-        return (
-            len(self.bodies.visibility.covered) * _SAMPLE_BYTES
-            + 4 * count * pixels * self.ground.element_size()
-            + len(self.vertices) * pixels
-        )
+        pixels, vehicles = height * width, len(self.vertices)
+        samples = len(self.bodies.visibility.covered)
+        ground_and_cover = 4 * count * pixels * self.ground.element_size()
+        masks = vehicles * pixels
+        bodies = samples * _SAMPLE_BYTES + vehicles * len(self.faces) * _FACE_BYTES
+        return bodies + ground_and_cover + masks
 
     def serves(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> bool:
         """Says whether these scenes with these bodies are the same."""
