@@ -68,12 +68,10 @@ class GeometryBuffer:
         bodies = samples * _SAMPLE_BYTES + vehicles * len(self.faces) * _FACE_BYTES
         return bodies + ground_and_cover + masks
 
-    def serves(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> bool:
-        """Says whether these scenes with these bodies are the same."""
+    def serves(self, vehicles: VehicleBatch) -> bool:
+        """Says whether these are the same bodies."""
         return (
-            len(scenes) == len(self.scenes)
-            and all(one is other for one, other in zip(scenes, self.scenes, strict=True))
-            and vehicles.template.faces is self.faces
+            vehicles.template.faces is self.faces
             and vehicles.texture.shape[-1] == self.texture_px
             and vehicles.vertices.dtype == self.vertices.dtype
             and torch.equal(vehicles.vertices, self.vertices)
@@ -97,7 +95,7 @@ class GeometryBuffers:
         """Returns the buffer of these scenes with these bodies; None where it is not kept."""
         with self._lock:
             buffer = self._kept.get(_key(scenes))
-        return buffer if buffer is not None and buffer.serves(scenes, vehicles) else None
+        return buffer if buffer is not None and buffer.serves(vehicles) else None
 
     def keep(self, buffer: GeometryBuffer) -> None:
         """Keeps a buffer, in the place of others of its scenes.

@@ -41,7 +41,9 @@ class Group:
 
     counts: Int[np.ndarray, "S N 3"]
     repeats: Sequence[Sequence[Repeat]] = ()
-    _known: list[tuple[Sample, _Values]] = field(default_factory=list, repr=False, compare=False)
+    _known: list[tuple[Sample, _Values]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     def easr(self, sample: Sample) -> _Values:
         """Gives every series' EASR on a sample, worked out once: it stands in many contrasts."""
