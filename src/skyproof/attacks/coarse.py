@@ -34,9 +34,8 @@ _SHAPE_BANDS = 8
 class CoarseChange:
     """Offsets on bands across the cells of a texture, or across the reach of a shape.
 
-    Free colours are moved in sRGB. Where cells hold one score per colour, scores are moved, so that
-    another colour wins: colours stay those of the palette. Of a sequential combination the shape is
-    moved, as an attack on it learns the shape alone.
+    Colours are moved in sRGB. Of a sequential combination the shape is moved, as an attack on it
+    learns the shape alone.
 
     Args:
         start: finished; not changed.
@@ -45,7 +44,7 @@ class CoarseChange:
         shape: channels and bands.
 
     Raises:
-        ConfigurationError: a camouflage of another kind.
+        ConfigurationError: a camouflage of another kind, or of few colours.
     """
 
     def __init__(self, start: Camouflage) -> None:
@@ -54,9 +53,6 @@ class CoarseChange:
         # A shape has one value a place.
         channels, bands = (len(moved), _TEXTURE_BANDS) if moved.ndim == 3 else (1, _SHAPE_BANDS)
         self.shape = (channels, max(1, min(bands, MOST_NUMBERS // channels)))
-        # Scores have no scale of their own; colours and reaches lie in [0, 1].
-        restricted = isinstance(start, UniversalTexture) and start.restricted
-        self._scale = max(float(moved.detach().std()), 1e-3) if restricted else 1.0
 
     @property
     def count(self) -> int:
@@ -72,7 +68,7 @@ class CoarseChange:
         band = ((torch.arange(rows) + 0.5) * self.shape[1] / rows).long()
         by_row = offsets[:, band].reshape(*moved.shape[:-1], 1).to(moved.device)
         with torch.no_grad():
-            moved.add_(self._scale * by_row)
+            moved.add_(by_row)
         changed.project_()
         changed.finalise()
         return changed.requires_grad_(False)
@@ -81,11 +77,11 @@ class CoarseChange:
 def _moved(camouflage: Camouflage) -> nn.Parameter:
     """What of a camouflage is moved."""
     part: nn.Module = camouflage.shape if isinstance(camouflage, Combination) else camouflage
-    if isinstance(part, UniversalTexture):
+    if isinstance(part, UniversalTexture) and not part.restricted:
         return part.cells
     if isinstance(part, DisplacementMap):
         return part.reach
     raise ConfigurationError(
-        f"{camouflage.name} is neither texture nor shape, so there is nothing to change; give one "
-        "that skyproof made."
+        f"{camouflage.name} is neither a texture of free colours nor a shape, so there is nothing to "
+        "move by degrees; give one that skyproof made."
     )

@@ -1,7 +1,9 @@
 """Attacks that know a detector's answers and nothing else: no loss, no gradient.
 
-An evolution strategy (CMA-ES; Hansen, "The CMA evolution strategy: a tutorial", 2016) moves a
-camouflage that was learnt on other detectors; a random search is the control beside it.
+They begin at a camouflage that was learnt on other detectors. An evolution strategy (CMA-ES;
+Hansen, "The CMA evolution strategy: a tutorial", 2016) moves free colours and shapes; blocks of few
+colours take random changes, of which those are kept that help. A random search from a random draw
+is the control beside either.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
+from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.weights import weights_digest
@@ -69,7 +72,7 @@ class _Evolution:
         return self._change(self._strategy.mean)
 
 
-class _RandomSearch:
+class _RandomChanges:
     """Keeps a random change where it lowers the score, as `search_step` does by losses."""
 
     candidates = 2
@@ -97,7 +100,7 @@ class _RandomSearch:
         return copy.deepcopy(self._camouflage)
 
 
-_Search = _Evolution | _RandomSearch
+_Search = _Evolution | _RandomChanges
 
 
 def query_attack(
@@ -120,7 +123,7 @@ def query_attack(
 
     Args:
         start: finished: what was learnt on other detectors; of a control that is to be searched for
-            ("R-PixFc_search") a random draw, which takes random changes.
+            ("R-PixFc_search") a random draw.
         judge: a detector with the threshold that counts.
         world: what an attack sees; its ground and vehicles are no test's.
         settings: budget, batch and seed.
@@ -217,7 +220,10 @@ def _told(row: Mapping[str, Any], count: int, folder: Path) -> list[float]:
 
 
 def _search(start: Camouflage, settings: QuerySettings) -> _Search:
-    return (_RandomSearch if start.name.choice == "search" else _Evolution)(start, settings.seed)
+    # Few colours leave nothing in between for an evolution to move through (docs/attacks.md).
+    few_colours = isinstance(start, UniversalTexture) and start.restricted
+    changes = few_colours or start.name.choice == "search"
+    return (_RandomChanges if changes else _Evolution)(start, settings.seed)
 
 
 @torch.no_grad()
