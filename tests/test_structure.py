@@ -17,7 +17,7 @@ FLOORS = [
     {"scenes", "vehicles"},
     {"datasets", "ground"},
     {"camouflage", "render", "detectors"},
-    {"attacks", "cycles", "results", "imagery"},
+    {"attacks", "cycles", "results", "imagery", "generator"},
     {"gate", "maite"},
     {"paper"},
     {"report"},

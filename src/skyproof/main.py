@@ -31,6 +31,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "adjust": "skyproof.cli.adjust:Adjust",
         "export": "skyproof.cli.export:Export",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
+        "learn-vehicles": "skyproof.cli.learn_vehicles:LearnVehicles",
     },
     "Images": {
         "scenes": "skyproof.cli.scenes:Scenes",
@@ -189,7 +190,7 @@ def _overview() -> str:
     ]
     for title, group in COMMANDS.items():
         lines += ["", f"{title}:"]
-        lines += [f"  {name:<13}{_summary(load_command(name))}" for name in group]
+        lines += [f"  {name:<15}{_summary(load_command(name))}" for name in group]
     lines += [
         "",
         "skyproof COMMAND --help lists a command's options; skyproof --version the version.",

@@ -82,6 +82,6 @@ def _moved(camouflage: Camouflage) -> nn.Parameter:
     if isinstance(part, DisplacementMap):
         return part.reach
     raise ConfigurationError(
-        f"{camouflage.name} is neither a texture of free colours nor a shape, so there is nothing to "
-        "move by degrees; give one that skyproof made."
+        f"{camouflage.name} is neither a texture of free colours nor a shape, so there is nothing "
+        "to move by degrees; give one that skyproof made."
     )

@@ -1,4 +1,4 @@
-"""`skyproof vehicles`: fleets, drawn at random or made of real meshes and other fleets."""
+"""`skyproof vehicles`: fleets, drawn by rules or by a generator, or made of meshes and fleets."""
 
 from __future__ import annotations
 
@@ -56,6 +56,9 @@ class Vehicles:
         shapes: share of the fleets train and validation whose surface is pushed out at random, as
             the random shape R-S-O does.
         wrapping: how meshes are read and named.
+        generator: folder of `skyproof learn-vehicles`: fleets are drawn by what it learnt, and not
+            by rules. Of the paints only random patterns are then laid over a share of train and
+            validation.
     """
 
     out: Path
@@ -65,10 +68,16 @@ class Vehicles:
     paints: PaintVariety = field(default_factory=PaintVariety)
     shapes: Fraction = 0.25
     wrapping: WrapSettings = field(default_factory=WrapSettings)
+    generator: Path | None = None
 
     def run(self) -> None:
         """Writes all of them, or nothing."""
         refuse_existing(self.out)
+        if self.sources and self.generator is not None:
+            raise ConfigurationError(
+                "Sources and --generator were given; draw the fleets first, and mix their folders "
+                "afterwards."
+            )
         if self.sources:
             self._combine()
         else:
@@ -76,9 +85,12 @@ class Vehicles:
 
     def _draw(self) -> None:
         from skyproof.camouflage.random_controls import wear_random_controls
+        from skyproof.generator.fleet import sample_learnt_fleet
+        from skyproof.generator.folder import load_generator
         from skyproof.randomness import generator_of
         from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
+        learnt = None if self.generator is None else load_generator(self.generator)
         with finished_folder(self.out) as folder:
             # Numbers go on from split to split: no vehicle is in two of them.
             first_number = 0
@@ -93,7 +105,12 @@ class Vehicles:
                 )
                 with progress_bar(f"vehicles {split}") as update:
                     generator = generator_of(self.seed, "fleet", split)
-                    fleet = sample_fleet(settings, generator=generator, progress=update)
+                    if learnt is None:
+                        fleet = sample_fleet(settings, generator=generator, progress=update)
+                    else:
+                        fleet = sample_learnt_fleet(
+                            learnt, settings, generator=generator, progress=update
+                        )
                 controls = generator_of(self.seed, "controls", split)
                 wear_random_controls(fleet, generator=controls).save(folder / split)
                 first_number += count

@@ -27,7 +27,7 @@ from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 
-__all__ = ["Fleet", "FleetSettings", "mix_fleets", "sample_fleet"]
+__all__ = ["Fleet", "FleetSettings", "exact_share", "mix_fleets", "sample_fleet"]
 
 _FORMAT_VERSION = 1
 _USUAL: Coat = "catalogue"
@@ -111,8 +111,9 @@ class Fleet:
         vertices: `[N, V, 3]` metres, vehicle axes.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
-        sources: for each wrapped vehicle its "mesh" file and "licence"; for each drawn one that
-            wears no catalogue paint its "coat", and "shape": "random" where that is asked.
+        sources: for each wrapped vehicle its "mesh" file and "licence"; for each learnt one its
+            "generator"; for each that wears no catalogue paint its "coat", and "shape": "random"
+            where that is asked.
     """
 
     settings: FleetSettings | None
@@ -265,7 +266,7 @@ def sample_fleet(
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }
-    for index in _shaped(settings, generator):
+    for index in exact_share(settings.shapes, settings.count, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
     return Fleet(
         settings,
@@ -295,12 +296,12 @@ def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
     return coats
 
 
-def _shaped(settings: FleetSettings, generator: torch.Generator) -> list[int]:
-    """Says which vehicles are pushed out at random, whatever their coat."""
-    if not settings.shapes:
+def exact_share(share: float, count: int, generator: torch.Generator) -> list[int]:
+    """Draws an exact share of so many; nothing is drawn where there is none."""
+    if not share:
         return []
-    order = torch.randperm(settings.count, generator=generator).tolist()
-    return sorted(order[: round(settings.shapes * settings.count)])
+    order = torch.randperm(count, generator=generator).tolist()
+    return sorted(order[: round(share * count)])
 
 
 def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.vehicles.canvas import Canvas, between, open_canvas
@@ -13,7 +13,10 @@ from skyproof.vehicles.surface import Body
 from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
-__all__ = ["paint_vehicle"]
+__all__ = ["GLASS_SRGB", "paint_vehicle"]
+
+GLASS_SRGB = (0.115, 0.140, 0.165)
+"""Panes from outside; those of single vehicles are 0.75 to 1.45 times as bright."""
 
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)
@@ -25,7 +28,13 @@ _SEAM = 0.45  # what is left of the paint's brightness in a panel gap
 
 
 def paint_vehicle(
-    body: Body, body_type: str, coat: Coat = "catalogue", *, generator: torch.Generator
+    body: Body,
+    body_type: str,
+    coat: Coat = "catalogue",
+    *,
+    paint: Float[Tensor, " 3"] | None = None,
+    glass: Float[Tensor, " 3"] | None = None,
+    generator: torch.Generator,
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
     """Paints one vehicle.
 
@@ -36,13 +45,17 @@ def paint_vehicle(
         body: its shape.
         body_type: decides trim, glass and the usual paints.
         coat: of the body panels.
+        paint: sRGB in [0, 1] of the body panels; without one it is drawn. What else is drawn is the
+            same either way.
+        glass: the same of the panes.
         generator: on the CPU.
 
     Returns:
         texture: `[3, 512, 512]` sRGB as bytes.
         parts: `[512, 512]` values of `Part`.
     """
-    _, paint = sample_paint(body_type, generator=generator)
+    _, drawn_paint = sample_paint(body_type, generator=generator)
+    paint = drawn_paint if paint is None else paint
     chance = torch.rand(12, generator=generator).tolist()
     canvas = open_canvas(body, paint)
     if coat in ("plain", "two_tone", "livery"):
@@ -50,7 +63,8 @@ def paint_vehicle(
     _paint_seams(canvas, body_type)
     _paint_lower_body(canvas, body_type, chance[0])
     _paint_ends(canvas, body_type, paint, chance[1])
-    glass = torch.tensor([0.115, 0.140, 0.165]) * (0.75 + 0.7 * chance[2])
+    drawn_glass = torch.tensor(GLASS_SRGB) * (0.75 + 0.7 * chance[2])
+    glass = drawn_glass if glass is None else glass
     _paint_glass(canvas, body_type, glass, panel_van=chance[3] < 0.7)
     _paint_roof(canvas, body_type, glass, chance[4:9])
     if body.dimensions.bed_depth:

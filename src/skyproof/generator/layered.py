@@ -1,0 +1,165 @@
+"""A generator of vehicles from layers: body, paint, glass, and what fits found on top of them.
+
+Every layer of a sample lies between, or near, those of vehicles that were fitted, and the body is
+drawn by the rules of `skyproof vehicles`; so panes are where such a body has panes, and the part
+map is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.generator.fits import FittedVehicles
+from skyproof.generator.fitting import MAP_PX, whole
+from skyproof.generator.prototypes import draw_prototype
+from skyproof.generator.sample import Sample
+from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions
+
+__all__ = ["LayeredGenerator"]
+
+_COMPONENTS = 24
+_BODY_NOISE = 0.35
+_NEIGHBOURS = 3
+_LARGEST_M = 20.0
+_NAMES = tuple(field.name for field in fields(BodyDimensions))
+
+
+class LayeredGenerator:
+    """Vehicles between fitted ones.
+
+    A latent vector holds the dimensions of a body, the colours of paint and glass in CIELAB, and
+    the coefficients of the map on top of them (principal components). A draw of it starts at one
+    fitted vehicle. The body's dimensions go by 0.35 standard deviations of its type towards
+    anywhere, and are drawn towards the type's mean so that their spread stays (a smoothed
+    bootstrap; Silverman and Young 1987). Colours and map go part of the way to one of the three
+    fitted vehicles whose paint is nearest (as SMOTE does; Chawla et al. 2002).
+
+    Attributes:
+        body_types: of the fitted vehicles.
+        latents: of the fitted vehicles, a row each.
+    """
+
+    method = "layered"
+
+    def __init__(
+        self,
+        body_types: tuple[str, ...],
+        latents: Float[Tensor, "N L"],
+        detail_mean: Float[Tensor, " T"],
+        components: Float[Tensor, "K T"],
+    ) -> None:
+        self.body_types = body_types
+        self.latents = latents
+        self._detail_mean = detail_mean
+        self._components = components
+
+    @classmethod
+    def learn(cls, vehicles: FittedVehicles) -> LayeredGenerator:
+        """Learns from fitted vehicles; a matter of linear algebra, and done at once."""
+        flat = vehicles.detail.flatten(1)
+        mean = flat.mean(0)
+        count = min(_COMPONENTS, len(flat) - 1)
+        # Signs of singular vectors are arbitrary; these are the same on every machine.
+        _, _, components = torch.linalg.svd((flat - mean).double(), full_matrices=False)
+        components = components[:count]
+        largest = components.gather(1, components.abs().argmax(1, keepdim=True))
+        components = (components * largest.sign()).float()
+        dimensions = torch.tensor(
+            [[getattr(each, name) for name in _NAMES] for each in vehicles.dimensions]
+        )
+        latents = torch.cat(
+            (
+                dimensions,
+                srgb_to_cielab(vehicles.paint),
+                srgb_to_cielab(vehicles.glass),
+                (flat - mean) @ components.T,
+            ),
+            dim=1,
+        )
+        return cls(vehicles.body_types, latents, mean, components)
+
+    def sample_latent(self, generator: torch.Generator) -> tuple[str, Float[Tensor, " L"]]:
+        """Draws a body type and a latent vector."""
+        start = int(torch.randint(len(self.latents), (), generator=generator))
+        body_type = self.body_types[start]
+        bodies = len(_NAMES)
+        own = self.latents[[each == body_type for each in self.body_types]][:, :bodies]
+        spread = own.std(0, correction=0)
+        mean = own.mean(0)
+        noise = torch.randn(bodies, generator=generator)
+        body = mean + (1 - _BODY_NOISE**2) ** 0.5 * (self.latents[start, :bodies] - mean)
+        body = body + _BODY_NOISE * spread * noise
+        # Dimensions stay among those that were found.
+        body = body.clamp(own.amin(0), own.amax(0))
+        colours = self.latents[:, bodies : bodies + 3]
+        distances = (colours - colours[start]).norm(dim=1)
+        nearest = distances.argsort(stable=True)[: _NEIGHBOURS + 1].tolist()
+        others = [index for index in nearest if index != start][:_NEIGHBOURS] or [start]
+        pick, part = torch.rand(2, generator=generator).tolist()
+        other = others[min(int(pick * len(others)), len(others) - 1)]
+        rest = torch.lerp(self.latents[start, bodies:], self.latents[other, bodies:], part)
+        return body_type, torch.cat((body, rest))
+
+    def decode(self, body_type: str, latent: Float[Tensor, " L"], seed: int) -> Sample:
+        """Draws the vehicle that a latent vector stands for.
+
+        Args:
+            body_type: decides trim.
+            latent: as `sample_latent` gives it.
+            seed: of pillars, roof rails and dust, which no photograph shows.
+        """
+        bodies = len(_NAMES)
+        dimensions = BodyDimensions(*latent[:bodies].double().tolist())
+        prototype = draw_prototype(body_type, dimensions, seed)
+        paint, glass = cielab_to_srgb(latent[bodies : bodies + 6].view(2, 3)).clamp(0.0, 1.0)
+        detail = self._detail_mean + latent[bodies + 6 :] @ self._components
+        half = detail.view(1, 3, MAP_PX, MAP_PX // 2)
+        on_top = torch.nn.functional.interpolate(
+            whole(half), size=prototype.parts.shape, mode="bilinear"
+        )[0]
+        texture = (prototype.layers.coloured(paint, glass) + on_top).clamp(0.0, 1.0)
+        return Sample(
+            body_type,
+            prototype.vertices,
+            (texture * 255).round().to(torch.uint8),
+            prototype.parts,
+        )
+
+    def sample(self, generator: torch.Generator) -> Sample:
+        """Draws a vehicle."""
+        body_type, latent = self.sample_latent(generator)
+        return self.decode(body_type, latent, int(torch.randint(2**31, (), generator=generator)))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Gives all that was learnt, for a file."""
+        return {
+            "latents": self.latents,
+            "detail_mean": self._detail_mean,
+            "components": self._components,
+        }
+
+    @classmethod
+    def of(cls, body_types: tuple[str, ...], tensors: dict[str, Tensor]) -> LayeredGenerator:
+        """Takes over what `tensors` gave.
+
+        Raises:
+            KeyError, ValueError: they are those of something else.
+        """
+        latents, mean, components = (
+            tensors[name] for name in ("latents", "detail_mean", "components")
+        )
+        texels = 3 * MAP_PX * (MAP_PX // 2)
+        width = len(_NAMES) + 6 + len(components)
+        if latents.shape != (len(body_types), width) or mean.shape != (texels,):
+            raise ValueError("shapes do not fit")
+        if components.shape[1:] != (texels,) or not set(body_types) <= set(BODY_RANGES):
+            raise ValueError("shapes do not fit")
+        dimensions = latents[:, : len(_NAMES)]
+        if float(dimensions.amin()) < 0 or float(dimensions.amax()) > _LARGEST_M:
+            raise ValueError("no dimensions of vehicles")
+        return cls(body_types, latents, mean, components)

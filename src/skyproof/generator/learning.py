@@ -1,0 +1,173 @@
+"""From photographs to a generator of vehicles: find them, fit them, learn from the good fits."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from skyproof.errors import ConfigurationError
+from skyproof.files import alone
+from skyproof.generator.adversarial import AdversarialGenerator, learn_adversarially
+from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
+from skyproof.generator.fitting import Fit, Fitter
+from skyproof.generator.folder import save_generator
+from skyproof.generator.layered import LayeredGenerator
+from skyproof.generator.photographed import Photographed, photographed_vehicles
+from skyproof.generator.prototypes import Prototype, draw_prototypes
+from skyproof.generator.settings import LearnSettings
+from skyproof.generator.sheets import write_fit_sheets, write_sample_sheet
+from skyproof.loop import Loop
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.vehicles.bodies import BODY_RANGES
+
+__all__ = ["LEAST_VEHICLES", "learn_vehicles"]
+
+LEAST_VEHICLES = 50
+"""Of fewer, a generator would only repeat them."""
+
+UNSURE_BELOW = 0.002
+"""Where the other direction fits worse by no more than this, nose and tail may be exchanged."""
+
+_OTHER = "vehicles learnt from other photographs, or with other settings"
+_CHECKPOINT_EVERY = 10
+
+
+def learn_vehicles(
+    tiles: BackgroundSet,
+    cleared: BackgroundSet,
+    settings: LearnSettings,
+    folder: Path,
+    *,
+    least: int = LEAST_VEHICLES,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Learns a generator of vehicles from photographs.
+
+    A stopped run goes on after the last stored fit or step, and ends at the same bytes.
+
+    Args:
+        tiles: photographs with their vehicles, as `skyproof ground` cuts them.
+        cleared: the same without them, as `skyproof clear` leaves them.
+        settings: how they are fitted, and by which method one learns from them.
+        folder: gets the generator (see `load_generator`), `fits/` with a sheet of all fits, and
+            `samples.png`.
+        least: fewer vehicles than this, found or fitted well, are refused.
+        progress: called with ("fit" or "learn", done, in all).
+
+    Returns:
+        What `generator.json` says.
+
+    Raises:
+        ConfigurationError: too few vehicles can be fitted, or were; says why.
+        RunFolderError: the folder holds something else, or somebody else works there.
+        StoredFileError: a tile or the checkpoint is damaged.
+    """
+    vehicles, left_out = photographed_vehicles(tiles, cleared)
+    _refuse_few(len(vehicles), least, left_out, cleared)
+    identity = {
+        "settings": asdict(settings),
+        "vehicles": [vehicle.scene.id for vehicle in vehicles],
+        "gsd_m": tiles.gsd_m,
+    }
+    prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
+    fitter = Fitter(tiles, cleared, prototypes, settings.fit)
+    with alone(folder):
+        fits = _fit_all(fitter, vehicles, identity, folder / "fits", progress)
+        kept = [fit for fit in fits if fit.misfit <= LARGEST_MISFIT]
+        if len(kept) < len(fits):
+            left_out[f"its fit is off by more than {LARGEST_MISFIT:g}"] = len(fits) - len(kept)
+        _refuse_few(len(kept), least, left_out, cleared)
+        learnt_from = fitted_vehicles(kept, prototypes)
+        generator: LayeredGenerator | AdversarialGenerator
+        if settings.method == "layered":
+            generator = LayeredGenerator.learn(learnt_from)
+        else:
+
+            def report(row: dict[str, Any]) -> None:
+                if progress is not None:
+                    progress("learn", row["step"], settings.gan.steps)
+
+            generator = learn_adversarially(
+                learnt_from, settings.gan, folder / "gan", seed=settings.seed, on_step=report
+            )
+        record = _record(settings, cleared, vehicles, kept, left_out, prototypes)
+        write_fit_sheets(folder / "fits", fitter, vehicles, fits, prototypes)
+        write_sample_sheet(folder / "samples.png", generator, settings.seed)
+        save_generator(folder, generator, record)
+    return record
+
+
+def _fit_all(
+    fitter: Fitter,
+    vehicles: list[Photographed],
+    identity: dict[str, Any],
+    folder: Path,
+    progress: Callable[[str, int, int], None] | None,
+) -> list[Fit]:
+    fits = Fits([vehicle.scene.id for vehicle in vehicles])
+    loop = Loop(
+        folder,
+        identity,
+        len(vehicles),
+        _CHECKPOINT_EVERY,
+        {"fits": fits},
+        other=_OTHER,
+        remedy=f"remove {folder} and learn again",
+    )
+    loop.resume()
+    for step in loop:
+        vehicle = vehicles[step - 1]
+        fit = fitter(vehicle)
+        fits.add(fit)
+        loop.report(
+            {
+                "step": step,
+                "vehicle": fit.id,
+                "misfit": fit.misfit,
+                "prototype": fit.prototype,
+                "reversed": fit.reversed,
+                "runner_up": fit.runner_up,
+            }
+        )
+        if progress is not None:
+            progress("fit", step, len(vehicles))
+    return [fits.fit(index) for index in range(len(fits))]
+
+
+def _refuse_few(count: int, least: int, left_out: dict[str, int], cleared: BackgroundSet) -> None:
+    if count >= least:
+        return
+    reasons = ", ".join(f"{number} because {why}" for why, number in left_out.items())
+    raise ConfigurationError(
+        f"Learning vehicles expects at least {least} that can be fitted, got {count} of "
+        f"{cleared.folder}{f' (left out: {reasons})' if reasons else ''}; give more imagery."
+    )
+
+
+def _record(
+    settings: LearnSettings,
+    cleared: BackgroundSet,
+    vehicles: list[Photographed],
+    kept: list[Fit],
+    left_out: dict[str, int],
+    prototypes: list[Prototype],
+) -> dict[str, Any]:
+    headings = Counter(vehicle.heading_from for vehicle in vehicles)
+    types = Counter(prototypes[fit.prototype].body_type for fit in kept)
+    licences = sorted({tile.licence or "not stated" for tile in cleared.all_tiles()})
+    return {
+        "method": settings.method,
+        "settings": asdict(settings),
+        "gsd_m": cleared.gsd_m,
+        "vehicles": len(kept),
+        "left_out": left_out,
+        "body_types": dict(sorted(types.items())),
+        "headings_from": dict(sorted(headings.items())),
+        "unsure_directions": sum(fit.runner_up < UNSURE_BELOW for fit in kept),
+        "misfit": round(statistics.median(fit.misfit for fit in kept), 4),
+        "licences": licences,
+    }

@@ -1,0 +1,71 @@
+"""Vehicles as maps over the template's left half, as a network makes them, and back again."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skyproof.generator.fitting import whole
+from skyproof.vehicles.template import COLUMNS, RINGS
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
+
+__all__ = ["half_grid", "part_map", "texture_map", "vertices_of"]
+
+_HALF = COLUMNS // 2
+
+
+def half_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 3 33 17"]:
+    """Gives the left half of vehicles as a grid: nose pole, rings, tail pole by columns."""
+    rings = vertices[:, : RINGS * COLUMNS].view(-1, RINGS, COLUMNS, 3)[:, :, : _HALF + 1]
+    nose, tail = (
+        vertices[:, index, None, None].expand(-1, 1, _HALF + 1, 3)
+        for index in (RINGS * COLUMNS, RINGS * COLUMNS + 1)
+    )
+    return torch.cat((nose, rings, tail), dim=1).permute(0, 3, 1, 2)
+
+
+def vertices_of(half: Float[Tensor, "3 33 17"]) -> Float[Tensor, "V 3"]:
+    """Gives the vertices of a left half and its reflection.
+
+    What lies on the mid-plane is put there, and each pole becomes one point.
+    """
+    grid = half.permute(1, 2, 0).clone()
+    grid[:, 0, 1] = 0.0
+    grid[:, -1, 1] = 0.0
+    right = grid[1:-1, 1:-1].flip(1) * grid.new_tensor([1.0, -1.0, 1.0])
+    rings = torch.cat([grid[1:-1], right], dim=1).reshape(-1, 3)
+    poles = grid[[0, -1]].mean(1)
+    poles[:, 1] = 0.0
+    return torch.cat([rings, poles]).float()
+
+
+def part_map(shares: Float[Tensor, "7 64 32"]) -> UInt8[Tensor, "512 512"]:
+    """Gives for every texel the part that has most of it, symmetrically."""
+    fine = F.interpolate(whole(shares)[None], size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bilinear")[0]
+    return fine.argmax(0).to(torch.uint8)
+
+
+def texture_map(
+    albedo: Float[Tensor, "3 64 32"],
+    shares: Float[Tensor, "7 64 32"],
+    parts: UInt8[Tensor, "512 512"],
+) -> UInt8[Tensor, "3 512 512"]:
+    """Gives the fine texture of a coarse one.
+
+    A texel takes the mean colour of its own part around it, so that edges are as sharp as the part
+    map's.
+    """
+    texture = torch.zeros(3, TEXTURE_SIZE, TEXTURE_SIZE)
+    colours = whole(albedo)
+    for label in parts.unique().tolist():
+        weight = whole(shares)[label].clamp(min=1e-4) ** 2
+        # Where a part is not, its colour goes on from where it is.
+        near = F.avg_pool2d(torch.cat((colours * weight, weight[None]))[None], 5, 1, 2)[0]
+        own = torch.cat((colours * weight, weight[None])) + 0.05 * near
+        fine = F.interpolate(
+            (own[:3] / own[3:])[None], size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bilinear"
+        )[0]
+        texture = torch.where(parts == label, fine, texture)
+    return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8)

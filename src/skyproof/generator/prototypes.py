@@ -1,0 +1,110 @@
+"""Bodies to begin a fit with: drawn ones, whose paint and glass can still be chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skyproof.randomness import generator_of
+from skyproof.vehicles.bodies import BodyDimensions, sample_dimensions
+from skyproof.vehicles.painting import paint_vehicle
+from skyproof.vehicles.surface import build_body
+
+__all__ = ["Layers", "Prototype", "draw_prototype", "draw_prototypes"]
+
+_BLACK, _WHITE = torch.zeros(3), torch.ones(3)
+
+
+@dataclass(frozen=True)
+class Layers:
+    """A texture whose two main colours are left open: rest + paint share * paint + ...
+
+    Attributes:
+        rest: sRGB of what is neither; tyres, trim, lamps and dust.
+        paint_share: how much of the body's paint a texel shows.
+        glass_share: how much of the panes' colour.
+    """
+
+    rest: Float[Tensor, "3 S S"]
+    paint_share: Float[Tensor, "1 S S"]
+    glass_share: Float[Tensor, "1 S S"]
+
+    def coloured(
+        self, paint: Float[Tensor, " 3"], glass: Float[Tensor, " 3"]
+    ) -> Float[Tensor, "3 S S"]:
+        """Gives the texture in these colours, sRGB."""
+        return (
+            self.rest
+            + self.paint_share * paint.view(3, 1, 1)
+            + self.glass_share * glass.view(3, 1, 1)
+        )
+
+    def at_side(self, side_px: int) -> Layers:
+        """Gives the same layers on a coarser map: means of texels."""
+        factor = self.rest.shape[-1] // side_px
+        return Layers(
+            *(
+                torch.nn.functional.avg_pool2d(layer, factor)
+                for layer in (self.rest, self.paint_share, self.glass_share)
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """A body that was drawn by the rules of `skyproof vehicles`.
+
+    Attributes:
+        body_type: such as "saloon".
+        dimensions: what it was built from.
+        seed: decides trim, pillars and roof; with the dimensions it gives the same body again.
+        vertices: metres, vehicle axes.
+        layers: its texture.
+        parts: values of `Part`.
+    """
+
+    body_type: str
+    dimensions: BodyDimensions
+    seed: int
+    vertices: Float[Tensor, "V 3"]
+    layers: Layers
+    parts: UInt8[Tensor, "512 512"]
+
+
+def draw_prototype(body_type: str, dimensions: BodyDimensions, seed: int) -> Prototype:
+    """Draws a body of given dimensions; the same again for the same seed."""
+    body = build_body(dimensions)
+    textures = []
+    for paint, glass in ((_BLACK, _BLACK), (_WHITE, _BLACK), (_BLACK, _WHITE)):
+        texture, parts = paint_vehicle(
+            body,
+            body_type,
+            paint=paint,
+            glass=glass,
+            generator=generator_of(seed, "prototype"),
+        )
+        textures.append(texture.float() / 255)
+    # A texel is a mean of its colours, so that differences are shares of them.
+    rest, painted, glazed = textures
+    layers = Layers(
+        rest,
+        (painted - rest).mean(0, keepdim=True).clamp(min=0.0),
+        (glazed - rest).mean(0, keepdim=True).clamp(min=0.0),
+    )
+    return Prototype(body_type, dimensions, seed, body.vertices, layers, parts)
+
+
+def draw_prototypes(body_types: Sequence[str], each: int, seed: int) -> list[Prototype]:
+    """Draws as many bodies of every type."""
+    prototypes = []
+    for body_type in body_types:
+        for number in range(each):
+            generator = generator_of(seed, body_type, number)
+            dimensions = sample_dimensions(body_type, generator=generator)
+            own_seed = int(torch.randint(2**31, (1,), generator=generator))
+            prototypes.append(draw_prototype(body_type, dimensions, own_seed))
+    return prototypes

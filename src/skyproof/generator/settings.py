@@ -1,0 +1,76 @@
+"""How vehicles are learnt from photographs.
+
+Imports no torch, so that the command line answers at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from skyproof.ranges import Seed, check_ranges
+
+__all__ = ["AdversarialSettings", "FitSettings", "LearnSettings", "Method"]
+
+Method = Literal["layered", "gan"]
+"""Layers between those of fitted vehicles; or a network that is trained on their maps."""
+
+_Steps = Annotated[int, Meta(ge=1, le=10**6)]
+_Count = Annotated[int, Meta(ge=1, le=1000)]
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How photographed vehicles are fitted.
+
+    Attributes:
+        bodies: drawn bodies of each type that a fit may begin with.
+        candidates: of these, the ones nearest in size that are tried, each in both directions.
+        choose_steps: steps by which each candidate is moved and coloured before the best is chosen.
+        steps: steps by which the chosen one is fitted further, its texture with it.
+    """
+
+    bodies: _Count = 12
+    candidates: _Count = 16
+    choose_steps: _Steps = 12
+    steps: _Steps = 60
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+@dataclass(frozen=True)
+class AdversarialSettings:
+    """How the network of the method gan is trained.
+
+    Attributes:
+        steps: of both networks.
+        batch_size: maps in one step.
+        learning_rate: of the generator; the discriminator's is four times as high.
+    """
+
+    steps: _Steps = 4000
+    batch_size: _Count = 16
+    learning_rate: Annotated[float, Meta(gt=0, le=1)] = 2e-4
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+@dataclass(frozen=True)
+class LearnSettings:
+    """How a generator is learnt.
+
+    Attributes:
+        method: layered (between fitted vehicles) or gan (a network, as the paper has one).
+        seed: decides the bodies to begin with, and the network's weights and draws.
+        fit: how vehicles are fitted.
+        gan: how the network is trained, where it is.
+    """
+
+    method: Method = "layered"
+    seed: Seed = 0
+    fit: FitSettings = field(default_factory=FitSettings)
+    gan: AdversarialSettings = field(default_factory=AdversarialSettings)

@@ -1,0 +1,135 @@
+"""Pictures of fits and of samples: for looking, not for measuring. Fits show the imagery."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch.nn.functional as F
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+from skyproof.files import write_beside
+from skyproof.generator.fits import LARGEST_MISFIT
+from skyproof.generator.fitting import Fit, Fitter, whole
+from skyproof.generator.fleet import sample_learnt_fleet
+from skyproof.generator.photographed import Photographed, shown_pixels
+from skyproof.generator.prototypes import Prototype
+from skyproof.generator.sample import VehicleGenerator
+from skyproof.randomness import generator_of
+from skyproof.render.portrait import close_up
+from skyproof.render.turntable import PART_COLOURS
+from skyproof.vehicles.fleet import Fleet, FleetSettings
+
+__all__ = ["fleet_sheet", "write_fit_sheets", "write_sample_sheet"]
+
+_SIDE_PX = 192
+_CAPTION_PX = 16
+_ROWS = 24
+_SAMPLES, _COLUMNS = 24, 6
+_CLOSE_M, _COARSE_M = 0.016, 0.125
+_SIDE_M = 6.4
+_GREY = 0.5
+
+
+def write_fit_sheets(
+    folder: Path,
+    fitter: Fitter,
+    vehicles: Sequence[Photographed],
+    fits: Sequence[Fit],
+    prototypes: Sequence[Prototype],
+) -> None:
+    """Writes all fits, worst first, as sheets `00001.png` and so on.
+
+    Each row has the photograph, the fit, their difference twice enlarged, the vehicle cut out of
+    the photograph, the texture, the part map and how much of it the photograph shows.
+
+    Args:
+        folder: gets the pictures.
+        fitter: made the fits.
+        vehicles: the photographed ones.
+        fits: one each.
+        prototypes: the bodies they began with.
+    """
+    order = sorted(range(len(fits)), key=lambda index: -fits[index].misfit)
+    for number, start in enumerate(range(0, len(order), _ROWS), start=1):
+        rows = [
+            _fit_row(fitter, vehicles[index], fits[index], prototypes[fits[index].prototype])
+            for index in order[start : start + _ROWS]
+        ]
+        with write_beside(folder / f"{number:05d}.png") as temporary:
+            Image.fromarray(np.concatenate(rows)).save(temporary, compress_level=3)
+
+
+def write_sample_sheet(path: Path, vehicles: VehicleGenerator, seed: int) -> None:
+    """Writes 24 samples, from above finely and as detectors see them, and their part maps."""
+    generator = generator_of(seed, "sheet")
+    fleet = sample_learnt_fleet(vehicles, FleetSettings(_SAMPLES), generator=generator)
+    with write_beside(path) as temporary:
+        Image.fromarray(fleet_sheet(fleet)).save(temporary, compress_level=3)
+
+
+def fleet_sheet(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
+    """Draws all vehicles of a fleet: at 1.6 cm per pixel, at 12.5 cm, and their part maps."""
+    batch = fleet.batch(fleet.ids)
+    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M, heading_rad=0.0)
+    coarse = close_up(batch, gsd_m=_COARSE_M, side_m=_SIDE_M, heading_rad=0.0)
+    cells = []
+    for index, name in enumerate(fleet.ids):
+        parts = _parts(fleet.parts[index])
+        pictures = [_cell(close[index].float() / 255), _cell(coarse[index].float() / 255), parts]
+        cells.append(_captioned(np.concatenate(pictures, axis=1), name))
+    while len(cells) % (_COLUMNS // 2):
+        cells.append(np.full_like(cells[0], 255))
+    rows = [
+        np.concatenate(cells[start : start + _COLUMNS // 2], axis=1)
+        for start in range(0, len(cells), _COLUMNS // 2)
+    ]
+    return np.concatenate(rows)
+
+
+def _fit_row(
+    fitter: Fitter, vehicle: Photographed, fit: Fit, prototype: Prototype
+) -> UInt8[np.ndarray, "H W 3"]:
+    photograph, rendered = fitter.pictures(vehicle, fit)
+    shown = shown_pixels(vehicle).float()
+    detail = F.interpolate(whole(fit.detail)[None], size=prototype.parts.shape, mode="bilinear")[0]
+    texture = (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
+    pictures = [
+        _cell(photograph),
+        _cell(rendered),
+        _cell((_GREY + 2 * (rendered - photograph) * shown).clamp(0.0, 1.0)),
+        _cell(photograph * shown + _GREY * (1 - shown)),
+        _cell(texture),
+        _parts(prototype.parts),
+        _cell(whole(fit.seen).expand(3, -1, -1)),
+    ]
+    state = "" if fit.misfit <= LARGEST_MISFIT else "DROPPED: "
+    caption = f"{state}{fit.id}, {prototype.body_type}, off by {fit.misfit:.3f}"
+    return _captioned(np.concatenate(pictures, axis=1), caption)
+
+
+def _cell(picture: Float[Tensor, "3 H W"]) -> UInt8[np.ndarray, "S S 3"]:
+    array = (picture.detach().permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    large = Image.fromarray(array).resize((_SIDE_PX, _SIDE_PX), _resampling(array.shape[0]))
+    return np.asarray(large)
+
+
+def _resampling(side_px: int) -> Image.Resampling:
+    """Pixels of photographs stay pixels; fine pictures are averaged."""
+    return Image.Resampling.NEAREST if side_px < _SIDE_PX else Image.Resampling.LANCZOS
+
+
+def _parts(parts: UInt8[Tensor, "512 512"]) -> UInt8[np.ndarray, "S S 3"]:
+    colours = np.array(list(PART_COLOURS.values()), dtype=np.uint8)[parts.numpy()]
+    picture = Image.fromarray(colours).resize((_SIDE_PX, _SIDE_PX), Image.Resampling.NEAREST)
+    return np.asarray(picture)
+
+
+def _captioned(row: UInt8[np.ndarray, "H W 3"], caption: str) -> UInt8[np.ndarray, "H2 W 3"]:
+    picture = Image.new("RGB", (row.shape[1], row.shape[0] + _CAPTION_PX), "white")
+    picture.paste(Image.fromarray(row), (0, _CAPTION_PX))
+    ImageDraw.Draw(picture).text((4, 2), caption, fill="black")
+    return np.asarray(picture)
