@@ -293,3 +293,11 @@ def test_a_part_that_is_shown_without_end_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ConfigurationError, match="more than 100,000 nodes"):
         read_mesh(tmp_path / "car.dae")
+
+
+def test_a_compressed_mesh_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "small.gltf"
+    required = '"extensionsRequired": ["KHR_draco_mesh_compression"]'
+    path.write_text(f'{{"asset": {{"version": "2.0"}}, {required}}}')
+    with pytest.raises(ConfigurationError, match=r"compressed \(Draco\).*without mesh compression"):
+        read_mesh(path)

@@ -115,12 +115,9 @@ class _Candidates(nn.Module):
         vertices = bodies.vertices[self.chosen] * stretch[:, None]
         vertices = rotate_about_vertical(vertices, self.turn)
         vertices = vertices + F.pad(self.shift, (0, 1))[:, None]
-        layers = bodies.layers
-        texture = (
-            layers.rest[self.chosen]
-            + layers.paint_share[self.chosen] * self.paint[:, :, None, None]
-            + layers.glass_share[self.chosen] * self.glass[:, :, None, None]
-            + F.interpolate(whole(self.detail), size=(_TEXTURE_PX, _TEXTURE_PX), mode="bilinear")
+        texture = bodies.layers.rows(self.chosen).coloured(self.paint, self.glass)
+        texture = texture + F.interpolate(
+            whole(self.detail), size=(_TEXTURE_PX, _TEXTURE_PX), mode="bilinear"
         )
         ids = tuple(str(number) for number in range(len(self.chosen)))
         return VehicleBatch(
@@ -193,12 +190,7 @@ class Fitter:
         self._bodies = _Bodies(
             make_template(),
             vertices,
-            Layers(
-                *(
-                    torch.stack([getattr(layers, name) for layers in coarse])
-                    for name in ("rest", "paint_share", "glass_share")
-                )
-            ),
+            Layers.stacked(coarse),
             torch.stack([prototype.parts for prototype in prototypes]),
             (vertices.amax(1) - vertices.amin(1))[:, :2],
         )

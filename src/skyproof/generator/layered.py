@@ -15,10 +15,12 @@ from torch import Tensor
 
 from skyproof.generator.fits import FittedVehicles
 from skyproof.generator.fitting import MAP_PX, whole
-from skyproof.generator.prototypes import draw_prototype
 from skyproof.generator.sample import Sample
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.randomness import generator_of
 from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions
+from skyproof.vehicles.painting import paint_vehicle
+from skyproof.vehicles.surface import build_body
 
 __all__ = ["LayeredGenerator"]
 
@@ -115,19 +117,20 @@ class LayeredGenerator:
         """
         bodies = len(_NAMES)
         dimensions = BodyDimensions(*latent[:bodies].double().tolist())
-        prototype = draw_prototype(body_type, dimensions, seed)
+        body = build_body(dimensions)
         paint, glass = cielab_to_srgb(latent[bodies : bodies + 6].view(2, 3)).clamp(0.0, 1.0)
+        drawn, parts = paint_vehicle(
+            body, body_type, paint=paint, glass=glass, generator=generator_of(seed, "trim")
+        )
         detail = self._detail_mean + latent[bodies + 6 :] @ self._components
         half = detail.view(1, 3, MAP_PX, MAP_PX // 2)
-        on_top = torch.nn.functional.interpolate(
-            whole(half), size=prototype.parts.shape, mode="bilinear"
-        )[0]
-        texture = (prototype.layers.coloured(paint, glass) + on_top).clamp(0.0, 1.0)
+        on_top = torch.nn.functional.interpolate(whole(half), size=parts.shape, mode="bilinear")[0]
+        texture = (drawn.float() / 255 + on_top).clamp(0.0, 1.0)
         return Sample(
             body_type,
-            prototype.vertices,
+            body.vertices,
             (texture * 255).round().to(torch.uint8),
-            prototype.parts,
+            parts,
         )
 
     def sample(self, generator: torch.Generator) -> Sample:

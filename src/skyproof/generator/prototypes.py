@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, UInt8
+import torch.nn.functional as F
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skyproof.randomness import generator_of
@@ -29,28 +30,40 @@ class Layers:
         glass_share: how much of the panes' colour.
     """
 
-    rest: Float[Tensor, "3 S S"]
-    paint_share: Float[Tensor, "1 S S"]
-    glass_share: Float[Tensor, "1 S S"]
+    rest: Float[Tensor, "*N 3 S S"]
+    paint_share: Float[Tensor, "*N 1 S S"]
+    glass_share: Float[Tensor, "*N 1 S S"]
+
+    @classmethod
+    def stacked(cls, layers: Sequence[Layers]) -> Layers:
+        """Puts those of several textures together."""
+        return cls(
+            torch.stack([each.rest for each in layers]),
+            torch.stack([each.paint_share for each in layers]),
+            torch.stack([each.glass_share for each in layers]),
+        )
+
+    def rows(self, index: Int[Tensor, " M"]) -> Layers:
+        """Gives some of several textures."""
+        return Layers(self.rest[index], self.paint_share[index], self.glass_share[index])
 
     def coloured(
-        self, paint: Float[Tensor, " 3"], glass: Float[Tensor, " 3"]
-    ) -> Float[Tensor, "3 S S"]:
+        self, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
+    ) -> Float[Tensor, "*N 3 S S"]:
         """Gives the texture in these colours, sRGB."""
         return (
             self.rest
-            + self.paint_share * paint.view(3, 1, 1)
-            + self.glass_share * glass.view(3, 1, 1)
+            + self.paint_share * paint[..., None, None]
+            + self.glass_share * glass[..., None, None]
         )
 
     def at_side(self, side_px: int) -> Layers:
         """Gives the same layers on a coarser map: means of texels."""
         factor = self.rest.shape[-1] // side_px
         return Layers(
-            *(
-                torch.nn.functional.avg_pool2d(layer, factor)
-                for layer in (self.rest, self.paint_share, self.glass_share)
-            )
+            F.avg_pool2d(self.rest, factor),
+            F.avg_pool2d(self.paint_share, factor),
+            F.avg_pool2d(self.glass_share, factor),
         )
 
 

@@ -83,7 +83,7 @@ class VehicleBatch:
         template: the shared mesh.
         vertices: `[N, V, 3]` metres.
         texture: `[N or 1, 3, 512, 512]` sRGB, as bytes or in [0, 1]; a first dimension of 1 is one
-            map shared by all.
+            map shared by all. Without an overlay the map may be coarser.
         parts: `[N, 512, 512]` values of `Part`.
         ids: N names, e.g. "saloon-0017"; the body type is what stands before the last hyphen.
         overlay: a common texture on top of `texture`, or none.
@@ -92,7 +92,7 @@ class VehicleBatch:
 
     template: Template
     vertices: Float[Tensor, "N V 3"]
-    texture: Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]
+    texture: Float[Tensor, "T 3 M M"] | UInt8[Tensor, "T 3 M M"]
     parts: UInt8[Tensor, "N 512 512"]
     ids: tuple[str, ...]
     overlay: Overlay | None = None
@@ -134,7 +134,7 @@ class VehicleBatch:
             return torch.ones_like(self.parts, dtype=torch.bool)
         return None if self.overlay is None else self.overlay.mask
 
-    def worn_texture(self) -> Float[Tensor, "T 3 512 512"] | UInt8[Tensor, "T 3 512 512"]:
+    def worn_texture(self) -> Float[Tensor, "T 3 M M"] | UInt8[Tensor, "T 3 M M"]:
         """Returns the textures as they are seen, the overlay included.
 
         `[N or 1, 3, 512, 512]`: one map where it is shared.

@@ -34,6 +34,7 @@ __all__ = ["read_mesh"]
 # What else trimesh opens are archives, documents with programs, and forms without triangles.
 _FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
+_COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
 _Number = Annotated[int, Meta(ge=0, le=50_000_000)]
 
@@ -46,6 +47,7 @@ class _Accessor(msgspec.Struct):
 
 class _Gltf(msgspec.Struct):
     accessors: Annotated[list[_Accessor], Meta(max_length=100_000)] = []
+    extensionsRequired: Annotated[list[str], Meta(max_length=1000)] = []
 
 
 class _Neighbours(Resolver):
@@ -118,7 +120,7 @@ def read_mesh(path: Path) -> SourceMesh:
 
 def _read_with_trimesh(path: Path) -> SourceMesh:
     if path.suffix.lower() in (".glb", ".gltf"):
-        _refuse_empty_numbers(path)
+        _refuse_unreadable(path)
     resolver = _Neighbours(path)
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
     pieces = []
@@ -221,19 +223,28 @@ def _picture_and_colour(
     return image, opacity, colour
 
 
-def _refuse_empty_numbers(path: Path) -> None:
-    """Refuses glTF that claims numbers without end: memory is given to them before they are read.
+def _refuse_unreadable(path: Path) -> None:
+    """Refuses glTF that is compressed, or claims numbers without end.
+
+    trimesh gives memory to all numbers before it reads them, and takes those that it cannot
+    decompress for zeros.
 
     Raises:
-        ConfigurationError: it does.
+        ConfigurationError: it is, or does.
     """
     content = path.read_bytes()
     if content[:4] == b"glTF":
         (length,) = struct.unpack_from("<I", content, 12)
         content = content[20 : 20 + length]
-    parse_document(
+    gltf: _Gltf = parse_document(
         content, _Gltf, str(path), "give an OBJ, GLB or DAE file", error=ConfigurationError
     )
+    for extension in gltf.extensionsRequired:
+        if extension in _COMPRESSIONS:
+            raise ConfigurationError(
+                f"{path} is compressed ({_COMPRESSIONS[extension]}), which is not decoded here; "
+                "export it again without mesh compression."
+            )
 
 
 def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
