@@ -17,7 +17,7 @@ from skyproof.generator.settings import Method
 from skyproof.ranges import Name
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["load_generator", "save_generator"]
+__all__ = ["load_generator", "read_generator_record", "save_generator"]
 
 FORMAT_VERSION = 1
 
@@ -64,9 +64,7 @@ def load_generator(folder: str | Path) -> LayeredGenerator | AdversarialGenerato
         StoredFileError: the folder is missing, damaged or of another version.
     """
     folder = Path(folder)
-    description: _Description = read_document(
-        folder / "generator.json", _Description, _REMEDY, version=FORMAT_VERSION
-    )
+    description = _described(folder)
     path = folder / "generator.safetensors"
     tensors, _ = read_tensors(path, _REMEDY)
     try:
@@ -75,3 +73,18 @@ def load_generator(folder: str | Path) -> LayeredGenerator | AdversarialGenerato
         return AdversarialGenerator.of(tensors)
     except (KeyError, RuntimeError, ValueError) as error:
         raise StoredFileError(f"{path} holds no such generator; {_REMEDY}.") from error
+
+
+def read_generator_record(folder: str | Path) -> dict[str, Any]:
+    """Says how a generator was learnt.
+
+    Raises:
+        StoredFileError: the folder is missing, damaged or of another version.
+    """
+    return _described(Path(folder)).record
+
+
+def _described(folder: Path) -> _Description:
+    path = folder / "generator.json"
+    description: _Description = read_document(path, _Description, _REMEDY, version=FORMAT_VERSION)
+    return description

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import statistics
 from collections import Counter
 from collections.abc import Callable
@@ -14,13 +16,13 @@ from skyproof.files import alone
 from skyproof.generator.adversarial import AdversarialGenerator, learn_adversarially
 from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
 from skyproof.generator.fitting import Fit, Fitter
-from skyproof.generator.folder import save_generator
+from skyproof.generator.folder import read_generator_record, save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.photographed import Photographed, photographed_vehicles
 from skyproof.generator.prototypes import Prototype, draw_prototypes
 from skyproof.generator.settings import LearnSettings
 from skyproof.generator.sheets import write_fit_sheets, write_sample_sheet
-from skyproof.loop import Loop
+from skyproof.loop import Loop, refuse_other
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.bodies import BODY_RANGES
 
@@ -73,9 +75,11 @@ def learn_vehicles(
         "vehicles": [vehicle.scene.id for vehicle in vehicles],
         "gsd_m": tiles.gsd_m,
     }
-    prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
-    fitter = Fitter(tiles, cleared, prototypes, settings.fit)
     with alone(folder):
+        if (folder / "generator.json").exists():
+            return _finished(folder, identity)
+        prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
+        fitter = Fitter(tiles, cleared, prototypes, settings.fit)
         fits = _fit_all(fitter, vehicles, identity, folder / "fits", progress)
         kept = [fit for fit in fits if fit.misfit <= LARGEST_MISFIT]
         if len(kept) < len(fits):
@@ -94,11 +98,26 @@ def learn_vehicles(
             generator = learn_adversarially(
                 learnt_from, settings.gan, folder / "gan", seed=settings.seed, on_step=report
             )
-        record = _record(settings, cleared, vehicles, kept, left_out, prototypes)
+        record = {
+            **_record(settings, cleared, vehicles, kept, left_out, prototypes),
+            "identity_sha256": _digest(identity),
+        }
         write_fit_sheets(folder / "fits", fitter, vehicles, fits, prototypes)
         write_sample_sheet(folder / "samples.png", generator, settings.seed)
         save_generator(folder, generator, record)
     return record
+
+
+def _finished(folder: Path, identity: dict[str, Any]) -> dict[str, Any]:
+    """Gives the record of a finished run, if it is this one."""
+    record = read_generator_record(folder)
+    stored = {"identity_sha256": record.get("identity_sha256")}
+    refuse_other(folder, stored, {"identity_sha256": _digest(identity)}, _OTHER)
+    return record
+
+
+def _digest(identity: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 
 def _fit_all(

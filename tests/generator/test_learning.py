@@ -1,0 +1,123 @@
+"""From photographs to fleets by the commands, with everything as short as it can be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.generator.folder import load_generator
+from skyproof.generator.learning import learn_vehicles
+from skyproof.generator.settings import AdversarialSettings, FitSettings, LearnSettings
+from skyproof.main import run
+from skyproof.vehicles.fleet import Fleet
+from tests.generator.photographs import Photographs, take_photographs
+
+FIT = FitSettings(bodies=1, candidates=1, choose_steps=1, steps=2)
+SETTINGS = LearnSettings(fit=FIT, gan=AdversarialSettings(steps=4, batch_size=2))
+# Short fits are bad ones.
+LOOSE = 1.0
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", LOOSE)
+    monkeypatch.setattr("skyproof.generator.sheets._SAMPLES", 2)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What a generator's folder holds, but for how long its steps took."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "steps.jsonl"
+    }
+
+
+def test_a_stopped_run_ends_at_the_same_bytes(photographs: Photographs, tmp_path: Path) -> None:
+    settings = replace(SETTINGS, method="gan")
+
+    class Stopped(Exception):
+        pass
+
+    def learn(name: str, stop_at: tuple[str, int] | None = None) -> None:
+        def stop(stage: str, done: int, total: int) -> None:
+            if (stage, done) == stop_at:
+                raise Stopped
+
+        learn_vehicles(
+            photographs.tiles,
+            photographs.cleared,
+            settings,
+            tmp_path / name,
+            least=5,
+            progress=stop,
+        )
+
+    learn("whole")
+    for stop_at in (("fit", 4), ("learn", 2)):
+        with pytest.raises(Stopped):
+            learn("stopped", stop_at)
+    learn("stopped")
+    assert files(tmp_path / "stopped") == files(tmp_path / "whole")
+    found = set(files(tmp_path / "whole"))
+    assert {"generator.json", "generator.safetensors", "samples.png", "fits/00001.png"} <= found
+    assert load_generator(tmp_path / "whole").method == "gan"
+
+
+def test_a_finished_run_is_not_done_again(photographs: Photographs, tmp_path: Path) -> None:
+    def learn() -> dict[str, object]:
+        return learn_vehicles(
+            photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town", least=5
+        )
+
+    first = learn()
+    before = files(tmp_path / "town")
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "town").rglob("*.png")}
+    assert learn() == first
+    assert files(tmp_path / "town") == before
+    assert times == {path: path.stat().st_mtime_ns for path in times}
+    other = replace(SETTINGS, seed=1)
+    with pytest.raises(RunFolderError, match="other settings"):
+        learn_vehicles(photographs.tiles, photographs.cleared, other, tmp_path / "town", least=5)
+
+
+def test_too_few_vehicles_are_refused(photographs: Photographs, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="at least 50 that can be fitted, got 9"):
+        learn_vehicles(photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town")
+    assert not (tmp_path / "town").exists()
+
+
+def test_bad_fits_are_dropped_and_counted(
+    photographs: Photographs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", 0.0)
+    with pytest.raises(ConfigurationError, match=r"got 0 .*left out: 9 because its fit is off"):
+        learn_vehicles(photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town", least=5)
+
+
+def test_the_commands_lead_from_photographs_to_fleets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(learn_vehicles.__kwdefaults__, "least", 6)
+    take_photographs(tmp_path, 6)
+    fit = ["bodies", "1", "candidates", "1", "choose-steps", "1", "steps", "1"]
+    options = [
+        f"--settings.fit.{word}" if index % 2 == 0 else word for index, word in enumerate(fit)
+    ]
+    learn = ["learn-vehicles", str(tmp_path / "tiles"), str(tmp_path / "cleared")]
+    assert run([*learn, "--out", str(tmp_path / "town"), *options]) == 0
+    said = capsys.readouterr().out
+    assert "Learnt from 6 vehicles" in said
+    assert "Headings of 6 were estimated" in said
+    draw = ["vehicles", "--generator", str(tmp_path / "town"), "--counts", "4", "2", "2", "2"]
+    assert run([*draw, "--out", str(tmp_path / "fleets")]) == 0
+    fleet = Fleet.load(tmp_path / "fleets" / "train")
+    assert len(fleet) == 4
+    assert all(source["generator"] == "layered" for source in fleet.sources.values())
+    again = [*draw, "--out", str(tmp_path / "more"), str(tmp_path / "fleets" / "train")]
+    assert run(again) == 2
+    assert "mix their folders afterwards" in capsys.readouterr().err
+    assert not (tmp_path / "more").exists()
