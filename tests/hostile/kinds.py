@@ -93,6 +93,11 @@ def mix(inputs: Path, out: Path) -> Sequence[object]:
     return ["vehicles", inputs / "fleets/test", inputs / "fleets/train", "--out", out / "new"]
 
 
+def learnt(inputs: Path, out: Path) -> Sequence[object]:
+    given = ["--generator", inputs / "learnt", "--counts", 1, 1, 1, 1, "--out", out / "new"]
+    return ["vehicles", *given]
+
+
 def draw_fixed(inputs: Path, out: Path) -> Sequence[object]:
     palette = ("--palette", inputs / "palette.json")
     return ["attack", "R-Fc", "--out", out / "new", *palette, *ON_CPU]
@@ -147,6 +152,7 @@ CARDS = [
     Kind("card of a detector", "detectors/retinanet/detector.json", score, slow=True),
     Kind("camouflage", "camouflages/R-U-0/camouflage.json", worn),
     Kind("palette", "palette.json", draw_fixed),
+    Kind("generator", "learnt/generator.json", learnt),
     Kind("check", "detectors/retinanet/check.json", report, copied=".", slow=True),
 ]
 SCORES = [

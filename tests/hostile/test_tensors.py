@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
 from tests.hostile.documents import try_contents, try_damage
-from tests.hostile.kinds import compare, mix, worn
+from tests.hostile.kinds import compare, learnt, mix, worn
 from tests.hostile.sandbox import Kind, Sandbox
 from tests.hostile.values import mutated, serialised
 
 KINDS = [
     Kind("tensors of a fleet", "fleets/test/fleet.safetensors", mix),
     Kind("tensors of a camouflage", "camouflages/R-U-0/camouflage.safetensors", worn),
+    Kind("tensors of a generator", "learnt/generator.safetensors", learnt),
     Kind("weights of a detector", "detectors/retinanet/weights.safetensors", compare),
 ]
 

@@ -12,11 +12,16 @@ from rasterio.transform import from_origin
 
 from skyproof.detectors.card import read_card_and_digest
 from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
+from skyproof.generator.fits import fitted_vehicles
+from skyproof.generator.folder import save_generator
+from skyproof.generator.layered import LayeredGenerator
+from skyproof.generator.prototypes import draw_prototypes
 from skyproof.main import run
 from skyproof.plans.preset import PRESETS
 from skyproof.results.checks import Check
 from skyproof.results.statistics.intervals import Interval
 from tests.barely_trained import everything_counts
+from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise
 
 __all__ = ["DEMO", "make_world"]
@@ -71,6 +76,9 @@ def make_world(folder: Path) -> None:
     palette = {"colours_srgb": [[90, 100, 80], [120, 110, 90], [60, 70, 50]]}
     (folder / "palette.json").write_text(json.dumps(palette))
     shutil.copy(PRESETS["quick"], folder / "preset.json")
+    bodies = draw_prototypes(["saloon", "van"], 1, 0)
+    learnt = LayeredGenerator.learn(fitted_vehicles(made_fits(bodies, 4), bodies))
+    save_generator(folder / "learnt", learnt, {"vehicles": 4})
 
 
 def _write_check(folder: Path) -> None:

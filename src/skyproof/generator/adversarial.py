@@ -38,6 +38,7 @@ _PARTS = len(Part)
 _GRID = (RINGS + 2, COLUMNS // 2 + 1)
 _EMA = 0.998
 _LEAST_SPREAD_M = 0.01
+_LARGEST_M = 20.0
 # Maps are moved along the vehicle by so many texels at most, real and made ones alike: with some
 # hundred vehicles the discriminator would know them by heart.
 _JITTER = 2
@@ -176,11 +177,15 @@ class AdversarialGenerator:
         """Takes over what `tensors` gave.
 
         Raises:
-            RuntimeError: they are those of another network.
+            RuntimeError, ValueError: they are those of another network.
         """
         network = _Network(torch.zeros(1, 3, *_GRID), torch.ones(1, 3, *_GRID))
         network.load_state_dict(tensors)
-        return cls(network)
+        made = cls(network)
+        vertices = made.decode(torch.zeros(_LATENT)).vertices
+        if not float(vertices.abs().amax()) < _LARGEST_M:
+            raise ValueError("no vehicles come of it")
+        return made
 
 
 def learn_adversarially(

@@ -27,7 +27,10 @@ __all__ = ["LayeredGenerator"]
 _COMPONENTS = 24
 _BODY_NOISE = 0.35
 _NEIGHBOURS = 3
-_LARGEST_M = 20.0
+_COLOURS = 6
+# What a stored generator may say: bodies as fits stretch them, and numbers of their size.
+_STRETCH, _SLACK_M = 1.5, 1e-3
+_LARGEST = 1e4
 _NAMES = tuple(field.name for field in fields(BodyDimensions))
 
 
@@ -157,12 +160,24 @@ class LayeredGenerator:
             tensors[name] for name in ("latents", "detail_mean", "components")
         )
         texels = 3 * MAP_PX * (MAP_PX // 2)
-        width = len(_NAMES) + 6 + len(components)
-        if latents.shape != (len(body_types), width) or mean.shape != (texels,):
-            raise ValueError("shapes do not fit")
-        if components.shape[1:] != (texels,) or not set(body_types) <= set(BODY_RANGES):
-            raise ValueError("shapes do not fit")
-        dimensions = latents[:, : len(_NAMES)]
-        if float(dimensions.amin()) < 0 or float(dimensions.amax()) > _LARGEST_M:
-            raise ValueError("no dimensions of vehicles")
+        width = len(_NAMES) + _COLOURS + len(components)
+        shapes = [(len(body_types), width), (texels,), (len(components), texels)]
+        for values, shape in zip((latents, mean, components), shapes, strict=True):
+            if values.shape != shape or values.dtype != torch.float32:
+                raise ValueError("shapes do not fit")
+            if float(values.abs().amax()) > _LARGEST:
+                raise ValueError("no numbers of vehicles")
+        for body_type, latent in zip(body_types, latents, strict=True):
+            _check_dimensions(body_type, BodyDimensions(*latent[: len(_NAMES)].tolist()))
         return cls(body_types, latents, mean, components)
+
+
+def _check_dimensions(body_type: str, dimensions: BodyDimensions) -> None:
+    """Refuses dimensions that no stretched body of its type has: they could not be drawn."""
+    ranges = BODY_RANGES[body_type]
+    for name in _NAMES:
+        low, high = getattr(ranges, name)
+        if not (
+            low / _STRETCH - _SLACK_M <= getattr(dimensions, name) <= high * _STRETCH + _SLACK_M
+        ):
+            raise ValueError("no dimensions of such a vehicle")
