@@ -66,6 +66,9 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "adjust": ["adjust", out / "copy"],
         "export": ["export", inputs / "datasets/test", "--format", "coco", "--out", out / "n.json"],
         "vehicles": ["vehicles", "--out", out / "new", "--counts", 1, 1, 1, 1],
+        "learn-vehicles": [
+            *("learn-vehicles", inputs / "tiled", inputs / "cleared", "--out", out / "new")
+        ],
         "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
         "reference": ["reference", "--out", out / "new"],
