@@ -120,11 +120,6 @@ class FittedVehicles:
         return len(self.body_types)
 
 
-def good(fit: Fit) -> bool:
-    """Says whether a fit is kept."""
-    return fit.misfit <= LARGEST_MISFIT
-
-
 def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> FittedVehicles:
     """Puts fits together with the bodies that they were fitted with."""
     half = MAP_PX // 2

@@ -116,9 +116,7 @@ class _Candidates(nn.Module):
         vertices = rotate_about_vertical(vertices, self.turn)
         vertices = vertices + F.pad(self.shift, (0, 1))[:, None]
         texture = bodies.layers.rows(self.chosen).coloured(self.paint, self.glass)
-        texture = texture + F.interpolate(
-            whole(self.detail), size=(_TEXTURE_PX, _TEXTURE_PX), mode="bilinear"
-        )
+        texture = texture + unfolded(self.detail, _TEXTURE_PX)
         ids = tuple(str(number) for number in range(len(self.chosen)))
         return VehicleBatch(
             bodies.template, vertices, texture.clamp(0.0, 1.0), bodies.parts[self.chosen], ids
@@ -160,6 +158,11 @@ class _Bodies:
 def whole(half: Float[Tensor, "*S W"]) -> Float[Tensor, "*S W2"]:
     """Mirrors the left half of a map."""
     return torch.cat((half, half.flip(-1)), dim=-1)
+
+
+def unfolded(half: Float[Tensor, "N C S W"], side_px: int) -> Float[Tensor, "N C S2 S2"]:
+    """Mirrors left halves of coarse maps, and spreads them smoothly over finer ones."""
+    return F.interpolate(whole(half), size=(side_px, side_px), mode="bilinear")
 
 
 class Fitter:
@@ -261,6 +264,8 @@ class Fitter:
         """Takes steps down, and returns what is left of each row's error and improbability."""
         target = self._photograph(vehicle)
         shown = shown_pixels(vehicle)
+        # What is not learnt yet needs no gradient.
+        candidates.detail.requires_grad_(with_detail)
         groups = [
             {"params": [getattr(candidates, name)], "lr": rate} for name, rate in _RATES.items()
         ]

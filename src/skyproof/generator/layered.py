@@ -14,13 +14,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.generator.fits import FittedVehicles
-from skyproof.generator.fitting import MAP_PX, whole
+from skyproof.generator.fitting import MAP_PX, unfolded
 from skyproof.generator.sample import Sample
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of
 from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions
 from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.surface import build_body
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 __all__ = ["LayeredGenerator"]
 
@@ -127,7 +128,7 @@ class LayeredGenerator:
         )
         detail = self._detail_mean + latent[bodies + 6 :] @ self._components
         half = detail.view(1, 3, MAP_PX, MAP_PX // 2)
-        on_top = torch.nn.functional.interpolate(whole(half), size=parts.shape, mode="bilinear")[0]
+        on_top = unfolded(half, TEXTURE_SIZE)[0]
         texture = (drawn.float() / 255 + on_top).clamp(0.0, 1.0)
         return Sample(
             body_type,

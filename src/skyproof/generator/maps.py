@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.generator.fitting import whole
+from skyproof.generator.fitting import unfolded, whole
 from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
@@ -43,7 +43,7 @@ def vertices_of(half: Float[Tensor, "3 33 17"]) -> Float[Tensor, "V 3"]:
 
 def part_map(shares: Float[Tensor, "7 64 32"]) -> UInt8[Tensor, "512 512"]:
     """Gives for every texel the part that has most of it, symmetrically."""
-    fine = F.interpolate(whole(shares)[None], size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bilinear")[0]
+    fine = unfolded(shares[None], TEXTURE_SIZE)[0]
     return fine.argmax(0).to(torch.uint8)
 
 

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 from torch import Tensor
 
 from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT
-from skyproof.generator.fitting import Fit, Fitter, whole
+from skyproof.generator.fitting import Fit, Fitter, unfolded, whole
 from skyproof.generator.fleet import sample_learnt_fleet
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
@@ -22,6 +21,7 @@ from skyproof.randomness import generator_of
 from skyproof.render.portrait import close_up
 from skyproof.render.turntable import PART_COLOURS
 from skyproof.vehicles.fleet import Fleet, FleetSettings
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 __all__ = ["fleet_sheet", "write_fit_sheets", "write_sample_sheet"]
 
@@ -95,7 +95,7 @@ def _fit_row(
 ) -> UInt8[np.ndarray, "H W 3"]:
     photograph, rendered = fitter.pictures(vehicle, fit)
     shown = shown_pixels(vehicle).float()
-    detail = F.interpolate(whole(fit.detail)[None], size=prototype.parts.shape, mode="bilinear")[0]
+    detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
     texture = (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
     pictures = [
         _cell(photograph),
