@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import pytest
 
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.generator.folder import load_generator
-from skyproof.generator.learning import learn_vehicles
+from skyproof.generator.learning import Imagery, learn_vehicles
 from skyproof.generator.settings import AdversarialSettings, FitSettings, LearnSettings
 from skyproof.main import run
 from skyproof.vehicles.fleet import Fleet
@@ -25,6 +27,10 @@ LOOSE = 1.0
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", LOOSE)
     monkeypatch.setattr("skyproof.generator.sheets._SAMPLES", 2)
+
+
+def imagery_of(photographs: Photographs) -> list[Imagery]:
+    return [Imagery(photographs.tiles, photographs.cleared)]
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -48,8 +54,7 @@ def test_a_stopped_run_ends_at_the_same_bytes(photographs: Photographs, tmp_path
                 raise Stopped
 
         learn_vehicles(
-            photographs.tiles,
-            photographs.cleared,
+            imagery_of(photographs),
             settings,
             tmp_path / name,
             least=5,
@@ -69,9 +74,7 @@ def test_a_stopped_run_ends_at_the_same_bytes(photographs: Photographs, tmp_path
 
 def test_a_finished_run_is_not_done_again(photographs: Photographs, tmp_path: Path) -> None:
     def learn() -> dict[str, object]:
-        return learn_vehicles(
-            photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town", least=5
-        )
+        return learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town", least=5)
 
     first = learn()
     before = files(tmp_path / "town")
@@ -81,12 +84,60 @@ def test_a_finished_run_is_not_done_again(photographs: Photographs, tmp_path: Pa
     assert times == {path: path.stat().st_mtime_ns for path in times}
     other = replace(SETTINGS, seed=1)
     with pytest.raises(RunFolderError, match="other settings"):
-        learn_vehicles(photographs.tiles, photographs.cleared, other, tmp_path / "town", least=5)
+        learn_vehicles(imagery_of(photographs), other, tmp_path / "town", least=5)
+
+
+def test_fits_serve_another_method(photographs: Photographs, tmp_path: Path) -> None:
+    imagery = imagery_of(photographs)
+    learn_vehicles(imagery, SETTINGS, tmp_path / "layered", least=5)
+    shutil.copytree(tmp_path / "layered" / "fits", tmp_path / "gan" / "fits")
+    done: list[str] = []
+    learn_vehicles(
+        imagery,
+        replace(SETTINGS, method="gan"),
+        tmp_path / "gan",
+        least=5,
+        progress=lambda stage, *_: done.append(stage),
+    )
+    assert set(done) == {"learn"}
+
+
+def test_photographs_of_two_cameras_are_fitted_with_their_own(
+    photographs: Photographs, tmp_path: Path
+) -> None:
+    other = take_photographs(tmp_path / "other", 6)
+    both = [*imagery_of(photographs), Imagery(other.tiles, other.cleared)]
+    record = learn_vehicles(both, SETTINGS, tmp_path / "both", least=15)
+    assert record["vehicles"] == 15
+    rows = [json.loads(line) for line in (tmp_path / "both/fits/steps.jsonl").read_text().split()]
+    alone = learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "one", least=5)
+    assert alone["vehicles"] == 9
+    first = [json.loads(line) for line in (tmp_path / "one/fits/steps.jsonl").read_text().split()]
+    assert [row["misfit"] for row in rows[:9]] == [row["misfit"] for row in first]
+    assert [row["misfit"] for row in rows[9:]] != [row["misfit"] for row in first[:6]]
+
+
+def test_no_photographs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="expects photographs, got none"):
+        learn_vehicles([], SETTINGS, tmp_path / "town")
+
+
+def test_photographs_of_another_resolution_are_refused(
+    photographs: Photographs, tmp_path: Path
+) -> None:
+    other = take_photographs(tmp_path / "other", 6)
+    other.tiles.gsd_m = 0.25
+    with pytest.raises(ConfigurationError, match="has 0.25 m per pixel and .* 0.125; cut both"):
+        learn_vehicles(
+            [*imagery_of(photographs), Imagery(other.tiles, other.cleared)],
+            SETTINGS,
+            tmp_path / "town",
+        )
 
 
 def test_too_few_vehicles_are_refused(photographs: Photographs, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="at least 50 that can be fitted, got 9"):
-        learn_vehicles(photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town")
+        learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town")
     assert not (tmp_path / "town").exists()
 
 
@@ -95,7 +146,7 @@ def test_bad_fits_are_dropped_and_counted(
 ) -> None:
     monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", 0.0)
     with pytest.raises(ConfigurationError, match=r"got 0 .*left out: 9 because its fit is off"):
-        learn_vehicles(photographs.tiles, photographs.cleared, SETTINGS, tmp_path / "town", least=5)
+        learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town", least=5)
 
 
 def test_the_commands_lead_from_photographs_to_fleets(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from tyro.conf import Positional
+import tyro
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.generator.settings import LearnSettings
@@ -24,20 +24,24 @@ class LearnVehicles:
     Fleets are drawn by skyproof vehicles --generator.
 
     Attributes:
-        tiles: tiled folder with the vehicles, as `skyproof ground` writes it from labelled imagery.
-        cleared: the same without them, as `skyproof clear` writes it.
+        imagery: tiled folder with the vehicles, as `skyproof ground` writes it from labelled
+            imagery, and the same without them, as `skyproof clear` writes it; such a pair for
+            every camera or day.
         out: folder to write: the generator, sheets of all fits and of samples.
         settings: how they are fitted, and by which method one learns from them.
     """
 
-    tiles: Positional[Path]
-    cleared: Positional[Path]
+    imagery: Annotated[
+        tuple[tuple[Path, Path], ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="TILES CLEARED [TILES CLEARED ...]"),
+    ]
     out: Path
     settings: LearnSettings = field(default_factory=LearnSettings)
 
     def run(self) -> None:
         """Learns the generator, and says what it learnt from."""
-        from skyproof.generator.learning import learn_vehicles
+        from skyproof.generator.learning import Imagery, learn_vehicles
         from skyproof.scenes.backgrounds import BackgroundSet
 
         names = {"fit": "fit vehicles", "learn": "learn from them"}
@@ -50,9 +54,12 @@ class LearnVehicles:
                     updates[stage] = bars.enter_context(progress_bar(names[stage]))
                 updates[stage](done, total)
 
+            imagery = [
+                Imagery(BackgroundSet.open(tiles), BackgroundSet.open(cleared))
+                for tiles, cleared in self.imagery
+            ]
             record = learn_vehicles(
-                BackgroundSet.open(self.tiles),
-                BackgroundSet.open(self.cleared),
+                imagery,
                 self.settings,
                 self.out,
                 progress=progress,

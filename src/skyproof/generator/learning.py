@@ -6,8 +6,8 @@ import hashlib
 import json
 import statistics
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from skyproof.loop import Loop, refuse_other
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.bodies import BODY_RANGES
 
-__all__ = ["LEAST_VEHICLES", "learn_vehicles"]
+__all__ = ["LEAST_VEHICLES", "Imagery", "learn_vehicles"]
 
 LEAST_VEHICLES = 50
 """Of fewer, a generator would only repeat them."""
@@ -38,9 +38,21 @@ _OTHER = "vehicles learnt from other photographs, or with other settings"
 _CHECKPOINT_EVERY = 10
 
 
+@dataclass(frozen=True)
+class Imagery:
+    """Photographs by one camera on one day.
+
+    Attributes:
+        tiles: with their vehicles, as `skyproof ground` cuts them.
+        cleared: the same without them, as `skyproof clear` leaves them.
+    """
+
+    tiles: BackgroundSet
+    cleared: BackgroundSet
+
+
 def learn_vehicles(
-    tiles: BackgroundSet,
-    cleared: BackgroundSet,
+    imagery: Sequence[Imagery],
     settings: LearnSettings,
     folder: Path,
     *,
@@ -49,11 +61,11 @@ def learn_vehicles(
 ) -> dict[str, Any]:
     """Learns a generator of vehicles from photographs.
 
-    A stopped run goes on after the last stored fit or step, and ends at the same bytes.
+    A stopped run goes on after the last stored fit or step, and ends at the same bytes. Fits do not
+    depend on the method: a copy of `fits/` spares another method them.
 
     Args:
-        tiles: photographs with their vehicles, as `skyproof ground` cuts them.
-        cleared: the same without them, as `skyproof clear` leaves them.
+        imagery: photographs; each is fitted with its own sharpness and light.
         settings: how they are fitted, and by which method one learns from them.
         folder: gets the generator (see `load_generator`), `fits/` with a sheet of all fits, and
             `samples.png`.
@@ -64,27 +76,35 @@ def learn_vehicles(
         What `generator.json` says.
 
     Raises:
-        ConfigurationError: too few vehicles can be fitted, or were; says why.
+        ConfigurationError: too few vehicles can be fitted, or were, or tiles do not belong
+            together; says why.
         RunFolderError: the folder holds something else, or somebody else works there.
         StoredFileError: a tile or the checkpoint is damaged.
     """
-    vehicles, left_out = photographed_vehicles(tiles, cleared)
-    _refuse_few(len(vehicles), least, left_out, cleared)
+    _refuse_unfit(imagery)
+    found = [photographed_vehicles(each.tiles, each.cleared) for each in imagery]
+    vehicles = [vehicle for own, _ in found for vehicle in own]
+    left_out = sum((Counter(why) for _, why in found), Counter[str]())
+    _refuse_few(len(vehicles), least, left_out, imagery)
     identity = {
         "settings": asdict(settings),
         "vehicles": [vehicle.scene.id for vehicle in vehicles],
-        "gsd_m": tiles.gsd_m,
+        "gsd_m": imagery[0].tiles.gsd_m,
     }
     with alone(folder):
         if (folder / "generator.json").exists():
             return _finished(folder, identity)
         prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
-        fitter = Fitter(tiles, cleared, prototypes, settings.fit)
-        fits = _fit_all(fitter, vehicles, identity, folder / "fits", progress)
+        fitters = [
+            fitter
+            for each, (own, _) in zip(imagery, found, strict=True)
+            for fitter in [Fitter(each.tiles, each.cleared, prototypes, settings.fit)] * len(own)
+        ]
+        fits = _fit_all(fitters, vehicles, identity, folder / "fits", progress)
         kept = [fit for fit in fits if fit.misfit <= LARGEST_MISFIT]
         if len(kept) < len(fits):
             left_out[f"its fit is off by more than {LARGEST_MISFIT:g}"] = len(fits) - len(kept)
-        _refuse_few(len(kept), least, left_out, cleared)
+        _refuse_few(len(kept), least, left_out, imagery)
         learnt_from = fitted_vehicles(kept, prototypes)
         generator: LayeredGenerator | AdversarialGenerator
         if settings.method == "layered":
@@ -99,10 +119,10 @@ def learn_vehicles(
                 learnt_from, settings.gan, folder / "gan", seed=settings.seed, on_step=report
             )
         record = {
-            **_record(settings, cleared, vehicles, kept, left_out, prototypes),
+            **_record(settings, imagery, vehicles, kept, left_out, prototypes),
             "identity_sha256": _digest(identity),
         }
-        write_fit_sheets(folder / "fits", fitter, vehicles, fits, prototypes)
+        write_fit_sheets(folder / "fits", fitters, vehicles, fits, prototypes)
         write_sample_sheet(folder / "samples.png", generator, settings.seed)
         save_generator(folder, generator, record)
     return record
@@ -121,16 +141,18 @@ def _digest(identity: dict[str, Any]) -> str:
 
 
 def _fit_all(
-    fitter: Fitter,
+    fitters: Sequence[Fitter],
     vehicles: list[Photographed],
     identity: dict[str, Any],
     folder: Path,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[Fit]:
     fits = Fits([vehicle.scene.id for vehicle in vehicles])
+    # They serve every method.
+    settings = {name: identity["settings"][name] for name in ("seed", "fit")}
     loop = Loop(
         folder,
-        identity,
+        identity | {"settings": settings},
         len(vehicles),
         _CHECKPOINT_EVERY,
         {"fits": fits},
@@ -140,7 +162,7 @@ def _fit_all(
     loop.resume()
     for step in loop:
         vehicle = vehicles[step - 1]
-        fit = fitter(vehicle)
+        fit = fitters[step - 1](vehicle)
         fits.add(fit)
         loop.report(
             {
@@ -157,36 +179,54 @@ def _fit_all(
     return [fits.fit(index) for index in range(len(fits))]
 
 
-def _refuse_few(count: int, least: int, left_out: dict[str, int], cleared: BackgroundSet) -> None:
+def _refuse_unfit(imagery: Sequence[Imagery]) -> None:
+    if not imagery:
+        raise ConfigurationError(
+            "Learning vehicles expects photographs, got none; give the tiles that skyproof ground "
+            "cut, and after them what skyproof clear made of these."
+        )
+    first = imagery[0].tiles
+    for each in imagery[1:]:
+        if each.tiles.gsd_m != first.gsd_m:
+            raise ConfigurationError(
+                f"{each.tiles.folder} has {each.tiles.gsd_m:g} m per pixel and {first.folder} "
+                f"{first.gsd_m:g}; cut both alike with skyproof ground --tiling.gsd-m."
+            )
+
+
+def _refuse_few(
+    count: int, least: int, left_out: Mapping[str, int], imagery: Sequence[Imagery]
+) -> None:
     if count >= least:
         return
     reasons = ", ".join(f"{number} because {why}" for why, number in left_out.items())
+    folders = ", ".join(str(each.cleared.folder) for each in imagery)
     raise ConfigurationError(
         f"Learning vehicles expects at least {least} that can be fitted, got {count} of "
-        f"{cleared.folder}{f' (left out: {reasons})' if reasons else ''}; give more imagery."
+        f"{folders}{f' (left out: {reasons})' if reasons else ''}; give more imagery."
     )
 
 
 def _record(
     settings: LearnSettings,
-    cleared: BackgroundSet,
+    imagery: Sequence[Imagery],
     vehicles: list[Photographed],
     kept: list[Fit],
-    left_out: dict[str, int],
+    left_out: Mapping[str, int],
     prototypes: list[Prototype],
 ) -> dict[str, Any]:
     headings = Counter(vehicle.heading_from for vehicle in vehicles)
     types = Counter(prototypes[fit.prototype].body_type for fit in kept)
-    licences = sorted({tile.licence or "not stated" for tile in cleared.all_tiles()})
+    tiles = [tile for each in imagery for tile in each.cleared.all_tiles()]
     return {
         "method": settings.method,
         "settings": asdict(settings),
-        "gsd_m": cleared.gsd_m,
+        "gsd_m": imagery[0].tiles.gsd_m,
         "vehicles": len(kept),
-        "left_out": left_out,
+        "left_out": dict(left_out),
         "body_types": dict(sorted(types.items())),
         "headings_from": dict(sorted(headings.items())),
         "unsure_directions": sum(fit.runner_up < UNSURE_BELOW for fit in kept),
         "misfit": round(statistics.median(fit.misfit for fit in kept), 4),
-        "licences": licences,
+        "licences": sorted({tile.licence or "not stated" for tile in tiles}),
     }

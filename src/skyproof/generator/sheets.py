@@ -36,7 +36,7 @@ _GREY = 0.5
 
 def write_fit_sheets(
     folder: Path,
-    fitter: Fitter,
+    fitters: Sequence[Fitter],
     vehicles: Sequence[Photographed],
     fits: Sequence[Fit],
     prototypes: Sequence[Prototype],
@@ -48,7 +48,7 @@ def write_fit_sheets(
 
     Args:
         folder: gets the pictures.
-        fitter: made the fits.
+        fitters: which made each of the fits.
         vehicles: the photographed ones.
         fits: one each.
         prototypes: the bodies they began with.
@@ -56,7 +56,7 @@ def write_fit_sheets(
     order = sorted(range(len(fits)), key=lambda index: -fits[index].misfit)
     for number, start in enumerate(range(0, len(order), _ROWS), start=1):
         rows = [
-            _fit_row(fitter, vehicles[index], fits[index], prototypes[fits[index].prototype])
+            _fit_row(fitters[index], vehicles[index], fits[index], prototypes)
             for index in order[start : start + _ROWS]
         ]
         with write_beside(folder / f"{number:05d}.png") as temporary:
@@ -91,8 +91,9 @@ def fleet_sheet(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def _fit_row(
-    fitter: Fitter, vehicle: Photographed, fit: Fit, prototype: Prototype
+    fitter: Fitter, vehicle: Photographed, fit: Fit, prototypes: Sequence[Prototype]
 ) -> UInt8[np.ndarray, "H W 3"]:
+    prototype = prototypes[fit.prototype]
     photograph, rendered = fitter.pictures(vehicle, fit)
     shown = shown_pixels(vehicle).float()
     detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
