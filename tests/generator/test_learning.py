@@ -127,7 +127,7 @@ def test_photographs_of_another_resolution_are_refused(
 ) -> None:
     other = take_photographs(tmp_path / "other", 6)
     other.tiles.gsd_m = 0.25
-    with pytest.raises(ConfigurationError, match="has 0.25 m per pixel and .* 0.125; cut both"):
+    with pytest.raises(ConfigurationError, match=r"has 0.25 m per pixel and .* 0.125; cut both"):
         learn_vehicles(
             [*imagery_of(photographs), Imagery(other.tiles, other.cleared)],
             SETTINGS,
