@@ -78,7 +78,8 @@ class Trial:
         blur_sigma_px, noise, light: of the renderer.
         parked_share, vehicles_maximum, tilt_maximum_deg, conditions: of the scenes.
         vehicles: in the fleet.
-        wrapped: real meshes are in the fleet, too: RUN/fleets/train-mixed, by `skyproof vehicles`.
+        fleet: folder below RUN/fleets, by `skyproof vehicles`; so many drawn vehicles where not
+            given.
         jitter: of the training's augmentation.
         images, steps, seed: of the training.
     """
@@ -93,7 +94,7 @@ class Trial:
     tilt_maximum_deg: float = 20.0
     conditions: tuple[str, ...] = ("clear",)
     vehicles: int = 64
-    wrapped: bool = False
+    fleet: str | None = None
     jitter: float = 1.0
     images: int = 1600
     steps: int = 700
@@ -124,7 +125,7 @@ TRIALS: dict[str, Trial] = {
     "no noise": Trial(noise=0.0),
     "16 vehicles": Trial(vehicles=16),
     "colours of the tuning frames": Trial(match_colours=True),
-    "wrapped meshes too": Trial(wrapped=True),
+    "wrapped meshes too": Trial(fleet="train-mixed"),
     "ground without clutter": Trial(ground=("without-clutter",)),
 }
 
@@ -167,20 +168,20 @@ class RealityGap:
         {"tune": self._tune, "final": self._final, "look": self._look}[self.stage]()
 
     def _tune(self) -> None:
-        (frames,) = _frames(self.data, (TUNING,))
+        (frames,) = photographed_sets(self.data, (TUNING,))
         for name in self.only or TRIALS:
             place = self.out / "trials" / name.replace(" ", "-").replace(",", "")
             if (place / "check.json").exists():
                 continue
             started = time.time()
-            training, validation = _rendered(self.out, TRIALS[name])
+            training, validation = rendered_sets(self.out, TRIALS[name])
             if TRIALS[name].match_colours:
                 training, validation = (
                     _recoloured(each, frames.images) for each in (training, validation)
                 )
-            trained = _train(place, "retinanet", training, validation, TRIALS[name])
+            trained = train_detector(place, "retinanet", training, validation, TRIALS[name])
             found = detect_all(trained.detector, frames.images)
-            row = _check(trained, frames, found)
+            row = check_detector(trained, frames, found)
             row["ap_rendered"] = trained.card.validation["ap_centre_1m"]
             write_json(place / "check.json", {"name": name, "trial": asdict(TRIALS[name]), **row})
             print(
@@ -195,11 +196,11 @@ class RealityGap:
             if all((folder / detector / "detector.json").exists() for detector in DETECTORS):
                 continue
             training, validation = (
-                self._photographs() if name == PHOTOGRAPHS else _rendered(self.out, trial)
+                self._photographs() if name == PHOTOGRAPHS else rendered_sets(self.out, trial)
             )
             for detector in DETECTORS:
                 started = time.time()
-                card = _train(folder, detector, training, validation, trial).card
+                card = train_detector(folder, detector, training, validation, trial).card
                 print(
                     f"{name} {detector}: {card.validation}, {time.time() - started:.0f} s",
                     flush=True,
@@ -218,7 +219,7 @@ class RealityGap:
 
         The rendered test images that are there are looked at too.
         """
-        sets = _frames(self.data, HELD_OUT)
+        sets = photographed_sets(self.data, HELD_OUT)
         for name, dataset in (("rendered", "test"), ("Cycles", "test-cycles")):
             if (folder := self.out / "datasets" / dataset).exists():
                 sets += read_frames([f"{name}={folder}@{GSD_M}"], ("vehicle",), GSD_M)
@@ -237,7 +238,7 @@ class RealityGap:
             judge = load_detector(folder)
             for each in sets:
                 found = detect_all(judge.detector, each.images)
-                row = _check(judge, each, found)
+                row = check_detector(judge, each, found)
                 rows.append({"trained_on": folder.parent.name, **row})
                 print(
                     f"{folder.parent.name:<12} {judge.name:<12} {each.name:<32} "
@@ -247,14 +248,16 @@ class RealityGap:
         write_json(self.out / "final.json", {"looks": len(past) + 1, "rows": rows})
 
 
-def _check(
+def check_detector(
     judge: LoadedDetector[Detector], frames: CleanSet, found: Sequence[Detections]
 ) -> dict[str, Any]:
+    """Gives the check of a detector on photographs, as plain JSON values."""
     centre, overlap = (match_images(found, frames.images, criterion=match) for match in MATCHES)
     return check_clean(judge, frames, centre, overlap, generator=np.random.default_rng(0)).json()
 
 
-def _frames(data: Path, texts: Sequence[str]) -> list[CleanSet]:
+def photographed_sets(data: Path, texts: Sequence[str]) -> list[CleanSet]:
+    """Reads frames below a folder, as `--frames` writes them."""
     placed = [f"{name}={data}/{place}" for name, place in (text.split("=", 1) for text in texts)]
     return read_frames(placed, CLASSES, GSD_M)
 
@@ -286,8 +289,8 @@ def _fleet(run: Path, split: str, count: int) -> Fleet:
 @torch.no_grad()
 def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: int) -> Dataset:
     """A split's images with vehicles, in memory; the grounds share them out."""
-    if split == "train" and trial.wrapped:
-        fleet = Fleet.load(run / "fleets" / "train-mixed")
+    if split == "train" and trial.fleet is not None:
+        fleet = Fleet.load(run / "fleets" / trial.fleet)
     else:
         fleet = _fleet(run, split, trial.vehicles if split == "train" else 16)
     images: list[torch.Tensor] = []
@@ -349,14 +352,16 @@ def _recoloured(images: Dataset, like: Dataset) -> Dataset:
     )
 
 
-def _rendered(run: Path, trial: Trial) -> tuple[Dataset, Dataset]:
+def rendered_sets(run: Path, trial: Trial) -> tuple[Dataset, Dataset]:
+    """Renders what a trial trains on and validates with, in memory."""
     training = _render(run, trial, "train", trial.images, 0, trial.vehicles_maximum)
     return training, _render(run, trial, "validation", 96, 1, 5)
 
 
-def _train(
+def train_detector(
     folder: Path, name: str, training: Dataset, validation: Dataset, trial: Trial
 ) -> LoadedDetector[TrainableDetector]:
+    """Trains a slim detector as a trial says, into FOLDER/NAME."""
     detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
     settings = TrainingSettings(
         steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter
