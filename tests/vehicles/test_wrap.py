@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 from scipy.spatial import ConvexHull
+from trimesh.visual.material import SimpleMaterial
 
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.measures import measure_texture
@@ -40,6 +41,7 @@ from tests.vehicles.model_car import (
 # chance.
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 TEMPLATE = make_template()
+BROWNISH = (118, 108, 96)
 
 
 @lru_cache
@@ -126,6 +128,45 @@ def test_parts_are_where_the_car_has_them() -> None:
     assert {int(row) // 128 for row in wheels} <= {0, 1, 2, 3}
     assert not ((wheels > 230) & (wheels < 280)).any()
     assert wrapped().report["parts_by"]["name"] > 0.1
+
+
+@lru_cache
+def unnamed(stripe: bool = False) -> WrappedVehicle:
+    """The car in white, with windows of a brownish grey, by materials whose names say nothing."""
+    scene = car()
+    paint = np.full((64, 64, 3), 230, np.uint8)
+    if stripe:
+        # Along the left side, from the sill up.
+        paint[:1] = BROWNISH
+    for name, colour in (
+        ("body", paint),
+        ("roof", paint),
+        ("cabin", BROWNISH),
+        ("wheels", (20,) * 3),
+    ):
+        pixels = np.broadcast_to(np.array(colour, np.uint8), (64, 64, 3))
+        visual = scene.geometry[name].visual
+        visual.material = SimpleMaterial(image=Image.fromarray(pixels), name=f"material_{name[0]}")
+    with TemporaryDirectory() as folder:
+        return wrap_mesh(write_obj(Path(folder), scene))
+
+
+def test_windows_of_any_grey_are_found_by_place_and_shape() -> None:
+    named = wrapped().parts == Part.GLASS
+    found = unnamed().parts == Part.GLASS
+    assert (found & named).sum() / (found | named).sum() > 0.8
+
+
+def test_a_stripe_in_the_colour_of_windows_stays_paint() -> None:
+    plain = unnamed().parts == Part.GLASS
+    striped = unnamed(stripe=True).parts == Part.GLASS
+    # It covers the left side from the sill to the windows, which it touches.
+    away = unnamed(stripe=True).texture[:, :, 40:140].float()
+    away = away - torch.tensor(BROWNISH)[:, None, None]
+    assert (away.abs().amax(0) < 25).float().mean() > 0.2
+    assert (plain & ~striped).sum() < 0.02 * plain.sum()
+    # Of the stripe only what reaches up to them.
+    assert (striped & ~plain).sum() < 0.2 * plain.sum()
 
 
 def test_measures_and_notes_are_reported() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
-from scipy.ndimage import uniform_filter
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import binary_dilation, binary_erosion, label, uniform_filter
 
+from skyproof.geometry.colour import srgb_to_cielab
 from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 from skyproof.vehicles.wrapping.baking import Texels
@@ -37,6 +39,12 @@ _NAMES = (
 )
 _DARK, _GREY = 0.30, 0.10
 _END_M = 0.6
+# Of windows that are not dark, in CIELAB: least difference from the paint, largest chroma and
+# lightness.
+_OTHER_COLOUR, _GREYISH, _PALE = 15.0, 22.0, 75.0
+# The smallest area; the share that lies at window height; and where less does, the share of its
+# outline at which it may go on elsewhere.
+_LEAST_TEXELS, _WITHIN, _GOES_ON = 150, 0.8, 1 / 3
 _MODE_PX = 7
 
 
@@ -66,6 +74,8 @@ def label_parts(
        colour is dark and grey. What is not paint is glass at window height and not lying flat,
        light if bright or red within 60 cm of an end (with a mask only: stripes of a livery stay
        paint), bumper low at an end, trim elsewhere.
+    5. Without a mask, a greyish area of another colour than the paint is glass, too, if it lies at
+       window height.
 
     Args:
         plain: where the mesh has no colour of its own.
@@ -107,8 +117,12 @@ def label_parts(
     other[at_end & (z < 0.33 * height + 0.12)] = Part.BUMPER
     # Walls of a load bed look inwards.
     outwards = texels.normals[..., 1] * np.sign(y) > -0.3
-    other[(z > window_z) & (texels.normals[..., 2] < 0.975) & outwards] = Part.GLASS
-    if masked:
+    at_windows = (z > window_z) & (texels.normals[..., 2] < 0.975) & outwards
+    other[at_windows] = Part.GLASS
+    floor = _floor(z, wrapping)
+    if not masked:
+        paint &= ~_panes(texels.colour, open_ & ~plain, paint & ~floor, at_windows)
+    else:
         other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
     parts = np.where(paint, parts, other)
 
@@ -117,7 +131,7 @@ def label_parts(
     if not (named == int(Part.WHEEL)).any():
         parts[discs] = Part.WHEEL
     parts = np.where(decided, named, parts)
-    floor = _floor(z, wrapping) & ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
+    floor = floor & ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
     parts[floor] = Part.UNDERSIDE
     parts = _mode(parts)
     shares = {
@@ -130,6 +144,50 @@ def label_parts(
 
 def _dark(colour: Float[np.ndarray, "512 512 3"]) -> Bool[np.ndarray, "512 512"]:
     return (colour.max(-1) < _DARK) & (np.ptp(colour, axis=-1) < _GREY)
+
+
+def _panes(
+    colour: Float[np.ndarray, "512 512 3"],
+    open_: Bool[np.ndarray, "512 512"],
+    paint: Bool[np.ndarray, "512 512"],
+    at_windows: Bool[np.ndarray, "512 512"],
+) -> Bool[np.ndarray, "512 512"]:
+    """Finds what windows of any grey cover: areas of their own, at window height.
+
+    A stripe or a patch of dirt that goes on below the windows is none; windows that such a stripe
+    touches still are.
+
+    Args:
+        colour: sRGB.
+        open_: where nothing else says what the part is.
+        paint: what counts as paint so far.
+        at_windows: where windows may be.
+    """
+    lab = srgb_to_cielab(torch.from_numpy(colour)).numpy()
+    if not (open_ & paint).any():
+        return np.zeros_like(open_)
+    other = np.linalg.norm(lab - np.median(lab[open_ & paint], axis=0), axis=-1) > _OTHER_COLOUR
+    greyish = (np.hypot(lab[..., 1], lab[..., 2]) < _GREYISH) & (lab[..., 0] < _PALE)
+    # Twice side by side, as the map is closed around the vehicle.
+    every, within = (
+        np.concatenate([mask & open_ & other & greyish] * 2, axis=1)
+        for mask in (np.ones_like(open_), at_windows)
+    )
+    area_of, _ = label(within)
+    whole_of, _ = label(every)
+
+    def per_area(mask: Bool[np.ndarray, "512 1024"]) -> Int[np.ndarray, " A"]:
+        return np.bincount(area_of[mask & within], minlength=int(area_of.max()) + 1)
+
+    # Much of what they belong to lies elsewhere, and they go on there along much of their outline.
+    inside = np.bincount(whole_of[within], minlength=int(whole_of.max()) + 1)
+    spread = (inside < _WITHIN * np.bincount(whole_of.ravel()))[whole_of]
+    goes_on = per_area(binary_dilation(every & ~within)) > _GOES_ON * per_area(
+        ~binary_erosion(within)
+    )
+    panes = (per_area(within) >= _LEAST_TEXELS)[area_of] & ~(spread & goes_on[area_of]) & within
+    left, right = np.split(panes, 2, axis=1)
+    return left | right
 
 
 def _column() -> Float[np.ndarray, " 512"]:
