@@ -29,12 +29,15 @@ from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 import tyro
 from numpy.typing import NDArray
 from realism_pairs import Pairs, read_pairs
 from scipy.spatial.distance import cdist
 from scipy.stats import ks_2samp
 
+from skyproof.detectors.common import SMALLEST_IMAGE_PX
+from skyproof.detectors.features import FeatureDetector
 from skyproof.detectors.reference_detectors import reference_detector
 from skyproof.files import new_file, write_json
 
@@ -77,13 +80,13 @@ class LearntVehicles:
                 known = _features(read_pairs([tiles], [drawn], cleared), 0)
             record: dict[str, Any] = {}
             for name, (real, rendered) in features.items():
-                record[name] = _measured(real, rendered, known)
+                record[name] = measured(real, rendered, known)
                 print(name, record[name], flush=True)
             write_json(self.out, record)
         return record
 
 
-def _measured(real: Array, rendered: Array, known: Array | None) -> dict[str, Any]:
+def measured(real: Array, rendered: Array, known: Array | None) -> dict[str, Any]:
     """Returns all figures of one fleet."""
     density, coverage = density_and_coverage(real, rendered)
     order = np.random.default_rng(0).permutation(len(real))
@@ -144,10 +147,15 @@ def vendi_score(features: Array) -> float:
 def _features(pairs: Pairs, side: int) -> Array:
     """Returns the detector's features at the vehicles of one side of all pairs."""
     detector = reference_detector("retinanet").detector
+    assert isinstance(detector, FeatureDetector)
     found = []
     for start in range(0, len(pairs.pixels), _BATCH):
         images = pairs.pixels[start : start + _BATCH, side].float() / 255
-        boxes = [_box(mask) for mask in pairs.vehicle[start : start + _BATCH]]
+        # Windows are smaller than what a detector takes: they go on as they end.
+        before = max(0, SMALLEST_IMAGE_PX - images.shape[-1]) // 2
+        after = max(0, SMALLEST_IMAGE_PX - images.shape[-1] - before)
+        images = F.pad(images, (before, after, before, after), mode="replicate")
+        boxes = [_box(mask) + before for mask in pairs.vehicle[start : start + _BATCH]]
         found += detector.features(images, boxes)
     return torch.cat(found).double().numpy()
 
