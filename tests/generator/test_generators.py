@@ -106,6 +106,24 @@ def test_glass_is_darker_than_white_paint_and_where_panes_are(layered: LayeredGe
         assert 0.02 < float((parts == Part.GLASS).float().mean()) < 0.3
 
 
+@pytest.mark.parametrize("method", ["layered", "gan"])
+def test_one_vehicle_turns_into_another_by_small_steps(
+    method: str, layered: LayeredGenerator, adversarial: AdversarialGenerator
+) -> None:
+    generator = layered if method == "layered" else adversarial
+    way = generator.between(9, torch.Generator().manual_seed(2))
+    assert len({sample.body_type for sample in way}) == 1
+    vertices = torch.stack([sample.vertices for sample in way])
+    # Rings of a drawn body may jump along it, which changes nothing that is seen.
+    sizes = vertices.amax(1) - vertices.amin(1)
+    textures = torch.stack([sample.texture.float() for sample in way]).flatten(1)
+    for values in (sizes, textures):
+        whole = float((values[-1] - values[0]).norm())
+        steps = values.diff(dim=0).norm(dim=1)
+        assert whole > 0
+        assert float(steps.max()) < 0.6 * whole
+
+
 def test_some_wear_patterns_where_that_is_asked(layered: LayeredGenerator) -> None:
     settings = FleetSettings(10, paints=PaintVariety(0.0, 0.0, 0.0, 0.5), shapes=0.3)
     generator = torch.Generator().manual_seed(0)

@@ -26,7 +26,8 @@ LOOSE = 1.0
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", LOOSE)
-    monkeypatch.setattr("skyproof.generator.sheets._SAMPLES", 2)
+    for name, few in (("SAMPLES", 2), ("ROWS_BETWEEN", 1), ("STEPS_BETWEEN", 2), ("TURNS", 2)):
+        monkeypatch.setattr(f"skyproof.generator.sheets._{name}", few)
 
 
 def imagery_of(photographs: Photographs) -> list[Imagery]:
@@ -68,7 +69,8 @@ def test_a_stopped_run_ends_at_the_same_bytes(photographs: Photographs, tmp_path
     learn("stopped")
     assert files(tmp_path / "stopped") == files(tmp_path / "whole")
     found = set(files(tmp_path / "whole"))
-    assert {"generator.json", "generator.safetensors", "samples.png", "fits/00001.png"} <= found
+    sheets = {"samples.png", "between.png", "turntable.png", "fits/00001.png"}
+    assert {"generator.json", "generator.safetensors", *sheets} <= found
     assert load_generator(tmp_path / "whole").method == "gan"
 
 
@@ -109,10 +111,14 @@ def test_photographs_of_two_cameras_are_fitted_with_their_own(
     both = [*imagery_of(photographs), Imagery(other.tiles, other.cleared)]
     record = learn_vehicles(both, SETTINGS, tmp_path / "both", least=15)
     assert record["vehicles"] == 15
-    rows = [json.loads(line) for line in (tmp_path / "both/fits/steps.jsonl").read_text().split()]
+    rows = [
+        json.loads(line) for line in (tmp_path / "both/fits/steps.jsonl").read_text().splitlines()
+    ]
     alone = learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "one", least=5)
     assert alone["vehicles"] == 9
-    first = [json.loads(line) for line in (tmp_path / "one/fits/steps.jsonl").read_text().split()]
+    first = [
+        json.loads(line) for line in (tmp_path / "one/fits/steps.jsonl").read_text().splitlines()
+    ]
     assert [row["misfit"] for row in rows[:9]] == [row["misfit"] for row in first]
     assert [row["misfit"] for row in rows[9:]] != [row["misfit"] for row in first[:6]]
 

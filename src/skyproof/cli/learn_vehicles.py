@@ -79,7 +79,7 @@ class LearnVehicles:
                 "exchanged."
             )
         say(
-            f"Generator: {self.out.resolve()} (look at samples.png, and at fits/00001.png, which "
-            f"has the worst fits); draw fleets with skyproof vehicles --generator {self.out} --out "
-            "fleets"
+            f"Generator: {self.out.resolve()} (look at samples.png, between.png and turntable.png, "
+            "and at fits/00001.png, which has the worst fits); draw fleets with skyproof vehicles "
+            f"--generator {self.out} --out fleets"
         )

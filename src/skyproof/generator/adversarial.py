@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -167,6 +168,15 @@ class AdversarialGenerator:
     def sample(self, generator: torch.Generator) -> Sample:
         """Makes a vehicle."""
         return self.decode(torch.randn(_LATENT, generator=generator))
+
+    def between(self, count: int, generator: torch.Generator) -> list[Sample]:
+        """Makes two vehicles, and gives so many on the way from one to the other.
+
+        The way is an arc, on which latent vectors stay as long as those that were trained on.
+        """
+        first, last = torch.randn(2, _LATENT, generator=generator)
+        angles = torch.linspace(0, math.pi / 2, count).tolist()
+        return [self.decode(math.cos(each) * first + math.sin(each) * last) for each in angles]
 
     def tensors(self) -> dict[str, Tensor]:
         """Gives all that was learnt, for a file."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 
-from skyproof.generator.sample import VehicleGenerator
+from skyproof.generator.sample import Sample, VehicleGenerator
 from skyproof.vehicles.fleet import Fleet, FleetSettings, exact_share
 from skyproof.vehicles.template import make_template
 
-__all__ = ["sample_learnt_fleet"]
+__all__ = ["fleet_of", "sample_learnt_fleet"]
 
 
 def sample_learnt_fleet(
@@ -34,15 +34,26 @@ def sample_learnt_fleet(
         samples.append(vehicles.sample(generator))
         if progress is not None:
             progress(number + 1, settings.count)
-    ids = tuple(
-        f"{sample.body_type}-{number:04d}"
-        for number, sample in enumerate(samples, settings.first_number)
-    )
-    sources = {name: {"generator": vehicles.method} for name in ids}
+    fleet = fleet_of(samples, vehicles.method, settings.first_number)
     for index in exact_share(settings.paints.patterned, settings.count, generator):
-        sources[ids[index]]["coat"] = "patterned"
+        fleet.sources[fleet.ids[index]]["coat"] = "patterned"
     for index in exact_share(settings.shapes, settings.count, generator):
-        sources[ids[index]]["shape"] = "random"
+        fleet.sources[fleet.ids[index]]["shape"] = "random"
+    return fleet
+
+
+def fleet_of(samples: Sequence[Sample], method: str, first_number: int = 0) -> Fleet:
+    """Makes a fleet of samples.
+
+    Args:
+        samples: by one generator.
+        method: its kind.
+        first_number: number of the first vehicle.
+    """
+    ids = tuple(
+        f"{sample.body_type}-{number:04d}" for number, sample in enumerate(samples, first_number)
+    )
+    sources = {name: {"generator": method} for name in ids}
     return Fleet(
         None,
         make_template(),

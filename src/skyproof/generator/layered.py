@@ -89,9 +89,12 @@ class LayeredGenerator:
         )
         return cls(vehicles.body_types, latents, mean, components)
 
-    def sample_latent(self, generator: torch.Generator) -> tuple[str, Float[Tensor, " L"]]:
-        """Draws a body type and a latent vector."""
-        start = int(torch.randint(len(self.latents), (), generator=generator))
+    def sample_latent(
+        self, generator: torch.Generator, *, body_type: str | None = None
+    ) -> tuple[str, Float[Tensor, " L"]]:
+        """Draws a body type, if none is given, and a latent vector."""
+        starts = [index for index, each in enumerate(self.body_types) if body_type in (None, each)]
+        start = starts[int(torch.randint(len(starts), (), generator=generator))]
         body_type = self.body_types[start]
         bodies = len(_NAMES)
         own = self.latents[[each == body_type for each in self.body_types]][:, :bodies]
@@ -141,6 +144,14 @@ class LayeredGenerator:
         """Draws a vehicle."""
         body_type, latent = self.sample_latent(generator)
         return self.decode(body_type, latent, int(torch.randint(2**31, (), generator=generator)))
+
+    def between(self, count: int, generator: torch.Generator) -> list[Sample]:
+        """Draws two vehicles of one type, and gives so many on the way from one to the other."""
+        body_type, first = self.sample_latent(generator)
+        _, last = self.sample_latent(generator, body_type=body_type)
+        seed = int(torch.randint(2**31, (), generator=generator))
+        parts = torch.linspace(0, 1, count).tolist()
+        return [self.decode(body_type, torch.lerp(first, last, part), seed) for part in parts]
 
     def tensors(self) -> dict[str, Tensor]:
         """Gives all that was learnt, for a file."""

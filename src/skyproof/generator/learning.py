@@ -21,7 +21,7 @@ from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.photographed import Photographed, photographed_vehicles
 from skyproof.generator.prototypes import Prototype, draw_prototypes
 from skyproof.generator.settings import LearnSettings
-from skyproof.generator.sheets import write_fit_sheets, write_sample_sheet
+from skyproof.generator.sheets import write_fit_sheets, write_sample_sheets
 from skyproof.loop import Loop, refuse_other
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.bodies import BODY_RANGES
@@ -67,8 +67,8 @@ def learn_vehicles(
     Args:
         imagery: photographs; each is fitted with its own sharpness and light.
         settings: how they are fitted, and by which method one learns from them.
-        folder: gets the generator (see `load_generator`), `fits/` with a sheet of all fits, and
-            `samples.png`.
+        folder: gets the generator (see `load_generator`), `fits/` with sheets of all fits, and
+            sheets of samples (see `write_sample_sheets`).
         least: fewer vehicles than this, found or fitted well, are refused.
         progress: called with ("fit" or "learn", done, in all).
 
@@ -123,7 +123,7 @@ def learn_vehicles(
             "identity_sha256": _digest(identity),
         }
         write_fit_sheets(folder / "fits", fitters, vehicles, fits, prototypes)
-        write_sample_sheet(folder / "samples.png", generator, settings.seed)
+        write_sample_sheets(folder, generator, settings.seed)
         save_generator(folder, generator, record)
     return record
 

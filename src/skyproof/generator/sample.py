@@ -42,3 +42,7 @@ class VehicleGenerator(Protocol):
     def sample(self, generator: torch.Generator) -> Sample:
         """Draws a vehicle; the same state of the generator gives the same one."""
         ...
+
+    def between(self, count: int, generator: torch.Generator) -> list[Sample]:
+        """Draws two vehicles, and gives so many on the way from one to the other, ends included."""
+        ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from torch import Tensor
 from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT
 from skyproof.generator.fitting import Fit, Fitter, unfolded, whole
-from skyproof.generator.fleet import sample_learnt_fleet
+from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
 from skyproof.generator.sample import VehicleGenerator
@@ -21,9 +22,9 @@ from skyproof.randomness import generator_of
 from skyproof.render.portrait import close_up
 from skyproof.render.turntable import PART_COLOURS
 from skyproof.vehicles.fleet import Fleet, FleetSettings
-from skyproof.vehicles.vehicle import TEXTURE_SIZE
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
-__all__ = ["fleet_sheet", "write_fit_sheets", "write_sample_sheet"]
+__all__ = ["fleet_sheet", "write_fit_sheets", "write_sample_sheets"]
 
 _SIDE_PX = 192
 _CAPTION_PX = 16
@@ -32,6 +33,8 @@ _SAMPLES, _COLUMNS = 24, 6
 _CLOSE_M, _COARSE_M = 0.016, 0.125
 _SIDE_M = 6.4
 _GREY = 0.5
+_ROWS_BETWEEN, _STEPS_BETWEEN = 4, 7
+_TURNS, _ASLANT_RAD = 7, math.radians(55)
 
 
 def write_fit_sheets(
@@ -63,19 +66,55 @@ def write_fit_sheets(
             Image.fromarray(np.concatenate(rows)).save(temporary, compress_level=3)
 
 
-def write_sample_sheet(path: Path, vehicles: VehicleGenerator, seed: int) -> None:
-    """Writes 24 samples, from above finely and as detectors see them, and their part maps."""
+def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
+    """Writes what shows whether a generator is any good.
+
+    Args:
+        folder: gets `samples.png`, 24 samples from above, finely and as detectors see them, and
+            their part maps; `between.png`, where every row leads from one sample to another; and
+            `turntable.png`, some samples aslant, from all sides.
+        vehicles: the generator.
+        seed: of the samples.
+    """
     generator = generator_of(seed, "sheet")
     fleet = sample_learnt_fleet(vehicles, FleetSettings(_SAMPLES), generator=generator)
-    with write_beside(path) as temporary:
-        Image.fromarray(fleet_sheet(fleet)).save(temporary, compress_level=3)
+    few = fleet.ids[:: max(1, len(fleet) // _ROWS_BETWEEN)][:_ROWS_BETWEEN]
+    ways = [
+        fleet_of(vehicles.between(_STEPS_BETWEEN, generator), vehicles.method)
+        for _ in range(_ROWS_BETWEEN)
+    ]
+    sheets = {
+        "samples": fleet_sheet(fleet),
+        "between": np.concatenate([_between_row(each) for each in ways]),
+        "turntable": np.concatenate([_turntable_row(fleet.batch([name])) for name in few]),
+    }
+    for name, sheet in sheets.items():
+        with write_beside(folder / f"{name}.png") as temporary:
+            Image.fromarray(sheet).save(temporary, compress_level=3)
+
+
+def _between_row(way: Fleet) -> UInt8[np.ndarray, "H W 3"]:
+    batch = way.batch(way.ids)
+    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M)
+    above = [_cell(picture.float() / 255) for picture in close]
+    parts = [_parts(each) for each in way.parts]
+    return np.concatenate([np.concatenate(above, axis=1), np.concatenate(parts, axis=1)])
+
+
+def _turntable_row(vehicle: VehicleBatch) -> UInt8[np.ndarray, "H W 3"]:
+    turns = [2 * math.pi * number / _TURNS for number in range(_TURNS)]
+    views = [
+        close_up(vehicle, gsd_m=_CLOSE_M, side_m=_SIDE_M, tilt_rad=_ASLANT_RAD, heading_rad=turn)[0]
+        for turn in turns
+    ]
+    return np.concatenate([_cell(view.float() / 255) for view in views], axis=1)
 
 
 def fleet_sheet(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
     """Draws all vehicles of a fleet: at 1.6 cm per pixel, at 12.5 cm, and their part maps."""
     batch = fleet.batch(fleet.ids)
-    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M, heading_rad=0.0)
-    coarse = close_up(batch, gsd_m=_COARSE_M, side_m=_SIDE_M, heading_rad=0.0)
+    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M)
+    coarse = close_up(batch, gsd_m=_COARSE_M, side_m=_SIDE_M)
     cells = []
     for index, name in enumerate(fleet.ids):
         parts = _parts(fleet.parts[index])
