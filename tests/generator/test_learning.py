@@ -18,7 +18,7 @@ from skyproof.vehicles.fleet import Fleet
 from tests.generator.photographs import Photographs, take_photographs
 
 FIT = FitSettings(bodies=1, candidates=1, choose_steps=1, steps=2)
-SETTINGS = LearnSettings(fit=FIT, gan=AdversarialSettings(steps=4, batch_size=2))
+SETTINGS = LearnSettings(fit=FIT, gan=AdversarialSettings(steps=4, batch_size=2, preview_every=2))
 # Short fits are bad ones.
 LOOSE = 1.0
 
@@ -71,6 +71,7 @@ def test_a_stopped_run_ends_at_the_same_bytes(photographs: Photographs, tmp_path
     found = set(files(tmp_path / "whole"))
     sheets = {"samples.png", "between.png", "turntable.png", "fits/00001.png"}
     assert {"generator.json", "generator.safetensors", *sheets} <= found
+    assert {"gan/previews/000002.png", "gan/previews/000004.png"} <= found
     assert load_generator(tmp_path / "whole").method == "gan"
 
 

@@ -27,6 +27,7 @@ from skyproof.generator.fitting import MAP_PX, whole
 from skyproof.generator.maps import half_grid, part_map, texture_map, vertices_of
 from skyproof.generator.sample import Sample
 from skyproof.generator.settings import AdversarialSettings
+from skyproof.generator.sheets import write_preview
 from skyproof.loop import Loop
 from skyproof.randomness import generator_of
 from skyproof.vehicles.template import COLUMNS, RINGS
@@ -211,7 +212,7 @@ def learn_adversarially(
     Args:
         vehicles: fitted ones.
         settings: steps, batch and learning rate.
-        folder: gets `steps.jsonl` and checkpoints.
+        folder: gets `steps.jsonl`, `previews/` and checkpoints.
         seed: decides weights and draws.
         on_step: called with each row of `steps.jsonl`.
     """
@@ -257,6 +258,9 @@ def learn_adversarially(
             for kept, current in zip(average.parameters(), network.parameters(), strict=True):
                 kept.lerp_(current, 1 - _EMA)
         loop.report({"step": step, **losses})
+        if step % settings.preview_every == 0:
+            preview = Path(folder) / "previews" / f"{step:06d}.png"
+            write_preview(preview, AdversarialGenerator(average), seed)
     return AdversarialGenerator(average)
 
 

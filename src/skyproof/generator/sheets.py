@@ -24,7 +24,7 @@ from skyproof.render.turntable import PART_COLOURS
 from skyproof.vehicles.fleet import Fleet, FleetSettings
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
-__all__ = ["fleet_sheet", "write_fit_sheets", "write_sample_sheets"]
+__all__ = ["fleet_sheet", "write_fit_sheets", "write_preview", "write_sample_sheets"]
 
 _SIDE_PX = 192
 _CAPTION_PX = 16
@@ -85,7 +85,7 @@ def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> 
     ]
     sheets = {
         "samples": fleet_sheet(fleet),
-        "between": np.concatenate([_between_row(each) for each in ways]),
+        "between": np.concatenate([_row(each) for each in ways]),
         "turntable": np.concatenate([_turntable_row(fleet.batch([name])) for name in few]),
     }
     for name, sheet in sheets.items():
@@ -93,11 +93,19 @@ def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> 
             Image.fromarray(sheet).save(temporary, compress_level=3)
 
 
-def _between_row(way: Fleet) -> UInt8[np.ndarray, "H W 3"]:
-    batch = way.batch(way.ids)
-    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M)
+def write_preview(path: Path, vehicles: VehicleGenerator, seed: int) -> None:
+    """Writes some samples of a generator that still learns, always of the same draws."""
+    generator = generator_of(seed, "preview")
+    samples = [vehicles.sample(generator) for _ in range(_STEPS_BETWEEN)]
+    with write_beside(path) as temporary:
+        Image.fromarray(_row(fleet_of(samples, vehicles.method))).save(temporary)
+
+
+def _row(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
+    """Draws vehicles side by side from above, and their part maps below."""
+    close = close_up(fleet.batch(fleet.ids), gsd_m=_CLOSE_M, side_m=_SIDE_M)
     above = [_cell(picture.float() / 255) for picture in close]
-    parts = [_parts(each) for each in way.parts]
+    parts = [_parts(each) for each in fleet.parts]
     return np.concatenate([np.concatenate(above, axis=1), np.concatenate(parts, axis=1)])
 
 
