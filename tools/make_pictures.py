@@ -5,10 +5,13 @@ They show procedural vehicles and ground, nothing else.
     python tools/make_pictures.py
     python tools/make_pictures.py runs/demo
     python tools/make_pictures.py runs/reproduce
+    python tools/make_pictures.py runs/learnt
 
 The first writes fleet, coats, scenes, weather, sharpness and clearing.png into docs/pictures; the
 same code gives the same pictures. The second writes docs/pictures/demo-result.png from a finished
-demo on procedural ground, the third attacks.png from the camouflages of a reproduction.
+demo on procedural ground, the third attacks.png from the camouflages of a reproduction, the fourth
+learnt.png from a generator of `skyproof learn-vehicles`: one that learnt from the 72 vehicles of
+`tests.generator.photographs.take_photographs(FOLDER, 72)`.
 """
 
 from __future__ import annotations
@@ -390,11 +393,39 @@ def draw_attacks(run_folder: Path) -> Image.Image:
     return sheet
 
 
+def draw_learnt(folder: Path) -> Image.Image:
+    """Shows what `skyproof learn-vehicles` made of photographs that the tests draw."""
+    width_px = 1344
+    shown = (
+        ("Photograph, fit, difference, cut-out, texture, parts, how much is seen", "fits/00001", 4),
+        ("Samples at 1.6 cm and at 12.5 cm per pixel, and their part maps", "samples", 3),
+        ("From one sample to another", "between", 1),
+        ("Samples from all sides", "turntable", 2),
+    )
+    heights_px = {"fits/00001": 208, "samples": 208, "between": 384, "turntable": 192}
+    strips = []
+    for caption, name, rows in shown:
+        with Image.open(folder / f"{name}.png") as image:
+            strip = image.convert("RGB").crop((0, 0, image.width, rows * heights_px[name]))
+        height_px = round(strip.height * width_px / strip.width)
+        strips.append((caption, strip.resize((width_px, height_px), Image.Resampling.LANCZOS)))
+    head = 28
+    sheet = Image.new("RGB", (width_px, sum(strip.height + head for _, strip in strips)), "white")
+    top = 0
+    for caption, strip in strips:
+        ImageDraw.Draw(sheet).text((4, top + 5), caption, fill="black", font=font(15))
+        sheet.paste(strip, (0, top + head))
+        top += strip.height + head
+    return sheet
+
+
 def main() -> None:
     """Writes the pictures asked for."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     if len(sys.argv) > 1 and (Path(sys.argv[1]) / "camouflages" / "S-O@0.4-0").exists():
         sheets = {"attacks.png": draw_attacks(Path(sys.argv[1]))}
+    elif len(sys.argv) > 1 and (Path(sys.argv[1]) / "generator.json").exists():
+        sheets = {"learnt.png": draw_learnt(Path(sys.argv[1]))}
     elif len(sys.argv) > 1:
         sheets = {"demo-result.png": draw_demo_result(Path(sys.argv[1]))}
     else:

@@ -34,7 +34,7 @@ _CLOSE_M, _COARSE_M = 0.016, 0.125
 _SIDE_M = 6.4
 _GREY = 0.5
 _ROWS_BETWEEN, _STEPS_BETWEEN = 4, 7
-_TURNS, _ASLANT_RAD = 7, math.radians(55)
+_TURNS, _ASLANT_RAD, _ASLANT_SIDE_M = 7, math.radians(50), 7.6
 
 
 def write_fit_sheets(
@@ -112,7 +112,13 @@ def _row(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
 def _turntable_row(vehicle: VehicleBatch) -> UInt8[np.ndarray, "H W 3"]:
     turns = [2 * math.pi * number / _TURNS for number in range(_TURNS)]
     views = [
-        close_up(vehicle, gsd_m=_CLOSE_M, side_m=_SIDE_M, tilt_rad=_ASLANT_RAD, heading_rad=turn)[0]
+        close_up(
+            vehicle,
+            gsd_m=_CLOSE_M,
+            side_m=_ASLANT_SIDE_M,
+            tilt_rad=_ASLANT_RAD,
+            heading_rad=turn,
+        )[0]
         for turn in turns
     ]
     return np.concatenate([_cell(view.float() / 255) for view in views], axis=1)
