@@ -10,6 +10,7 @@ from PIL import Image
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
+from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
@@ -197,11 +198,35 @@ def test_a_palette_of_one_colour_is_refused():
         texture(TextureConstraints(colours="learnt"), colours=1)
 
 
-def test_a_palette_belongs_to_fixed_colours_alone():
+def test_fixed_colours_need_a_palette():
     with pytest.raises(ConfigurationError, match="expect a palette"):
         UniversalTexture(CamouflageName.parse("T-Fc"), generator=drawn(0))
-    with pytest.raises(ConfigurationError, match="a palette for T-Lc"):
-        texture(TextureConstraints(colours="learnt"), palette=PALETTE)
+
+
+@pytest.mark.parametrize("name", ["T-PixLc-0", "R-PixLc_search", "C-PixLc-par@0.2"])
+def test_learnt_colours_begin_near_those_that_are_given(name):
+    begun = [make_camouflage(name, generator=drawn(seed), palette=PALETTE) for seed in (0, 1)]
+    palettes = [getattr(each, "texture", each).palette for each in begun]
+    for palette in palettes:
+        assert (palette - PALETTE).abs().max() < 0.25
+        assert not torch.equal(palette, PALETTE)
+    assert not torch.equal(*palettes)
+
+
+@pytest.mark.parametrize("name", ["T-PixMa-0", "R-Pix_search", "C-Pix-par@0.2"])
+def test_free_blocks_begin_among_those_that_are_given(name):
+    begun = make_camouflage(name, generator=drawn(0), palette=PALETTE)
+    cells = getattr(begun, "texture", begun).cells.flatten(1).T
+    for cell in cells.unique(dim=0):
+        assert (cell == PALETTE).all(1).any()
+    assert len(cells.unique(dim=0)) == len(PALETTE)
+
+
+@pytest.mark.parametrize("name", ["R-PixLc-0", "R-C-PixLc@0.2-0", "R-Pix-0", "T-U-0", "T-Ma-0"])
+def test_random_draws_and_free_texels_know_no_palette(name):
+    made = [make_camouflage(name, generator=drawn(0), palette=each) for each in (PALETTE, None)]
+    first, second = (getattr(each, "texture", each).bytes() for each in made)
+    assert torch.equal(first, second)
 
 
 def test_a_mask_that_covers_nothing_is_refused(vehicles):

@@ -33,7 +33,8 @@ def make_camouflage(
         name: such as "T-PixFcMa", "S-O@0.4", "C-Fc-seq@0.2" or "R-PixFc"; a variant and a repeat
             at its end change nothing.
         generator: on the CPU; textures, and the shapes of random controls, are drawn from it.
-        palette: `[K, 3]` sRGB in [0, 1]; fixed colours (Fc) expect one, others do without.
+        palette: `[K, 3]` sRGB in [0, 1]; fixed colours (Fc) expect one, and colours that are learnt
+            for a palette or for blocks begin there, where it is given.
         texture: a finished texture, or a combination that has one; a sequential combination expects
             it to put its shape on, and so does a random shape on an attack's own texture.
         settings: what the name leaves open; the defaults where not given.
@@ -152,7 +153,7 @@ def _texture(
     return UniversalTexture(
         name,
         generator=generator,
-        palette=palette if fixed else None,
+        palette=palette if name.takes_palette else None,
         colours=settings.colours,
         blocks=settings.blocks,
     )

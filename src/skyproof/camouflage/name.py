@@ -200,6 +200,21 @@ class CamouflageName:
         return cast(Choice, self.variant) if chosen else None
 
     @property
+    def takes_palette(self) -> bool:
+        """Whether its colours are those of a palette (Fc), or are learnt from there (Lc, Pix).
+
+        Random draws of other colours than fixed ones are drawn freely. Free colours of single
+        texels begin anywhere: from above they are an even grey. A sequential combination has its
+        texture from another.
+        """
+        if self.constraints is None or self.order == "seq":
+            return False
+        if self.constraints.colours == "fixed":
+            return True
+        learnt = not self.random or self.choice == "search"
+        return learnt and (self.constraints.colours == "learnt" or self.constraints.pixelised)
+
+    @property
     def control(self) -> CamouflageName:
         """The random control: the same constraints without learning, variants and repeats dropped.
 

@@ -19,6 +19,8 @@ __all__ = ["UniversalTexture"]
 # Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
 _FIRST_TEMPERATURE = 1.0
 _LAST_TEMPERATURE = 0.1
+# Of learnt colours around those they begin at, in sRGB.
+_PALETTE_SD = 0.05
 
 
 class UniversalTexture(Camouflage):
@@ -44,13 +46,14 @@ class UniversalTexture(Camouflage):
     Args:
         name: of a texture or a combination, such as "T-PixFcMa".
         generator: on the CPU; the cells and a learnt palette are drawn from it.
-        palette: `[K, 3]` for fixed colours; not given otherwise.
-        colours: how many colours are learnt.
+        palette: `[K, 3]` fixed colours; or those near which a learnt palette begins, or among
+            which free cells do, and which are drawn uniformly where it is not given.
+        colours: how many colours are learnt, where no palette says it.
         blocks: pixel blocks along a side of the map.
 
     Raises:
         ConfigurationError: a name without texture constraints, blocks finer than the map, fewer
-            than two colours, a missing palette, or one where colours are not fixed.
+            than two colours, or no palette for fixed colours.
     """
 
     learning_rates: Mapping[str, float]
@@ -81,13 +84,9 @@ class UniversalTexture(Camouflage):
                 f"side, got {blocks}; give for instance 32."
             )
         kind = self.constraints.colours
-        if (palette is not None) != (kind == "fixed"):
-            raise ConfigurationError(
-                "Fixed colours (Fc) expect a palette, and no other colours do; "
-                f"got {'a palette' if palette is not None else 'none'} for {name}."
-            )
+        if kind == "fixed" and palette is None:
+            raise ConfigurationError(f"Fixed colours (Fc) expect a palette, got none for {name}.")
         if palette is not None:
-            self.register_buffer("palette", palette.float().clone())
             colours = len(palette)
         if kind != "free" and colours < 2:
             raise ConfigurationError(
@@ -95,7 +94,11 @@ class UniversalTexture(Camouflage):
             )
         grid = (self.blocks, self.blocks)
         if kind == "free":
-            self.cells = nn.Parameter(torch.rand(3, *grid, generator=generator))
+            cells = torch.rand(3, *grid, generator=generator)
+            if palette is not None:
+                cells = palette[torch.randint(len(palette), grid, generator=generator)]
+                cells = cells.permute(2, 0, 1).contiguous()
+            self.cells = nn.Parameter(cells)
             # At the attack's own rate a hundred steps leave free colours unfinished
             # (docs/attacks.md).
             self.learning_rates = {"cells": 3.0}
@@ -104,8 +107,14 @@ class UniversalTexture(Camouflage):
         self.cells = nn.Parameter(drawn.log())
         # A logit has farther to go than a colour, which lies in [0, 1].
         self.learning_rates = {"cells": 6.0}
-        if kind == "learnt":
+        if kind == "fixed":
+            assert palette is not None
+            self.register_buffer("palette", palette.float().clone())
+        elif palette is None:
             self.palette = nn.Parameter(torch.rand(colours, 3, generator=generator))
+        else:
+            apart = _PALETTE_SD * torch.randn(colours, 3, generator=generator)
+            self.palette = nn.Parameter((palette + apart).clamp(0.0, 1.0))
         self.register_buffer("temperature", torch.tensor(_FIRST_TEMPERATURE))
         self.register_buffer("finished", torch.tensor(False))
 

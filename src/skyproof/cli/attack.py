@@ -56,8 +56,9 @@ class Attack:
         detectors: detector folders, attacked together; needed for what is learnt or chosen.
         backgrounds: background set folder, whose attack split is used; needed for the same.
         fleet: fleet folder; needed for the same.
-        palette: the colours of Fc: a palette file, or a background set whose colours are taken;
-            those of --backgrounds where not given.
+        palette: the colours of Fc, and those from which the colours of Lc and Pix are learnt: a
+            palette file, or a background set whose colours are taken; those of --backgrounds where
+            not given.
         texture: folder of the finished texture that a sequential combination puts its shape on; for
             a random shape on an attack's own texture it may be the finished attack's.
         image_px: image side; the first detector's training size where not given.
@@ -123,8 +124,8 @@ class Attack:
         SceneSettings(vehicles_maximum=1, conditions=self.conditions)
 
     def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
-        """The fixed colours, where a name asks for them."""
-        if not any(name.constraints and name.constraints.colours == "fixed" for name in names):
+        """The colours that textures are fixed to (Fc), or are learnt from (Lc, Pix)."""
+        if not any(name.takes_palette for name in names):
             return None
         source = self.palette or self.backgrounds
         if source is None:

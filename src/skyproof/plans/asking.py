@@ -152,11 +152,10 @@ class Query:
             start = load_camouflage(self.start)
             start.name = name
         else:
-            fixed = name.constraints is not None and name.constraints.colours == "fixed"
             start = make_camouflage(
                 name,
                 generator=generator_of(self.settings.seed, "texture", str(name)),
-                palette=ground_palette(world.backgrounds) if fixed else None,
+                palette=ground_palette(world.backgrounds) if name.takes_palette else None,
             )
         with progress_bar(f"ask {name}") as update:
             query_attack(
