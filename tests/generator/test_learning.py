@@ -175,6 +175,13 @@ def test_the_commands_lead_from_photographs_to_fleets(
     fleet = Fleet.load(tmp_path / "fleets" / "train")
     assert len(fleet) == 4
     assert all(source["generator"] == "layered" for source in fleet.sources.values())
+    # They can be mixed with drawn ones.
+    assert fleet.ids[0].endswith("-5000")
+    mixed, drawn = str(tmp_path / "mixed"), str(tmp_path / "drawn")
+    assert run(["vehicles", "--counts", "4", "1", "1", "1", "--out", drawn]) == 0
+    both = [f"{drawn}/train", str(tmp_path / "fleets" / "train")]
+    assert run(["vehicles", *both, "--out", mixed]) == 0
+    assert len(Fleet.load(Path(mixed))) == 8
     again = [*draw, "--out", str(tmp_path / "more"), str(tmp_path / "fleets" / "train")]
     assert run(again) == 2
     assert "mix their folders afterwards" in capsys.readouterr().err

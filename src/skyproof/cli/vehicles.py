@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Vehicles"]
 
+# Drawn and wrapped vehicles have lower numbers, so that fleets can be mixed.
+_FIRST_LEARNT = 5000
+
 _COLUMNS = {
     "iou_above": "IoU above",
     "iou_side": "IoU side",
@@ -93,7 +96,7 @@ class Vehicles:
         learnt = None if self.generator is None else load_generator(self.generator)
         with finished_folder(self.out) as folder:
             # Numbers go on from split to split: no vehicle is in two of them.
-            first_number = 0
+            first_number = 0 if learnt is None else _FIRST_LEARNT
             for split, count in zip(SPLITS, self.counts, strict=True):
                 # Detectors learn from the first two; the others stand for real vehicles.
                 learnt_from = split in ("train", "validation")
