@@ -95,11 +95,10 @@ def learn_vehicles(
         if (folder / "generator.json").exists():
             return _finished(folder, identity)
         prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
-        fitters = [
-            fitter
-            for each, (own, _) in zip(imagery, found, strict=True)
-            for fitter in [Fitter(each.tiles, each.cleared, prototypes, settings.fit)] * len(own)
-        ]
+        fitters: list[Fitter] = []
+        for each, (own, _) in zip(imagery, found, strict=True):
+            fitter = Fitter(each.tiles, each.cleared, prototypes, settings.fit)
+            fitters += [fitter] * len(own)
         fits = _fit_all(fitters, vehicles, identity, folder / "fits", progress)
         kept = [fit for fit in fits if fit.misfit <= LARGEST_MISFIT]
         if len(kept) < len(fits):

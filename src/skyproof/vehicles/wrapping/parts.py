@@ -120,10 +120,10 @@ def label_parts(
     at_windows = (z > window_z) & (texels.normals[..., 2] < 0.975) & outwards
     other[at_windows] = Part.GLASS
     floor = _floor(z, wrapping)
-    if not masked:
-        paint &= ~_panes(texels.colour, open_ & ~plain, paint & ~floor, at_windows)
-    else:
+    if masked:
         other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
+    else:
+        paint &= ~_panes(texels.colour, open_ & ~plain, paint & ~floor, at_windows)
     parts = np.where(paint, parts, other)
 
     # Wheels and underside by place; names overrule colour.
@@ -131,7 +131,7 @@ def label_parts(
     if not (named == int(Part.WHEEL)).any():
         parts[discs] = Part.WHEEL
     parts = np.where(decided, named, parts)
-    floor = floor & ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
+    floor &= ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
     parts[floor] = Part.UNDERSIDE
     parts = _mode(parts)
     shares = {
@@ -163,16 +163,14 @@ def _panes(
         paint: what counts as paint so far.
         at_windows: where windows may be.
     """
-    lab = srgb_to_cielab(torch.from_numpy(colour)).numpy()
     if not (open_ & paint).any():
         return np.zeros_like(open_)
+    lab = srgb_to_cielab(torch.from_numpy(colour)).numpy()
     other = np.linalg.norm(lab - np.median(lab[open_ & paint], axis=0), axis=-1) > _OTHER_COLOUR
     greyish = (np.hypot(lab[..., 1], lab[..., 2]) < _GREYISH) & (lab[..., 0] < _PALE)
+    like_panes = open_ & other & greyish
     # Twice side by side, as the map is closed around the vehicle.
-    every, within = (
-        np.concatenate([mask & open_ & other & greyish] * 2, axis=1)
-        for mask in (np.ones_like(open_), at_windows)
-    )
+    every, within = (np.tile(each, 2) for each in (like_panes, like_panes & at_windows))
     area_of, _ = label(within)
     whole_of, _ = label(every)
 
