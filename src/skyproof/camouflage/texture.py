@@ -24,7 +24,7 @@ _PALETTE_SD = 0.05
 
 
 class UniversalTexture(Camouflage):
-    """Replaces every vehicle's texture by one map; as drawn it is its own random control.
+    """Replaces every vehicle's texture by one map; drawn freely it is its own random control.
 
     The map is made in three independent stages (section 3.3): a grid of values (512 x 512, or
     `blocks` x `blocks` when pixelised); their colours (free, or mixed from a palette); and where it
