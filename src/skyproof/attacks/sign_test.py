@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from scipy import stats
+from scipy import special
 from torch import Tensor
 
 from skyproof.attacks.attack import descend, make_optimiser
@@ -99,6 +99,7 @@ def _judged(before: Tensor, after: Tensor) -> dict[str, Any]:
     return {
         "scenes": len(before),
         "fell": fell,
-        "p": float(stats.binomtest(fell, len(before), 0.5, alternative="greater").pvalue),
+        # The binomial tail as scipy.stats has it, whose import takes as long as some steps.
+        "p": float(special.bdtrc(fell - 1, len(before), 0.5)),
         "mean_change": float((after - before).mean()),
     }
