@@ -13,6 +13,7 @@ from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import Lighting, light
 from skyproof.scenes.light import CLEAR_SKY
+from skyproof.vehicles.vehicle import Part
 from tests.render.bodies import PlainGround, double, scene, smooth_texture, vehicles
 
 SIZE = 64
@@ -117,6 +118,27 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
         # What the coat mirrors, seen from straight above, does not reach the paint.
         coated, _ = light(up.t(), given, vehicle, body, RenderSettings())
         assert coated[:, 0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
+
+
+def test_what_faces_down_sees_its_own_shadow_and_mirrors_no_sky():
+    # Sills seen 50 degrees aslant: level sides, and normals that turn under, away from the viewer.
+    viewer = normalize(torch.tensor([[0.0, -0.77, 0.64]]), dim=-1)
+    sun = normalize(torch.tensor([[-0.6, 0.1, 0.8]]), dim=-1)
+    side, under, down = (0.0, -1.0, 0.0), (0.0, -0.3, -0.95), (0.0, 0.0, -1.0)
+    normals = normalize(torch.tensor([side, under, down]), dim=-1).t()
+    matt, mirrored = light(
+        normals,
+        lighting_from(sun, viewer),
+        torch.zeros(3, dtype=torch.long),
+        gloss_table().t()[:, [Part.WHEEL] * 3],
+        RenderSettings(),
+    )
+    ground = RenderSettings().ground_reflectance
+    assert float(mirrored[:, 1].max()) < 0.2 * ground
+    assert not matt[:, 2].any()
+    assert float(mirrored[:, 2].max()) < 1e-3
+    # A level side has the open ground before it.
+    assert float(matt[:, 0].min()) > ground / 2
 
 
 def lighting_from(sun, viewer):

@@ -81,6 +81,9 @@ def light(
     rows = torch.cat((*vectors, *scalars), dim=1).t().index_select(1, vehicle)
     sun, viewer, sky, strength, ground = rows[:15].split(3)
     sun_and_viewer, halving, overcast, dimming = rows[15:]
+    # The more a surface faces down, the more of the ground before it is the vehicle's own shadow.
+    # Squared, so that gradients do not jump at level normals.
+    ground = ground * (1 - normal[2].clamp(max=0.0).square())
     # Matt: sun, open sky above, ground below.
     towards_sun = (normal * sun).sum(0)
     sunny = towards_sun.clamp(min=0.0)
@@ -88,10 +91,12 @@ def light(
     diffuse = torch.addcmul(torch.lerp(ground, sky, open_sky), strength, sunny)
     # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
     reflectance, exponent = gloss
-    cosine = (normal * viewer).sum(0)
+    # Where faces turn away, normals between their corners may before them: seen edge-on at most, or
+    # sills would mirror the sky.
+    cosine = (normal * viewer).sum(0).clamp(min=0.0)
     # Schlick's, for reflectances up to that of the table; nothing where nothing is mirrored.
     fresnel = reflectance + (settings.gloss - reflectance) * _fifth_power(
-        1 - cosine.clamp(0.0, 1.0)
+        (1 - cosine).clamp(min=0.0)
     )
     # Of the mirrored ray, 2 cosine normal - viewer, the height and the cosine to the sun.
     up = 2 * cosine * normal[2] - viewer[2]
