@@ -22,6 +22,7 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -47,6 +48,8 @@ def main() -> None:
     logged(log, f"start {os.getpid()}")
     if plan == "mute":
         sys.exit("bpy is not for this machine")
+    # Blender makes such a folder, and leaves it behind where it is killed.
+    tempfile.mkdtemp(prefix="blender_")
     say(version=[4, 5, 0])
     for line in sys.stdin:
         job, result = map(Path, line.rstrip("\n").split("\t"))

@@ -121,9 +121,10 @@ def test_command_lines():
     assert executable == ["/opt/blender", *options.split()]
 
 
-def test_the_other_pythons_packages_stay_outside():
-    given = {"PATH": "/bin", "PYTHONPATH": "/here", "PYTHONHOME": "/there", "PYTHONUTF8": "1"}
-    assert worker_environment(given) == {"PATH": "/bin", "PYTHONUTF8": "1"}
+def test_the_other_pythons_packages_stay_outside_and_its_own_files_in_scratch():
+    given = {"PATH": "/bin", "PYTHONPATH": "/here", "PYTHONHOME": "/there", "TMPDIR": "/tmp"}
+    scratch = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), "/scratch")
+    assert worker_environment(given, "/scratch") == {"PATH": "/bin"} | scratch
 
 
 @pytest.mark.blender

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from skyproof.errors import ConfigurationError
 
@@ -64,13 +65,19 @@ def find_blender(path: Path | None = None) -> Blender:
     return Blender(chosen, is_python, version)
 
 
-def worker_environment(environment: dict[str, str]) -> dict[str, str]:
-    """Without what would bring this Python's packages into Blender's."""
-    return {
+def worker_environment(environment: dict[str, str], scratch: str | Path) -> dict[str, str]:
+    """Returns it without what would bring this Python's packages into Blender's.
+
+    Args:
+        environment: of this process.
+        scratch: where Blender puts files of its own, which a killed one leaves behind.
+    """
+    kept = {
         name: value
         for name, value in environment.items()
         if name not in ("PYTHONPATH", "PYTHONHOME")
     }
+    return kept | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(scratch))
 
 
 def _search() -> Path:
@@ -101,15 +108,16 @@ def _ask(path: Path) -> tuple[bool, str | None]:
 
 def _output(command: list[str]) -> str:
     try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            stdin=subprocess.DEVNULL,
-            timeout=_PATIENCE_S,
-            env=worker_environment(dict(os.environ)),
-        )
+        with TemporaryDirectory(prefix="skyproof-blender-") as scratch:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                stdin=subprocess.DEVNULL,
+                timeout=_PATIENCE_S,
+                env=worker_environment(dict(os.environ), scratch),
+            )
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout

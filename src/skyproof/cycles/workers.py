@@ -173,6 +173,7 @@ class _Process:
     def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
         self.number = number
         self._command = blender.command(WORKER, str(scratch))
+        self._scratch = scratch
         self._log = scratch / f"{number}.log"
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
@@ -221,7 +222,7 @@ class _Process:
                     stderr=log,
                     text=True,
                     errors="replace",
-                    env=worker_environment(dict(os.environ)),
+                    env=worker_environment(dict(os.environ), self._scratch),
                     # Ctrl-C is for us; the process ends when its input does.
                     start_new_session=True,
                 )
