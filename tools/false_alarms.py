@@ -32,9 +32,9 @@ from skyproof.detectors.card import read_card
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_apart
-from skyproof.detectors.matching import match_detections, match_images
+from skyproof.detectors.matching import Criterion, match_detections, match_images
 
-CRITERION = "centre_1m"
+CRITERION: Criterion = "centre_1m"
 SPOT_M = 2.5
 """Two false alarms nearer to each other than half a car's length are one."""
 WITHIN = 0.6
@@ -103,7 +103,7 @@ def _tell(what: str, found: Sequence[Detections], images: Dataset, threshold: fl
 
 def registered(images: Dataset) -> list[tuple[int, Float[np.ndarray, "3 3"]]]:
     """Returns per frame the number of its place, and what maps it onto the first frame of that."""
-    finder = cv2.SIFT_create(3000)
+    finder = cv2.SIFT.create(3000)
     grounds: list[tuple[int, np.ndarray]] = []
     before = None
     for picture in images.pictures:
@@ -123,8 +123,8 @@ def _homography(own: tuple, other: tuple) -> Float[np.ndarray, "3 3"] | None:
     good = [best for best, second in pairs if best.distance < 0.75 * second.distance]
     if len(good) < FEWEST_POINTS:
         return None
-    here = np.float32([own[0][match.queryIdx].pt for match in good])
-    there = np.float32([other[0][match.trainIdx].pt for match in good])
+    here = np.array([own[0][match.queryIdx].pt for match in good], np.float32)
+    there = np.array([other[0][match.trainIdx].pt for match in good], np.float32)
     homography, agreeing = cv2.findHomography(here, there, cv2.RANSAC, 3.0)
     return homography if int(agreeing.sum()) >= FEWEST_POINTS else None
 

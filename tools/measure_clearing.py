@@ -22,7 +22,7 @@ from torch.nn import functional
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import detect_batch
 from skyproof.detectors.loaded import LoadedDetector, load_detector
-from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, apply_inpainting
+from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar, Inpainting, apply_inpainting
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -59,7 +59,11 @@ class MeasureClearing:
         scenes = sample_scenes(
             settings, ground, "test", fleet.sizes_m, self.windows, generator=draws
         )
-        renderer, shown, true, masks, covered, vehicles = TorchRenderer(ground), [], [], [], [], 0
+        renderer, vehicles = TorchRenderer(ground), 0
+        shown: list[Tensor] = []
+        true: list[Tensor] = []
+        masks: list[Tensor] = []
+        covered: list[float] = []
         for scene in scenes:
             frames = renderer([scene], fleet.batch([each.vehicle for each in scene.placements]))
             image = (frames.image[0] * 255).round().byte()
@@ -71,7 +75,9 @@ class MeasureClearing:
             changed = (image.float() - empty.float()).abs().amax(0) > CHANGED
             covered.append(float((changed & mask).sum() / changed.sum()))
             vehicles += len(frames.boxes)
-            shown, true, masks = [*shown, image], [*true, empty], [*masks, mask]
+            shown.append(image)
+            true.append(empty)
+            masks.append(mask)
         print(
             f"{vehicles} vehicles; masks cover {sum(covered) / len(covered):.1%} of the changed "
             "pixels"
@@ -80,7 +86,7 @@ class MeasureClearing:
             f"found with vehicles {_found(judges, shown, masks)}, on the true ground "
             f"{_found(judges, true, masks)}"
         )
-        ways = {
+        ways: dict[str, Inpainting] = {
             "Telea": Diffusion("telea"),
             "Navier-Stokes": Diffusion("navier-stokes"),
             "exemplar": Exemplar(),

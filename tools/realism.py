@@ -137,7 +137,7 @@ def _draw(
     chosen = np.concatenate([best[:_SHOWN], order[: _OCCLUDED - _SHOWN]])
     patch_px = round(_PATCH_M / pairs.gsd_m)
     stride_px = round(_STRIDE_M / pairs.gsd_m)
-    falls = {}
+    falls: dict[int, np.ndarray] = {}
     for number, network in enumerate(networks):
         own = torch.from_numpy(chosen[folds[chosen] == number])
         if len(own):

@@ -262,8 +262,9 @@ def _pairs_of(first: Shown, second: Shown, gsd_m: float) -> tuple[list[Window], 
         room = round(ROOM_M / gsd_m)
         side = 2 * (round(WINDOW_M / gsd_m / 2) + room)
         corner = np.floor(middle).astype(int) - side // 2
-        pixels = [_cut(shown, corner, side) for shown in (first, second)]
-        if any(cut is None for cut in pixels):
+        cuts = [_cut(shown, corner, side) for shown in (first, second)]
+        pixels = [cut for cut in cuts if cut is not None]
+        if len(pixels) < len(cuts):
             missed += 1
             continue
         others = np.concatenate(

@@ -98,7 +98,7 @@ class ShipReference:
     def run(self) -> None:
         """Halves, measures, and says what became of it."""
         layout = Layout(self.run_folder)
-        config = read_document(layout.config, dict[str, Any], "give a finished run")
+        config: dict[str, Any] = read_document(layout.config, dict[str, Any], "give a finished run")
         if config.get("preset") != PRESET:
             raise ConfigurationError(
                 f"{self.run_folder} is no run of the preset {PRESET}; the detectors that are "
