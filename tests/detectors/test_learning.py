@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,8 +21,7 @@ from skyproof.detectors.training import train, validate
 TRAINING_IMAGES, VALIDATION_IMAGES, TEST_IMAGES = 160, 24, 40
 # Focal loss starts slowly.
 STEPS = {"retinanet": 200, "faster_rcnn": 140, "yolov5_anchors": 200}
-# At its usual rate so short a training of this one is a matter of chance, see below.
-STEADY_RATES = {"yolov5_anchors": 3e-4}
+BATCH_SIZE = 4
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +49,7 @@ def learnt(
     before = measure(detector.eval(), test)
     steps = STEPS[name]
     settings = TrainingSettings(
-        steps=steps,
-        batch_size=4,
-        learning_rate=STEADY_RATES.get(name, TrainingSettings().learning_rate),
-        validate_every=steps,
-        checkpoint_every=steps,
+        steps=steps, batch_size=BATCH_SIZE, validate_every=steps, checkpoint_every=steps
     )
     train(detector.train(), training, validation, settings, folder, generator=generator)
     return before, measure(detector.eval(), test)
@@ -65,8 +61,16 @@ def ap(detector: TrainableDetector, images: Dataset) -> float:
 
 @torch.no_grad()
 def mean_loss(detector: TrainableDetector, images: Dataset) -> float:
-    pixels = torch.stack(images.images(range(len(images))))
-    return float(detector.loss(to_detector(detector, pixels), images.boxes).mean())
+    """As in training: in batches as large, each normalised by its own mean and variance."""
+    training = copy.deepcopy(detector).train()
+    pixels = to_detector(training, torch.stack(images.images(range(len(images)))))
+    losses = [
+        training.loss(batch, images.boxes[start : start + BATCH_SIZE])
+        for start, batch in zip(
+            range(0, len(pixels), BATCH_SIZE), pixels.split(BATCH_SIZE), strict=True
+        )
+    ]
+    return float(torch.cat(losses).mean())
 
 
 @pytest.mark.parametrize("name", ["retinanet", "faster_rcnn"])
@@ -81,8 +85,8 @@ def test_a_detector_learns_to_find_vehicles_that_it_never_saw(
 def test_the_loss_falls_on_vehicles_that_it_never_saw(
     name: str, world: RenderedWorld, tmp_path: Path
 ) -> None:
-    # At its usual rate 200 steps leave its AP at 5, 10 and 49 % on three kinds of processor, and
-    # its loss at 1.01, 0.87 and 0.71 of what it was. At a seventh of that rate the loss falls to
-    # 0.87 or 0.88; after a single step it is 1.00.
+    # So short a training leaves its AP to chance, 0.09 to 0.49 by the kind of processor, and its
+    # loss in use, too, 0.70 to 1.05 of what it was, where it is normalised by running averages of
+    # its batches. Normalised as in training its loss falls to between 0.67 and 0.70 on three.
     before, after = learnt(name, world, tmp_path, mean_loss)
-    assert after < 0.93 * before, (before, after)
+    assert after < 0.85 * before, (before, after)
