@@ -448,6 +448,25 @@ def test_time_left_by_effort():
     assert plan.time_left_s({"kind/0": 10.0}) == pytest.approx(7_000, rel=0.2)
 
 
+def test_what_most_steps_wait_for_comes_first(tmp_path):
+    plan = plan_of_config(TINY)
+    waiting = plan.waiting
+    # All that comes after, at second hand, too: the report waits for all, and nothing for it.
+    assert waiting["report/report"] == 0
+    assert waiting["score/001"] == 1
+    # The sequential attack on it, its scores, its picture, the report.
+    assert waiting["attack/T-Fc-0"] == 4
+    # Every attack, two batches of scores, pictures, the report.
+    assert waiting["train/retinanet"] == 4 + 2 + 1 + 1
+    _, said = dry_run(tmp_path, TINY_FILE)
+    rules = re.findall(r"^rule ([a-z]+)_(\d+):((?:\n    .*)+)", said, re.MULTILINE)
+    told = {}
+    for _, number, lines in rules:
+        priority = re.search(r"priority: (\d+)", lines)
+        told[plan.steps[int(number)].id] = int(priority[1]) if priority else 0
+    assert told == waiting
+
+
 def dry_run(folder, preset, *more):
     """Snakemake's steps by kind, and all it says."""
     command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder]

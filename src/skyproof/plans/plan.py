@@ -133,6 +133,24 @@ class Plan:
             made |= set(step.outputs)
 
     @property
+    def waiting(self) -> dict[str, int]:
+        """How many steps wait for each, at first or second hand, by id.
+
+        Where steps run side by side, that with the most comes first: nothing else can be done while
+        a detector is trained that all attacks need.
+        """
+        makers: dict[Path, int] = {}
+        for number, step in enumerate(self.steps):
+            makers |= dict.fromkeys(step.outputs, number)
+        # One bit for each step that waits.
+        waiting = [0] * len(self.steps)
+        for number, step in reversed([*enumerate(self.steps)]):
+            for path in step.inputs:
+                if path in makers:
+                    waiting[makers[path]] |= waiting[number] | 1 << number
+        return {step.id: waiting[number].bit_count() for number, step in enumerate(self.steps)}
+
+    @property
     def counts(self) -> dict[str, int]:
         """How many steps of each kind there are."""
         return dict(Counter(step.kind for step in self.steps))
