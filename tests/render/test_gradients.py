@@ -7,14 +7,13 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity, interpolate, normalize
 
-from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import gloss_table
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import Lighting, light
 from skyproof.scenes.light import CLEAR_SKY
 from skyproof.vehicles.vehicle import Part
-from tests.render.bodies import PlainGround, double, scene, smooth_texture, vehicles
+from tests.render.bodies import PlainGround, double, scene, vehicles
 
 SIZE = 64
 GROUND = PlainGround(0.4, torch.float64)
@@ -26,66 +25,6 @@ def generator(seed):
 
 def normal(*shape, seed):
     return torch.randn(*shape, dtype=torch.float64, generator=generator(seed))
-
-
-@pytest.mark.parametrize("finest", [0, 1])
-def test_texture_sampling_passes_gradcheck(finest):
-    # 128 is the smallest side whose pyramid of seven levels still has texels.
-    texture = torch.rand(2, 3, 128, 128, dtype=torch.float64, generator=generator(0)) * 0.8 + 0.1
-    patch = texture[:, :, 30:34, 60:64].clone().requires_grad_()
-    # Points whose four texels lie within the patch, at three levels, and on both textures.
-    uv = torch.tensor(
-        [[0.49, 0.25], [0.483, 0.253], [0.49, 0.26], [0.485, 0.247]], dtype=torch.float64
-    )
-    uv = (uv.t() + 1e-3).requires_grad_()
-
-    def sample(patch, uv):
-        filled = texture.clone()
-        filled[:, :, 30:34, 60:64] = patch
-        return LinearTexture(filled, finest, torch.float64).sample(
-            uv, torch.tensor([0, 1, 1, 0]), torch.tensor([0, 0, 1, 2])
-        )
-
-    assert torch.autograd.gradcheck(sample, (patch, uv))
-    sample(patch, uv).sum().backward()
-    assert patch.grad.abs().max() > 0
-    assert uv.grad.abs().max() > 0
-
-
-def test_texture_sampling_is_continuous_across_the_seam_and_held_at_the_ends():
-    texture = LinearTexture(smooth_texture(0, size=128).double(), 0, torch.float64)
-    u = torch.tensor([1e-9, 1 - 1e-9, 0.3, 0.3, 0.3, 0.3], dtype=torch.float64)
-    v = torch.tensor([0.4, 0.4, 0.0, 0.003, 1.0, 0.997], dtype=torch.float64)
-    zero = torch.zeros(6, dtype=torch.long)
-    sampled = texture.sample(torch.stack((u, v)), zero, zero)
-    left, right, nose, near_nose, tail, near_tail = sampled.t()
-    torch.testing.assert_close(left, right, atol=1e-6, rtol=0)
-    # Half a texel from the end (0.0039) nothing changes any more.
-    assert torch.equal(nose, near_nose)
-    assert torch.equal(tail, near_tail)
-
-
-def test_a_coarser_level_holds_the_mean_of_its_texels_in_linear_light():
-    stripes = torch.zeros(1, 3, 128, 128, dtype=torch.float64)
-    stripes[..., ::2] = 1.0
-    sampled = LinearTexture(stripes, 0, torch.float64).sample(
-        torch.full((2, 2), 0.5, dtype=torch.float64),
-        torch.zeros(2, dtype=torch.long),
-        torch.tensor([1, 4]),
-    )
-    # Half of white and half of black, which reflects 1.5 %.
-    torch.testing.assert_close(sampled, torch.full_like(sampled, (1 + 0.015) / 2))
-
-
-def test_bytes_and_floats_of_one_texture_sample_alike():
-    as_bytes = (smooth_texture(1, count=2, size=128) * 255).round().byte()
-    as_floats = as_bytes.float() / 255
-    uv = torch.rand(2, 50, generator=generator(0))
-    index, level = torch.arange(50) % 2, torch.arange(50) % 5
-    for finest in (0, 2):
-        one = LinearTexture(as_bytes, finest).sample(uv, index, level)
-        other = LinearTexture(as_floats, finest).sample(uv, index, level)
-        torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
 
 
 def test_light_passes_gradcheck_in_the_normal():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from skyproof.geometry.colour import srgb_to_linear
@@ -38,22 +41,18 @@ class LinearTexture:
         overlay: Overlay | None = None,
     ) -> None:
         self.finest = min(finest, self.levels - 1)
-        level = (
-            _linear(texture, dtype, self.finest)
-            if overlay is None
-            else _covered(texture, overlay, self.finest)
-        )
-        level = reflectance(level)
-        self.count = len(level)
         self.height, self.width = texture.shape[2:]
-        texels, offsets = [], [0]
-        for index in range(self.levels):
-            if index >= self.finest:
-                texels.append(level.transpose(0, 1).reshape(3, -1))
-                offsets.append(offsets[-1] + texels[-1].shape[1])
-                level = _halve(level)
-        self._texels = torch.cat(texels, dim=1)
-        self._offsets = torch.tensor(offsets[:-1], device=texture.device)
+        if overlay is None:
+            self.count = len(texture)
+            (own, shown) = (texture, None) if texture.dtype == torch.uint8 else (None, texture)
+            mask = None
+        else:
+            self.count = len(overlay.mask)
+            own, shown, mask = texture.detach(), overlay.texture, overlay.mask
+        shapes = _Shapes(self.count, self.height, self.width, self.finest, self.levels)
+        reflected = None if shown is None else reflectance(srgb_to_linear(shown))
+        self._texels = _Pyramid.apply(reflected, mask, own, shapes, dtype)
+        self._offsets = torch.tensor(shapes.offsets[:-1], device=texture.device)
 
     def sample(
         self, uv: Float[Tensor, "2 K"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
@@ -89,88 +88,157 @@ class LinearTexture:
         return torch.lerp(upper, lower, down)
 
 
-def _linear(texture: Tensor, dtype: torch.dtype, finest: int) -> Tensor:
-    """Linear light, already reduced to level `finest`."""
-    if texture.dtype != torch.uint8:
-        return _reduced(srgb_to_linear(texture), finest)
-    # One vehicle at a time: the full maps of a batch together would fall out of every cache.
-    return torch.stack([_reduced(_bytes_to_linear(vehicle, dtype), finest) for vehicle in texture])
+@dataclass(frozen=True)
+class _Shapes:
+    """Where a pyramid's levels lie in one row of texels, level after level, texture by texture."""
+
+    count: int
+    height: int
+    width: int
+    finest: int
+    levels: int
+
+    @property
+    def offsets(self) -> list[int]:
+        """Where each level from `finest` on begins, and where the last ends."""
+        sizes = [
+            self.count * (self.height >> level) * (self.width >> level)
+            for level in range(self.finest, self.levels)
+        ]
+        return [0, *itertools.accumulate(sizes)]
+
+    def views(self, texels: Tensor, textures: slice) -> list[Float[Tensor, "3 T h w"]]:
+        """Each level of some of the textures, as a view of all texels."""
+        views = []
+        for level, start, end in zip(
+            range(self.finest, self.levels), self.offsets, self.offsets[1:], strict=False
+        ):
+            shape = (3, self.count, self.height >> level, self.width >> level)
+            views.append(texels[:, start:end].view(shape)[:, textures])
+        return views
+
+    def some(self, device: torch.device) -> list[slice]:
+        """Which textures to work on at a time.
+
+        On a CPU it is one after the other, as the full maps of a batch together would fall out of
+        every cache; elsewhere it is all at once.
+        """
+        step = 1 if device.type == "cpu" else self.count
+        return [slice(start, start + step) for start in range(0, self.count, step)]
 
 
-def _bytes_to_linear(texture: UInt8[Tensor, "3 H W"], dtype: torch.dtype) -> Float[Tensor, "3 H W"]:
-    table = srgb_to_linear(torch.arange(256, device=texture.device, dtype=dtype) / 255)
-    # NumPy's table look-up is several times faster than indexing here.
-    on_cpu = texture.device.type == "cpu"
-    return (
-        torch.from_numpy(np.take(table.numpy(), texture.numpy()))
-        if on_cpu
-        else table[texture.int()]
-    )
+class _Pyramid(torch.autograd.Function):
+    """All levels in one piece of memory; the gradient reaches what is shown, if anything is.
 
-
-def _reduced(level: Tensor, finest: int) -> Tensor:
-    for _ in range(finest):
-        level = _halve(level)
-    return level
-
-
-def _covered(texture: Tensor, overlay: Overlay, finest: int) -> Float[Tensor, "N 3 h w"]:
-    """Level `finest` of the textures under an overlay; the gradient reaches the overlay alone."""
-    return _Covered.apply(srgb_to_linear(overlay.texture), overlay.mask, texture.detach(), finest)
-
-
-class _Covered(torch.autograd.Function):
-    """Works on one vehicle at a time, because a batch of full maps falls out of every cache."""
+    What is shown lies under a mask on the vehicles' own textures, or there is only one of the two.
+    """
 
     @staticmethod
-    def forward(context: Any, cover: Tensor, masks: Tensor, own: Tensor, finest: int) -> Tensor:
+    def forward(
+        context: Any,
+        shown: Float[Tensor, "*T 3 H W"] | None,
+        masks: Bool[Tensor, "T H W"] | None,
+        own: Tensor | None,
+        shapes: _Shapes,
+        dtype: torch.dtype,
+    ) -> Float[Tensor, "3 K"]:
+        if shown is not None:
+            dtype = shown.dtype
+        device = next(each for each in (shown, own) if each is not None).device
         context.save_for_backward(masks)
-        context.finest = finest
-        reduced = []
-        for index, mask in enumerate(masks):
-            below = own[index if len(own) > 1 else 0]
-            below = (
-                _bytes_to_linear(below, cover.dtype)
-                if below.dtype == torch.uint8
-                else srgb_to_linear(below)
-            )
-            reduced.append(_reduced(torch.where(mask, cover, below), finest))
-        return torch.stack(reduced)
+        context.shapes = shapes
+        texels = torch.empty(3, shapes.offsets[-1], dtype=dtype, device=device)
+        # Where the full maps are none of the levels, they are made here, again and again.
+        aside = None
+        for some in shapes.some(device):
+            views = shapes.views(texels, some)
+            if shapes.finest:
+                if aside is None:
+                    aside = texels.new_empty(3, views[0].shape[1], shapes.height, shapes.width)
+                level, coarser = aside, views
+            else:
+                level, coarser = views[0], views[1:]
+            _fill(level, shown, masks, own, some)
+            for _ in range(shapes.finest - 1):
+                level = _halve(level)
+            for view in coarser:
+                level = _halve(level, view)
+        return texels
 
     @staticmethod
     def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (masks,) = context.saved_tensors
-        side = 2**context.finest
-        _, channels, height, width = gradients[0].shape
-        total = gradients[0].new_zeros(channels, height, side, width, side)
-        for mask, gradient in zip(masks, gradients[0] / side**2, strict=True):
-            total.addcmul_(
-                gradient[:, :, None, :, None], mask.view(height, side, width, side).to(total.dtype)
-            )
-        return total.view(channels, height * side, width * side), None, None, None
+        shapes: _Shapes = context.shapes
+        side = 2**shapes.finest
+        height, width = shapes.height // side, shapes.width // side
+        shape = (3, height, side, width, side)
+        parts = []
+        total = gradients[0].new_zeros(shape)
+        for some in shapes.some(total.device):
+            # From the coarsest level down to the finest.
+            finer = None
+            for view in reversed(shapes.views(gradients[0], some)):
+                gradient = view.clone()
+                if finer is not None:
+                    _, count, rows, columns = finer.shape
+                    gradient.view(3, count, rows, 2, columns, 2).add_(
+                        finer[:, :, :, None, :, None], alpha=0.25
+                    )
+                finer = gradient
+            assert finer is not None
+            # And on to the full maps, of which only what shows has a gradient.
+            full = (finer / side**2)[:, :, :, None, :, None]
+            if masks is None:
+                parts.append(full.expand(-1, -1, *shape[1:]))
+            else:
+                for index, mask in enumerate(masks[some]):
+                    total.addcmul_(full[:, index], mask.view(shape[1:]).to(total.dtype))
+        if masks is None:
+            everything = torch.cat(parts, dim=1).transpose(0, 1)
+            total = everything.reshape(shapes.count, 3, shapes.height, shapes.width)
+        else:
+            total = total.view(3, shapes.height, shapes.width)
+        return total, None, None, None, None
 
 
-def _halve(level: Tensor) -> Tensor:
-    return _Halve.apply(level)
+def _fill(
+    level: Float[Tensor, "3 T H W"],
+    shown: Tensor | None,
+    masks: Tensor | None,
+    own: Tensor | None,
+    some: slice,
+) -> None:
+    """Fills the full maps of some textures with what they reflect."""
+    if own is None:
+        assert shown is not None
+        level.copy_(shown[some].transpose(0, 1))
+        return
+    below = own[some] if len(own) > 1 else own
+    if below.dtype != torch.uint8:
+        level.copy_(reflectance(srgb_to_linear(below)).transpose(0, 1))
+    else:
+        table = _of_bytes(level.dtype, level.device)
+        if level.device.type == "cpu":
+            # NumPy's table look-up is several times faster than indexing here.
+            for channel, of_bytes in zip(level.unbind(0), below.unbind(1), strict=True):
+                np.take(table.numpy(), of_bytes.numpy(), out=channel.numpy(), mode="clip")
+        else:
+            level.copy_(table[below.int()].transpose(0, 1))
+    if shown is not None:
+        assert masks is not None
+        torch.where(masks[some], shown[:, None], level, out=level)
 
 
-class _Halve(torch.autograd.Function):
+@cache
+def _of_bytes(dtype: torch.dtype, device: torch.device) -> Float[Tensor, 256]:
+    """What each sRGB byte reflects."""
+    return reflectance(srgb_to_linear(torch.arange(256, dtype=dtype, device=device) / 255))
+
+
+def _halve(level: Tensor, out: Tensor | None = None) -> Tensor:
     """Takes means of 2 x 2.
 
-    Strided sums beat average pooling on a CPU, but each slice's own gradient would fill a map.
+    Sums of whole rows are fast; strided sums of columns beat average pooling on a CPU.
     """
-
-    @staticmethod
-    def forward(context: Any, level: Tensor) -> Tensor:
-        even, odd = level[..., ::2, :], level[..., 1::2, :]
-        return (even[..., ::2] + even[..., 1::2] + odd[..., ::2] + odd[..., 1::2]).mul_(0.25)
-
-    @staticmethod
-    def backward(context: Any, *gradients: Tensor) -> Tensor:
-        quarter = gradients[0] * 0.25
-        *others, height, width = quarter.shape
-        return (
-            quarter[..., None, :, None]
-            .expand(*others, height, 2, width, 2)
-            .reshape(*others, 2 * height, 2 * width)
-        )
+    rows = level[..., ::2, :] + level[..., 1::2, :]
+    return torch.add(rows[..., ::2], rows[..., 1::2], out=out).mul_(0.25)
