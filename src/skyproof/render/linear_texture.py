@@ -175,19 +175,18 @@ class _Pyramid(torch.autograd.Function):
         parts = []
         total = gradients[0].new_zeros(shape)
         for some in shapes.some(total.device):
-            # From the coarsest level down to the finest.
-            finer = None
+            # From the coarsest level on: a texel hands each of the four under it a quarter.
+            gradient = None
             for view in reversed(shapes.views(gradients[0], some)):
-                gradient = view.clone()
-                if finer is not None:
-                    _, count, rows, columns = finer.shape
-                    gradient.view(3, count, rows, 2, columns, 2).add_(
-                        finer[:, :, :, None, :, None], alpha=0.25
-                    )
-                finer = gradient
-            assert finer is not None
+                level = view.clone()
+                if gradient is not None:
+                    _, count, rows, columns = gradient.shape
+                    under = level.view(3, count, rows, 2, columns, 2)
+                    under.add_(gradient[:, :, :, None, :, None], alpha=0.25)
+                gradient = level
+            assert gradient is not None
             # And on to the full maps, of which only what shows has a gradient.
-            full = (finer / side**2)[:, :, :, None, :, None]
+            full = (gradient / side**2)[:, :, :, None, :, None]
             if masks is None:
                 parts.append(full.expand(-1, -1, *shape[1:]))
             else:
