@@ -30,10 +30,12 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import write_beside, write_json
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.dataset import placed_vehicles
-from skyproof.render.layers import draw_shadows, windows_around
+from skyproof.render.layers import draw_shadows
 from skyproof.render.placed import label, place, visible_samples
 from skyproof.render.renderer import photographs
 from skyproof.render.settings import RenderSettings
+from skyproof.render.sun_view import see_from_sun
+from skyproof.render.windows import windows_around
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.vehicles.fleet import Fleet
@@ -122,7 +124,9 @@ def vehicle_rows(
     seen, window = visible_samples(placed, vehicles.template.faces, settings.supersampling)
     bodies = label(photograph, placed, seen, window, settings.supersampling, masks=True).masks
     assert bodies is not None
-    shades = draw_shadows(cast, placed.shadow_screen, vehicles.template.faces, settings)[:, 0]
+    faces = vehicles.template.faces
+    sun = see_from_sun(cast, placed, faces, settings.shadow_supersampling)
+    shades = draw_shadows(sun, faces)[:, 0]
     shadows = (
         torch.stack(
             [

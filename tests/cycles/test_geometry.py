@@ -11,10 +11,12 @@ from skyproof.cycles.jobs import crop_jobs, crop_windows
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.geometry.projection import project
 from skyproof.render.dataset import placed_vehicles
-from skyproof.render.layers import draw_bodies, draw_shadows, see_bodies, windows_around
+from skyproof.render.layers import draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import place
 from skyproof.render.settings import RenderSettings
+from skyproof.render.sun_view import see_from_sun
+from skyproof.render.windows import windows_around
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -99,9 +101,13 @@ def shadow_masks(scenes, vehicles, placed, crops, *, turned_deg=0.0, raised_deg=
         ).direction
         for scene in scenes
     ]
-    screen, _ = project(placed.vertices, placed.vertices.new_tensor(directions), GSD_M, SIZE_PX)
+    sun = placed.vertices.new_tensor(directions)
+    screen, depth = project(placed.vertices, sun, GSD_M, SIZE_PX)
     window = windows_around(screen)
-    layers = draw_shadows(window, screen, vehicles.template.faces, SETTINGS)[:, 0]
+    moved = dataclasses.replace(placed, sun=sun, shadow_screen=screen, sun_depth=depth)
+    faces = vehicles.template.faces
+    seen = see_from_sun(window, moved, faces, SETTINGS.shadow_supersampling)
+    layers = draw_shadows(seen, faces)[:, 0]
     return [onto_crop(*each) for each in zip(layers, window.origin, crops, strict=True)]
 
 
@@ -111,7 +117,9 @@ def silhouettes(drawn):
     scenes, vehicles, placed, crops, results = drawn
     light = lighting(placed, scene_lights([Light()] * SCENES, scenes, placed.vertices))
     window = windows_around(placed.screen)
-    seen = see_bodies(window, placed.screen, placed.depth, placed.vertices, vehicles, SETTINGS)
+    seen = see_bodies(
+        window, placed.screen, placed.depth, placed.vertices, vehicles, None, SETTINGS
+    )
     layers = draw_bodies(seen, light, vehicles, SETTINGS)
     theirs = [onto_crop(*each) for each in zip(layers[:, 3], window.origin, crops, strict=True)]
     return [(result[..., 3] > 0.5, other) for result, other in zip(results, theirs, strict=True)]

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from skyproof.render.composite import composite
-from skyproof.render.layers import Layers, Windows
+from skyproof.render.layers import Layers
 from skyproof.render.lighting import scene_lights
 from skyproof.render.settings import RenderSettings
+from skyproof.render.windows import Windows
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 from tests.render.bodies import scene

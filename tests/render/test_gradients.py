@@ -33,10 +33,11 @@ def test_light_passes_gradcheck_in_the_normal():
     sun = normalize(torch.tensor([[0.6, 0.2, 0.7]], dtype=torch.float64), dim=-1)
     viewer = normalize(torch.tensor([[-0.2, 0.1, 0.95]], dtype=torch.float64), dim=-1)
     finish = gloss_table()[:6].double().t()
+    sunlit = torch.tensor([1.0, 0.0, 1.0, 1.0, 0.0, 1.0], dtype=torch.float64)
     given = lighting_from(sun, viewer)
     vehicle = torch.zeros(6, dtype=torch.long)
     assert torch.autograd.gradcheck(
-        lambda n: light(n, given, vehicle, finish, RenderSettings()), upward
+        lambda n: light(n, given, vehicle, sunlit, finish, RenderSettings()), upward
     )
 
 
@@ -49,13 +50,14 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
             [[float(torch.tensor(elevation).cos()), 0.0, float(torch.tensor(elevation).sin())]]
         )
         given = lighting_from(sun, up)
+        matt_finish = gloss_table(0.0).t()[:, :1]
         matt, mirrored = light(
-            up.t(), given, vehicle, gloss_table(0.0).t()[:, :1], RenderSettings(gloss=0.0)
+            up.t(), given, vehicle, torch.ones(1), matt_finish, RenderSettings(gloss=0.0)
         )
         assert matt[:, 0].tolist() == pytest.approx([1.0] * 3, abs=1e-6)
         assert not mirrored.any()
         # What the coat mirrors, seen from straight above, does not reach the paint.
-        coated, _ = light(up.t(), given, vehicle, body, RenderSettings())
+        coated, _ = light(up.t(), given, vehicle, torch.ones(1), body, RenderSettings())
         assert coated[:, 0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
 
 
@@ -69,6 +71,7 @@ def test_what_faces_down_sees_its_own_shadow_and_mirrors_no_sky():
         normals,
         lighting_from(sun, viewer),
         torch.zeros(3, dtype=torch.long),
+        torch.ones(1),
         gloss_table().t()[:, [Part.WHEEL] * 3],
         RenderSettings(),
     )

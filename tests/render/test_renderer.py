@@ -30,6 +30,16 @@ def post(height_m=3.0, side_m=1.0):
     )
 
 
+def step(low_m=1.0, high_m=3.0, rings=31):
+    """A white box 6 m long whose rear half is higher than its front one."""
+    vertices = rounded_box(6.0, 2.0, low_m, power=0.1, rings=rings)
+    # Rings at equal distances, where those of a rounded box crowd at its ends.
+    along_m = torch.linspace(3.0, -3.0, rings + 2)[1:-1].repeat_interleave(32)
+    vertices[0, : len(along_m), 0] = along_m
+    vertices[..., 2] *= torch.where(vertices[..., 0] < 0, high_m / low_m, 1.0)
+    return dataclasses.replace(vehicles(), vertices=vertices, texture=torch.ones(1, 3, 512, 512))
+
+
 def lit_from(place, azimuth_deg, elevation_deg):
     sun = dataclasses.replace(
         place.sun, azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg)
@@ -66,6 +76,42 @@ def test_the_shadow_falls_away_from_the_sun_as_far_as_height_over_tangent(
     # Half the post is 0.5 m; nothing is dark beyond it on the sun's side or beside it.
     assert reach_m(shaded, azimuth_deg) < 0.5 + GSD
     assert reach_m(shaded, azimuth_deg + 90) < 0.5 + GSD
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
+def test_a_higher_part_shades_the_lower_one_as_far_as_the_difference_over_tangent(azimuth_deg):
+    # The sun stands behind the higher half, wherever that points.
+    heading = (0.0, 0.0, float(azimuth_deg) - 180)
+    place = lit_from(scene(heading, tilt_deg=0.0, size_px=96), azimuth_deg, 60)
+    matt = dataclasses.replace(SHARP, gloss=0.0, light=Light(sky=(0.2, 0.2, 0.2)))
+    shown = {}
+    for shades in (True, False):
+        settings = dataclasses.replace(matt, self_shadows=shades)
+        image = TorchRenderer(PlainGround(0.4), settings)([place], step()).image[0, 0]
+        away = math.radians(azimuth_deg + 180)
+        # From the middle of the box to the end of its lower half.
+        along_m = torch.arange(0.3, 2.4, 0.05)
+        column = (48 + along_m * math.cos(away) / GSD).long()
+        row = (48 - along_m * math.sin(away) / GSD).long()
+        shown[shades] = srgb_to_linear(image[row, column])
+    shaded_m = 0.3 + 0.05 * int((shown[True] < 0.5).sum())
+    assert shaded_m == pytest.approx(2.0 / math.tan(math.radians(60)), abs=1.5 * GSD)
+    # In the shadow half of the sky's light is left, beyond it nothing has changed.
+    assert float(shown[True][0]) == pytest.approx(0.1, abs=0.03)
+    assert torch.equal(shown[True][-20:], shown[False][-20:])
+    assert float(shown[False].min()) > 0.9
+
+
+@pytest.mark.parametrize("elevation_deg", [8, 20, 45, 80])
+def test_a_body_without_hollows_shades_itself_nowhere(elevation_deg):
+    place = lit_from(scene((-2.0, 1.0, 20.0), (3.0, -2.5, 110.0), tilt_deg=15.0), 70, elevation_deg)
+    pictures = [
+        TorchRenderer(PlainGround(0.4), dataclasses.replace(SHARP, self_shadows=shades))(
+            [place], vehicles(2)
+        ).image
+        for shades in (True, False)
+    ]
+    assert torch.equal(*pictures)
 
 
 def test_shaded_ground_keeps_four_fifths_of_the_sky_and_less_towards_the_vehicle():

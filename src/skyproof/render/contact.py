@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.render.layers import Windows
 from skyproof.render.placed import Placed
 from skyproof.render.shade import Lighting
+from skyproof.render.windows import Windows
 
 __all__ = ["contact_shadows", "ground_shadows", "surrounded"]
 

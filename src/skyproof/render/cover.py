@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skyproof.geometry.rasterise import rasterise
-from skyproof.render.layers import windows_around
 from skyproof.render.placed import Placed
+from skyproof.render.windows import windows_around
 from skyproof.scenes.scene import BackgroundWindow, Scene
 
 __all__ = ["covers", "hidden"]

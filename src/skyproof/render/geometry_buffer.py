@@ -11,10 +11,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.render.frames import Frames
-from skyproof.render.layers import Layers, SeenBodies, Windows
+from skyproof.render.layers import Layers, SeenBodies
 from skyproof.render.lighting import SceneLights
 from skyproof.render.placed import Placed
 from skyproof.render.shade import Lighting
+from skyproof.render.windows import Windows
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch

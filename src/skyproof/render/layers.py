@@ -16,41 +16,26 @@ from skyproof.render.materials import CAMOUFLAGE, gloss_table
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import Lighting, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
+from skyproof.render.sun_view import SunView
+from skyproof.render.windows import Windows
 from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = [
     "Layers",
     "SeenBodies",
-    "Windows",
     "draw_bodies",
     "draw_shadows",
     "see_bodies",
-    "windows_around",
 ]
 
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
 # average, but a single hit outweighs the whole body. Below this width the derivative is held at
 # what this width would give.
 _THINNEST = 0.1
+# Farther away than any part of a vehicle.
+_FAR_M = 1e6
 # Keeps the direction of a vanishing normal finite.
 _TINY = 1e-24
-
-
-@dataclass(frozen=True)
-class Windows:
-    """One square of whole pixels per vehicle, all of one size; they may reach beyond the image.
-
-    Attributes:
-        origin: `[N, 2]` top-left pixel (x, y).
-        size: S, pixels.
-    """
-
-    origin: Int[Tensor, "N 2"]
-    size: int
-
-    def samples(self, screen: Float[Tensor, "N V 2"], factor: int) -> Float[Tensor, "N V 2"]:
-        """Image pixels to samples of the window."""
-        return (screen - self.origin[:, None].to(screen.dtype)) * factor
 
 
 @dataclass(frozen=True)
@@ -67,14 +52,6 @@ class Layers:
     values: Float[Tensor, "N C S S"]
 
 
-@torch.no_grad()
-def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
-    """Windows that hold every vehicle's points with a pixel to spare."""
-    low = screen.amin(1).floor() - 1
-    high = screen.amax(1).ceil() + 1
-    return Windows(low.long(), int((high - low).max()))
-
-
 @dataclass(frozen=True)
 class SeenBodies:
     """What samples see of bodies, whatever these wear; differentiable in the bodies' vertices.
@@ -89,6 +66,11 @@ class SeenBodies:
         uvs, normals: at the three corners of all faces of all bodies.
         levels: the level of the texture's pyramid that fits, of each of these faces.
         uv, normal, level: at each of the samples.
+        sunlit: whether the vehicle itself lets the sun's light through to each of them; a single 1
+            where it shades itself nowhere.
+        points: the corners in metres, world frame.
+        sun: what the sun sees, by which other points are found to be lit; None where vehicles do
+            not shade themselves.
     """
 
     visibility: Visibility
@@ -100,6 +82,9 @@ class SeenBodies:
     uv: Float[Tensor, "2 K"]
     normal: Float[Tensor, "3 K"]
     level: Int[Tensor, " K"]
+    sunlit: Float[Tensor, " _"]
+    points: Float[Tensor, "3 3 M"]
+    sun: SunView | None
 
 
 def see_bodies(
@@ -108,6 +93,7 @@ def see_bodies(
     depth: Float[Tensor, "N V"],
     vertices: Float[Tensor, "N V 3"],
     vehicles: VehicleBatch,
+    sun: SunView | None,
     settings: RenderSettings,
 ) -> SeenBodies:
     """Looks at vehicles as the camera does, whatever they wear.
@@ -118,6 +104,7 @@ def see_bodies(
         depth: metres, smaller is nearer.
         vertices: metres, world frame.
         vehicles: give template and size of texture.
+        sun: what it sees of them, where they shade themselves.
         settings: supersampling.
     """
     template, factor = vehicles.template, settings.supersampling
@@ -136,7 +123,11 @@ def see_bodies(
     centre = torch.stack((visibility.x, visibility.y)) + 0.5
     weights = _held_weights(corners.flatten(0, 1).index_select(1, row).view(3, 2, -1), centre)
     surface = _surface(uvs, normals, levels, row, weights)
-    return SeenBodies(visibility, samples, depth, uvs, normals, levels, *surface)
+    points = at_corners(vertices.detach(), template.faces)
+    sunlit = _sunlit(sun, points, row, weights, surface[1], visibility.vehicle)
+    return SeenBodies(
+        visibility, samples, depth, uvs, normals, levels, *surface, sunlit, points, sun
+    )
 
 
 def draw_bodies(
@@ -158,14 +149,16 @@ def draw_bodies(
     finest = int(seen.level.min()) if len(seen.level) else 0
     texture = LinearTexture(vehicles.texture, finest, seen.samples.dtype, vehicles.overlay)
 
-    def radiance(vehicle: Tensor, uv: Tensor, normal: Tensor, level: Tensor) -> Tensor:
+    def radiance(
+        vehicle: Tensor, uv: Tensor, normal: Tensor, level: Tensor, sunlit: Tensor
+    ) -> Tensor:
         albedo = texture.sample(uv, vehicle, level)
         gloss = _gloss(vehicles, uv, vehicle, settings)
-        diffuse, mirrored = light(normal, lighting, vehicle, gloss, settings)
+        diffuse, mirrored = light(normal, lighting, vehicle, sunlit, gloss, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
     # Light on the visible samples, averaged to pixels.
-    colour = radiance(visibility.vehicle, seen.uv, seen.normal, seen.level)
+    colour = radiance(visibility.vehicle, seen.uv, seen.normal, seen.level, seen.sunlit)
     layers = _average(visibility, colour, factor)
     # What moving silhouettes change; nothing in value.
     if seen.samples.requires_grad:
@@ -174,7 +167,8 @@ def draw_bodies(
         with torch.no_grad():
             row = points.vehicle * len(faces) + points.face
             surface = _surface(seen.uvs, seen.normals, seen.levels, row, points.weights)
-            edge_colour = radiance(points.vehicle, *surface)
+            sunlit = _sunlit(seen.sun, seen.points, row, points.weights, surface[1], points.vehicle)
+            edge_colour = radiance(points.vehicle, *surface, sunlit)
         layers = layers + _edges(visibility, points, colour.detach(), edge_colour, factor)
     return layers
 
@@ -192,24 +186,34 @@ def _surface(
     return uv, normal, levels.index_select(0, row)
 
 
-def draw_shadows(
-    window: Windows,
-    screen: Float[Tensor, "N V 2"],
-    faces: Int[Tensor, "F 3"],
-    settings: RenderSettings,
-) -> Float[Tensor, "N 1 S S"]:
+@torch.no_grad()
+def _sunlit(
+    sun: SunView | None,
+    points: Float[Tensor, "3 3 M"],
+    row: Int[Tensor, " K"],
+    weights: Float[Tensor, "3 K"],
+    normal: Float[Tensor, "3 K"],
+    vehicle: Int[Tensor, " K"],
+) -> Float[Tensor, " _"]:
+    """Says which points of some faces the sun sees."""
+    if sun is None:
+        return points.new_ones(1)
+    corners = points.flatten(0, 1).index_select(1, row).view(3, 3, -1)
+    return sun.reaches((corners * weights[:, None]).sum(0), normal, vehicle)
+
+
+def draw_shadows(sun: SunView, faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N 1 S S"]:
     """Which part of each pixel's ground the sun does not reach: the vehicle as the sun sees it."""
-    factor = settings.shadow_supersampling
-    samples = window.samples(screen, factor)
-    flat = samples.new_zeros(samples.shape[:2])
-    seen = rasterise(samples.detach(), flat, faces, window.size * factor)
+    seen, samples = sun.visibility, sun.samples
     # Samples without any colour leave coverage alone.
     nothing = samples.new_zeros(0, len(seen.covered))
-    layers = _average(seen, nothing, factor)
+    layers = _average(seen, nothing, sun.factor)
     if samples.requires_grad:
-        points = silhouette_points(samples, flat, faces, seen)
+        # Only the ground behind it counts, not what of the vehicle lies behind an edge.
+        before_ground = samples.new_full(samples.shape[:2], _FAR_M)
+        points = silhouette_points(samples, before_ground, faces, seen)
         at_edges = samples.new_zeros(0, len(points.face))
-        layers = layers + _edges(seen, points, nothing, at_edges, factor)
+        layers = layers + _edges(seen, points, nothing, at_edges, sun.factor)
     return layers
 
 

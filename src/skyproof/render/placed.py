@@ -12,7 +12,7 @@ from torch import Tensor
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.geometry.rasterise import Visibility, rasterise
 from skyproof.render.frames import Frames
-from skyproof.render.layers import Windows, windows_around
+from skyproof.render.windows import Windows, windows_around
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -34,6 +34,7 @@ class Placed:
         screen: vertices in image pixels.
         depth: metres along the view; smaller is nearer.
         shadow_screen: where the vertices' shadows fall, image pixels.
+        sun_depth: metres along the sun's rays; smaller is nearer to it.
         gsd_m, size_px: of the images.
     """
 
@@ -48,6 +49,7 @@ class Placed:
     screen: Float[Tensor, "N V 2"]
     depth: Float[Tensor, "N V"]
     shadow_screen: Float[Tensor, "N V 2"]
+    sun_depth: Float[Tensor, "N V"]
     gsd_m: float
     size_px: int
 
@@ -75,7 +77,7 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     heading = like.new_tensor([placement.heading_rad for placement in placements])
     vertices = rotate_about_vertical(like, heading) + ground[:, None]
     screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
-    shadow_screen, _ = project(vertices, sun, camera.gsd_m, camera.size_px)
+    shadow_screen, sun_depth = project(vertices, sun, camera.gsd_m, camera.size_px)
     return Placed(
         scene,
         vertices,
@@ -88,6 +90,7 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
         screen,
         depth,
         shadow_screen,
+        sun_depth,
         camera.gsd_m,
         camera.size_px,
     )

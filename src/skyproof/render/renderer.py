@@ -17,17 +17,13 @@ from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
 from skyproof.render.geometry_buffer import GeometryBuffer, GeometryBuffers
-from skyproof.render.layers import (
-    Layers,
-    draw_bodies,
-    draw_shadows,
-    see_bodies,
-    windows_around,
-)
+from skyproof.render.layers import Layers, draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place
 from skyproof.render.settings import RenderSettings
+from skyproof.render.sun_view import see_from_sun
 from skyproof.render.weather import finish_images, wet_grounds
+from skyproof.render.windows import windows_around
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
@@ -142,8 +138,8 @@ class TorchRenderer:
     (see `skyproof.render.weather`).
 
     Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes, of the body
-    and of its shadow. Vehicles cast no shadow on themselves or on each other; masks and visible
-    pixels ignore that one may hide another.
+    and of its shadow; which samples a body shades is taken as it is. Vehicles cast no shadow on
+    each other; masks and visible pixels ignore that one may hide another.
     """
 
     name = "torch"
@@ -222,8 +218,9 @@ class TorchRenderer:
             photographed_lights(self.backgrounds, scenes, settings), scenes, vehicles.vertices
         )
         light = lighting(placed, lights)
+        sun = see_from_sun(cast, placed, faces, settings.shadow_supersampling)
         shadows = ground_shadows(
-            draw_shadows(cast, placed.shadow_screen, faces, settings),
+            draw_shadows(sun, faces),
             contact_shadows(cast, placed),
             light,
         )
@@ -236,7 +233,13 @@ class TorchRenderer:
             placed=placed,
             window=window,
             bodies=see_bodies(
-                window, placed.screen, placed.depth, placed.vertices, vehicles, settings
+                window,
+                placed.screen,
+                placed.depth,
+                placed.vertices,
+                vehicles,
+                sun if settings.self_shadows else None,
+                settings,
             ),
             shadows=Layers(cast, shadows),
             lights=lights,

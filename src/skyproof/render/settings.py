@@ -29,13 +29,14 @@ class RenderSettings:
     Attributes:
         supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients
             suffer.
-        shadow_supersampling: the same for the cast shadow.
+        shadow_supersampling: the same for the cast shadow, on the ground and on the vehicle itself.
         blur_sigma_px: Gaussian blur of vehicles and shadows (section S2.1); None for that of the
             ground under them, and what the roundness of real edges adds to it.
         noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a
             photograph has its own. None for that of the ground under them.
         light: exposure, haze and sky that vehicles are drawn in; None for those of the ground
             under them.
+        self_shadows: vehicles shade themselves from the sun.
         gloss: the share of what glass and clear coats mirror that vehicles do mirror; 0 is matt.
         ground_reflectance: mean albedo of the ground, which lights surfaces that face down.
     """
@@ -45,6 +46,7 @@ class RenderSettings:
     blur_sigma_px: Blur | None = None
     noise: Noise | None = None
     light: Light | None = None
+    self_shadows: bool = True
     gloss: Fraction = 1.0
     ground_reflectance: Fraction = 0.15
 

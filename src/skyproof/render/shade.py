@@ -15,6 +15,10 @@ __all__ = ["Lighting", "light"]
 
 # Of the change from mirrored sky to mirrored ground, around the horizon.
 _HORIZON_SHARPNESS = 12.0
+# What of the vehicle hides the sun hides the brighter half of a clear sky, too, from what faces it:
+# about as much as path tracing has it between bumps (docs/cycles.md), and as a vehicle takes from
+# the ground close to it.
+_SHADED_SKY_LOSS = 0.7
 # In units of white; path tracing cuts single paths there, too.
 _BRIGHTEST_GLINT = 5.0
 # The logarithm of a glint's lobe where nothing of it is left.
@@ -47,6 +51,7 @@ def light(
     normal: Float[Tensor, "3 K"],
     lighting: Lighting,
     vehicle: Int[Tensor, " K"],
+    sunlit: Float[Tensor, " _"],
     gloss: Float[Tensor, "2 _"],
     settings: RenderSettings,
 ) -> tuple[Float[Tensor, "3 K"], Float[Tensor, "3 K"]]:
@@ -61,6 +66,8 @@ def light(
         normal: unit normals, world axes.
         lighting: a row for each vehicle.
         vehicle: which of them each sample is on.
+        sunlit: which part of the sun's light its own vehicle lets through to it, of each sample or
+            one for all.
         gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them,
             of each sample or one for all.
         settings: the ground's reflectance, and the gloss.
@@ -86,9 +93,11 @@ def light(
     ground = ground * (1 - normal[2].clamp(max=0.0).square())
     # Matt: sun, open sky above, ground below.
     towards_sun = (normal * sun).sum(0)
-    sunny = towards_sun.clamp(min=0.0)
+    facing_sun = towards_sun.clamp(min=0.0)
+    sunny = facing_sun * sunlit
+    sky_left = 1 - _SHADED_SKY_LOSS * (facing_sun - sunny) * (1 - overcast)
     open_sky = 0.5 + 0.5 * normal[2]
-    diffuse = torch.addcmul(torch.lerp(ground, sky, open_sky), strength, sunny)
+    diffuse = torch.addcmul(torch.lerp(ground, sky * sky_left, open_sky), strength, sunny)
     # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
     reflectance, exponent = gloss
     # Where faces turn away, normals between their corners may before them: seen edge-on at most, or
