@@ -118,6 +118,27 @@ def test_a_picture_may_be_written_over(scenes, vehicles):
     assert torch.equal(renderer(scenes, vehicles).image, expected)
 
 
+def storages(value: object) -> dict[int, int]:
+    """The bytes of all memory that lies behind something, by address."""
+    if isinstance(value, torch.Tensor):
+        storage = value.untyped_storage()
+        return {storage.data_ptr(): storage.nbytes()}
+    inner = value if isinstance(value, tuple) else vars(value).values()
+    ours = type(value).__module__.startswith("skyproof")
+    found: dict[int, int] = {}
+    for each in inner if ours or isinstance(value, tuple) else ():
+        if isinstance(each, torch.Tensor | tuple) or hasattr(each, "__dict__"):
+            found |= storages(each)
+    return found
+
+
+@torch.no_grad()
+def test_a_buffer_takes_about_as_much_memory_as_it_says(scenes, vehicles):
+    buffer = TorchRenderer(PlainGround())._look(scenes, vehicles)
+    # Ground and bodies, which are most of it; what the sun saw is not kept.
+    assert buffer.memory_bytes == pytest.approx(sum(storages(buffer).values()), rel=0.25)
+
+
 @torch.no_grad()
 @pytest.mark.parametrize(("room", "again"), [(1.0, 0), (0.8, 2), (0.0, 4)])
 def test_with_little_room_the_first_of_each_turn_are_kept(

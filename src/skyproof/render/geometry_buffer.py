@@ -22,7 +22,7 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["GeometryBuffer", "GeometryBuffers"]
 
-_SAMPLE_BYTES, _FACE_BYTES = 72, 68
+_SAMPLE_BYTES, _FACE_BYTES = 76, 68
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ class GeometryBuffer:
         ground_and_cover = 4 * count * pixels * self.ground.element_size()
         masks = vehicles * pixels
         bodies = samples * _SAMPLE_BYTES + vehicles * len(self.faces) * _FACE_BYTES
+        bodies += self.bodies.visibility.keys.nbytes
         return bodies + ground_and_cover + masks
 
     def serves(self, vehicles: VehicleBatch) -> bool:

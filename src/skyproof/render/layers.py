@@ -68,9 +68,9 @@ class SeenBodies:
         uv, normal, level: at each of the samples.
         sunlit: whether the vehicle itself lets the sun's light through to each of them; a single 1
             where it shades itself nowhere.
-        points: the corners in metres, world frame.
-        sun: what the sun sees, by which other points are found to be lit; None where vehicles do
-            not shade themselves.
+        points: the corners in metres, world frame; None where no silhouette is to move.
+        sun: what the sun sees, by which points of silhouettes are found to be lit; None there, and
+            where vehicles do not shade themselves.
     """
 
     visibility: Visibility
@@ -83,7 +83,7 @@ class SeenBodies:
     normal: Float[Tensor, "3 K"]
     level: Int[Tensor, " K"]
     sunlit: Float[Tensor, " _"]
-    points: Float[Tensor, "3 3 M"]
+    points: Float[Tensor, "3 3 M"] | None
     sun: SunView | None
 
 
@@ -125,9 +125,9 @@ def see_bodies(
     surface = _surface(uvs, normals, levels, row, weights)
     points = at_corners(vertices.detach(), template.faces)
     sunlit = _sunlit(sun, points, row, weights, surface[1], visibility.vehicle)
-    return SeenBodies(
-        visibility, samples, depth, uvs, normals, levels, *surface, sunlit, points, sun
-    )
+    # Both are large, and these may be kept for long.
+    kept = (points, sun) if samples.requires_grad else (None, None)
+    return SeenBodies(visibility, samples, depth, uvs, normals, levels, *surface, sunlit, *kept)
 
 
 def draw_bodies(
@@ -189,15 +189,15 @@ def _surface(
 @torch.no_grad()
 def _sunlit(
     sun: SunView | None,
-    points: Float[Tensor, "3 3 M"],
+    points: Float[Tensor, "3 3 M"] | None,
     row: Int[Tensor, " K"],
     weights: Float[Tensor, "3 K"],
     normal: Float[Tensor, "3 K"],
     vehicle: Int[Tensor, " K"],
 ) -> Float[Tensor, " _"]:
     """Says which points of some faces the sun sees."""
-    if sun is None:
-        return points.new_ones(1)
+    if sun is None or points is None:
+        return weights.new_ones(1)
     corners = points.flatten(0, 1).index_select(1, row).view(3, 3, -1)
     return sun.reaches((corners * weights[:, None]).sum(0), normal, vehicle)
 
