@@ -135,7 +135,10 @@ class Reproduce:
                     command += ["--resources", "gpu=1"]
                 run_side_by_side(plan, run, command, cores, hold)
             run.finish()
-        say(f"Tables: {(self.out / 'tables' / 'README.md').resolve()}")
+        page = self.out / "tables" / "README.md"
+        # A run without textures has none of the paper's tables.
+        if page.exists():
+            say(f"Tables: {page.resolve()}")
         say(f"Report: {(self.out / 'report.html').resolve()}")
 
     def _side_by_side(self) -> int:
