@@ -68,9 +68,9 @@ class SeenBodies:
         uv, normal, level: at each of the samples.
         sunlit: whether the vehicle itself lets the sun's light through to each of them; a single 1
             where it shades itself nowhere.
-        points: the corners in metres, world frame; None where no silhouette is to move.
-        sun: what the sun sees, by which points of silhouettes are found to be lit; None there, and
+        sun_places: where the sun sees these corners; None where no silhouette is to move, and
             where vehicles do not shade themselves.
+        sun: what the sun sees, by which points of silhouettes are found to be lit; None there, too.
     """
 
     visibility: Visibility
@@ -83,7 +83,7 @@ class SeenBodies:
     normal: Float[Tensor, "3 K"]
     level: Int[Tensor, " K"]
     sunlit: Float[Tensor, " _"]
-    points: Float[Tensor, "3 3 M"] | None
+    sun_places: Float[Tensor, "3 3 M"] | None
     sun: SunView | None
 
 
@@ -115,7 +115,8 @@ def see_bodies(
     # What the faces' corners have.
     corners = at_corners(samples, template.faces)
     levels = _texture_levels(corners.detach(), vehicles)
-    normals = at_corners(vertex_normals(vertices, template.faces), template.faces)
+    at_vertices = vertex_normals(vertices, template.faces)
+    normals = at_corners(at_vertices, template.faces)
     uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
     uvs = uvs.repeat(1, 1, len(vertices))
     # What the samples have.
@@ -123,10 +124,10 @@ def see_bodies(
     centre = torch.stack((visibility.x, visibility.y)) + 0.5
     weights = _held_weights(corners.flatten(0, 1).index_select(1, row).view(3, 2, -1), centre)
     surface = _surface(uvs, normals, levels, row, weights)
-    points = at_corners(vertices.detach(), template.faces)
-    sunlit = _sunlit(sun, points, row, weights, surface[1], visibility.vehicle)
+    sun_places = None if sun is None else sun.places(vertices, at_vertices, template.faces)
+    sunlit = _sunlit(sun, sun_places, row, weights, visibility.vehicle)
     # Both are large, and these may be kept for long.
-    kept = (points, sun) if samples.requires_grad else (None, None)
+    kept = (sun_places, sun) if samples.requires_grad else (None, None)
     return SeenBodies(visibility, samples, depth, uvs, normals, levels, *surface, sunlit, *kept)
 
 
@@ -167,7 +168,7 @@ def draw_bodies(
         with torch.no_grad():
             row = points.vehicle * len(faces) + points.face
             surface = _surface(seen.uvs, seen.normals, seen.levels, row, points.weights)
-            sunlit = _sunlit(seen.sun, seen.points, row, points.weights, surface[1], points.vehicle)
+            sunlit = _sunlit(seen.sun, seen.sun_places, row, points.weights, points.vehicle)
             edge_colour = radiance(points.vehicle, *surface, sunlit)
         layers = layers + _edges(visibility, points, colour.detach(), edge_colour, factor)
     return layers
@@ -189,17 +190,16 @@ def _surface(
 @torch.no_grad()
 def _sunlit(
     sun: SunView | None,
-    points: Float[Tensor, "3 3 M"] | None,
+    places: Float[Tensor, "3 3 M"] | None,
     row: Int[Tensor, " K"],
     weights: Float[Tensor, "3 K"],
-    normal: Float[Tensor, "3 K"],
     vehicle: Int[Tensor, " K"],
 ) -> Float[Tensor, " _"]:
     """Says which points of some faces the sun sees."""
-    if sun is None or points is None:
+    if sun is None or places is None:
         return weights.new_ones(1)
-    corners = points.flatten(0, 1).index_select(1, row).view(3, 3, -1)
-    return sun.reaches((corners * weights[:, None]).sum(0), normal, vehicle)
+    corners = places.flatten(0, 1).index_select(1, row).view(3, 3, -1)
+    return sun.reaches((corners * weights[:, None]).sum(0), vehicle)
 
 
 def draw_shadows(sun: SunView, faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N 1 S S"]:

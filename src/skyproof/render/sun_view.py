@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.projection import project
-from skyproof.geometry.rasterise import Visibility, rasterise
+from skyproof.geometry.rasterise import Visibility, at_corners, rasterise
 from skyproof.render.placed import Placed
 from skyproof.render.windows import Windows
 
@@ -40,28 +40,44 @@ class SunView:
     visibility: Visibility
 
     @torch.no_grad()
+    def places(
+        self,
+        vertices: Float[Tensor, "N V 3"],
+        normals: Float[Tensor, "N V 3"],
+        faces: Int[Tensor, "F 3"],
+    ) -> Float[Tensor, "3 3 M"]:
+        """Gives the three corners of all faces of all vehicles, a little off the surface.
+
+        Args:
+            vertices: metres, world frame.
+            normals: unit normals there.
+            faces: of their template.
+
+        Returns:
+            Column and row, in samples of the windows, and metres along the sun's rays.
+        """
+        placed = self.placed
+        off = torch.add(vertices, normals, alpha=_OFF_SURFACE_M)
+        screen, depth = project(off, placed.sun, placed.gsd_m, placed.size_px)
+        samples = self.window.samples(screen, self.factor)
+        return at_corners(torch.cat((samples, depth[..., None]), dim=2), faces)
+
+    @torch.no_grad()
     def reaches(
-        self, point: Float[Tensor, "3 K"], normal: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
+        self, place: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
     ) -> Float[Tensor, " K"]:
         """Says which points of vehicles' surfaces the sun sees: 1, or 0 behind another part.
 
         After Williams (1978), with the points taken off the surface along their normals.
 
         Args:
-            point: metres, world frame.
-            normal: unit normals there.
+            place: between corners of `places`.
             vehicle: which vehicle each is on.
         """
-        placed, wide = self.placed, self.window.size * self.factor
-        off = torch.add(point, normal, alpha=_OFF_SURFACE_M).t()[:, None]
-        sun = placed.sun.index_select(0, vehicle)
-        screen, depth = project(off, sun, placed.gsd_m, placed.size_px)
-        # The sample of the view that it falls on.
-        origin = self.window.origin.index_select(0, vehicle)
-        place = ((screen[:, 0] - origin) * self.factor).floor().long()
-        x, y = place.clamp(0, wide - 1).t()
+        wide = self.window.size * self.factor
+        x, y = place[:2].floor().long().clamp(0, wide - 1)
         nearest = self.visibility.depth((vehicle * wide + y) * wide + x)
-        return (nearest > depth[:, 0] - _BEHIND_M).to(point.dtype)
+        return (nearest > place[2] - _BEHIND_M).to(place.dtype)
 
 
 def see_from_sun(
