@@ -121,13 +121,13 @@ class Plan:
         repeated = [name for name, count in Counter(step.id for step in steps).items() if count > 1]
         if repeated:
             raise RunFolderError(f"Two steps of the plan are called {repeated[0]}; rename one.")
-        made_by = {output: step for step in steps for output in step.outputs}
+        self._made_by = {output: step for step in steps for output in step.outputs}
         made: set[Path] = set()
         for step in steps:
-            early = [path for path in step.inputs if path in made_by and path not in made]
+            early = [path for path in step.inputs if path in self._made_by and path not in made]
             if early:
                 raise RunFolderError(
-                    f"The step {step.id} needs {early[0]}, which only {made_by[early[0]].id} "
+                    f"The step {step.id} needs {early[0]}, which only {self._made_by[early[0]].id} "
                     "leaves; put that step first."
                 )
             made |= set(step.outputs)
@@ -139,16 +139,13 @@ class Plan:
         Where steps run side by side, that with the most comes first: nothing else can be done while
         a detector is trained that all attacks need.
         """
-        makers: dict[Path, int] = {}
-        for number, step in enumerate(self.steps):
-            makers |= dict.fromkeys(step.outputs, number)
         # One bit for each step that waits.
-        waiting = [0] * len(self.steps)
+        waiting = dict.fromkeys((step.id for step in self.steps), 0)
         for number, step in reversed([*enumerate(self.steps)]):
             for path in step.inputs:
-                if path in makers:
-                    waiting[makers[path]] |= waiting[number] | 1 << number
-        return {step.id: waiting[number].bit_count() for number, step in enumerate(self.steps)}
+                if path in self._made_by:
+                    waiting[self._made_by[path].id] |= waiting[step.id] | 1 << number
+        return {step: bits.bit_count() for step, bits in waiting.items()}
 
     @property
     def counts(self) -> dict[str, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -40,18 +40,18 @@ class LinearTexture:
         dtype: torch.dtype = torch.float32,
         overlay: Overlay | None = None,
     ) -> None:
-        self.finest = min(finest, self.levels - 1)
-        self.height, self.width = texture.shape[2:]
+        height, width = texture.shape[2:]
         if overlay is None:
-            self.count = len(texture)
+            count = len(texture)
             (own, shown) = (texture, None) if texture.dtype == torch.uint8 else (None, texture)
             mask = None
         else:
-            self.count = len(overlay.mask)
+            count = len(overlay.mask)
             own, shown, mask = texture.detach(), overlay.texture, overlay.mask
-        shapes = _Shapes(self.count, self.height, self.width, self.finest, self.levels)
+        shapes = _Shapes(count, height, width, min(finest, self.levels - 1), self.levels)
         reflected = None if shown is None else reflectance(srgb_to_linear(shown))
         self._texels = _Pyramid.apply(reflected, mask, own, shapes, dtype)
+        self._shapes = shapes
         self._offsets = torch.tensor(shapes.offsets[:-1], device=texture.device)
 
     def sample(
@@ -61,10 +61,11 @@ class LinearTexture:
 
         They are circular in u and held at the edge in v.
         """
-        level = level.clamp(self.finest, self.levels - 1)
-        width, height = self.width >> level, self.height >> level
-        base = self._offsets.index_select(0, level - self.finest)
-        if self.count > 1:
+        shapes = self._shapes
+        level = level.clamp(shapes.finest, shapes.levels - 1)
+        width, height = shapes.width >> level, shapes.height >> level
+        base = self._offsets.index_select(0, level - shapes.finest)
+        if shapes.count > 1:
             base = base + index * height * width
         x, y = uv[0] * width - 0.5, uv[1] * height - 0.5
         left = x.detach().floor()
@@ -98,7 +99,7 @@ class _Shapes:
     finest: int
     levels: int
 
-    @property
+    @cached_property
     def offsets(self) -> list[int]:
         """Where each level from `finest` on begins, and where the last ends."""
         sizes = [
