@@ -63,7 +63,9 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
     try:
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get("record", "{}")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            # In the file they lie at any address. Kernels choose by it how they add up, so that a
+            # copy gives the numbers of the tensors that were written, to the last bit.
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is no whole safetensors file"
         raise StoredFileError(f"{path} is damaged ({reason}); {remedy}.") from error

@@ -181,6 +181,9 @@ def test_a_generator_is_stored_and_read_again(
     generator = layered if method == "layered" else adversarial
     save_generator(tmp_path, generator, {"vehicles": 24})
     again = load_generator(tmp_path)
+    for name, tensor in again.tensors().items():
+        assert torch.equal(tensor, generator.tensors()[name])
+        assert tensor.stride() == generator.tensors()[name].stride()
     assert torch.equal(fleet_of(again, 3).textures, fleet_of(generator, 3).textures)
 
 

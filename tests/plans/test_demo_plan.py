@@ -54,6 +54,8 @@ def test_controls_are_chosen_where_there_are_any():
     (score,) = commands(demo, Score)
     scored = [folder.name for folder in score.camouflages]
     assert scored[:8] == ["T-U", "T-PixFcMa", *CHOSEN]
+    (_, path_traced) = commands(Demo(out=RUN, cycles=True), Score)
+    assert [folder.name for folder in path_traced.camouflages] == ["T-U", "T-PixFcMa", *CHOSEN]
     none = Demo(out=RUN, sizes=DemoSizes(random_draws=0))
     assert [c.names for c in commands(none, Attack)] == [("T-U",), ("T-PixFcMa",)]
 

@@ -74,7 +74,8 @@ class LayeredGenerator:
         _, _, components = torch.linalg.svd((flat - mean).double(), full_matrices=False)
         components = components[:count]
         largest = components.gather(1, components.abs().argmax(1, keepdim=True))
-        components = (components * largest.sign()).float()
+        # Row by row, as they come back from a file: sums then have the same order too.
+        components = (components * largest.sign()).float().contiguous()
         dimensions = torch.tensor(
             [[getattr(each, name) for name in _NAMES] for each in vehicles.dimensions]
         )

@@ -81,13 +81,13 @@ def _beside_controls(row: Row) -> list[str]:
     Of a combination it also says what the learnt shape adds.
     """
     sentences = []
-    if row.random is None:
+    if row.random is not None:
+        sentences.append(_more(row.random, "an average random pattern of the same kind"))
+    elif row.unlearnt is None:
         sentences.append(
             "No random control was run beside it, so it is not known what just any pattern would "
             "hide."
         )
-    else:
-        sentences.append(_more(row.random, "an average random pattern of the same kind"))
     if row.drawn_shape is not None:
         sentences.append(_more(row.drawn_shape, "its own texture under random shapes"))
     if row.unlearnt is None:
