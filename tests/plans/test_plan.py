@@ -79,7 +79,8 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     wide = jobs(detectors=["retinanet", "faster_rcnn"], textures=["U"], transfer=["T-U"])
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
     # The first repeats and draws of each.
-    more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 4}
+    more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 16}
+    # A quarter of a batch of the renderer, so that no core waits long for another at the end.
     assert jobs(**more).cycles_batches == {
         "000": ("R-U-0", "R-U-1", "R-S-O@0.4-0", "R-S-O@0.4-1"),
         "001": ("R-C-U@0.4-0", "R-C-U@0.4-1"),

@@ -82,7 +82,9 @@ class Jobs:
         self.repeated = tuple(self.attacks[name] for name in finished)
         self.repeated_batches = self._batched(self.controls, finished)
         self.cycles_batches = self._batched(
-            self._on_cycles(self.controls), self._on_cycles([*finished, *self.chosen])
+            self._on_cycles(self.controls),
+            self._on_cycles([*finished, *self.chosen]),
+            size=max(preset.score_batch // 4, 1),
         )
 
     def _is_looked_at(self, name: CamouflageName) -> bool:
@@ -226,8 +228,10 @@ class Jobs:
             [name for name in self.attacks if CamouflageName.parse(name).pooled in wanted],
         )
 
-    def _batched(self, *groups: Sequence[str]) -> dict[str, tuple[str, ...]]:
-        size = self._preset.score_batch
+    def _batched(
+        self, *groups: Sequence[str], size: int | None = None
+    ) -> dict[str, tuple[str, ...]]:
+        size = size or self._preset.score_batch
         batches = [
             tuple(folders[start : start + size])
             for folders in groups

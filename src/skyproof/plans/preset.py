@@ -104,7 +104,8 @@ class Preset:
         ladder_steps: after which the first repeat of every attack is also scored as it is by then.
         ladder_magnitude: PM of the shapes and combinations for which that is done, and at which
             combinations are set beside their textures under random shapes.
-        score_batch: camouflages scored in one step.
+        score_batch: camouflages scored in one step; a quarter of them where Cycles draws, which
+            takes minutes for each.
         threads: CPU threads of each step.
         resources: what each step that renders, trains, attacks or scores asks of a cluster.
         reference: those of the detectors that are taken as they come with skyproof, with what their
