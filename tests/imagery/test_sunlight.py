@@ -181,6 +181,31 @@ def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(
     assert lights_of("a", "b", "few")["few-0"].sun is None, "two others are too few"
 
 
+def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(ground, tmp_path):
+    tiles, vehicles_of = [], {}
+    images, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
+    for source in ("a", "b", "c", "few", "sunny"):
+        for number, own in enumerate(vehicles[: 1 if source == "few" else None]):
+            image = images[number]
+            if source != "sunny":
+                image = torch.full_like(image, 120)
+            tile = BackgroundTile(
+                f"{source}-{number}", f"{source}-{number}.png", "train", SIDE_PX, SIDE_PX, source
+            )
+            save_tile(tmp_path, tile, image)
+            tiles.append(tile)
+            vehicles_of[tile.id] = own[:2] if source == "few" else own
+    write_index(tmp_path, 0.125, tiles)
+
+    def sky_of_few(*others):
+        chosen = [tile for tile in tiles if tile.source in ("few", *others)]
+        return measured_lights(BackgroundSet.open(tmp_path), chosen, vehicles_of)["few-0"].sky
+
+    assert sky_of_few("a", "b", "c") == OVERCAST_SKY
+    assert sky_of_few("a", "b") != OVERCAST_SKY, "two others are too few"
+    assert sky_of_few("a", "b", "c", "sunny") != OVERCAST_SKY, "the sun shone over one of them"
+
+
 def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):
     known = SunEstimate(1.0, 0.5, known_from="date and time")
     suns = {"west.tif": 30, "east.tif": 250, "dated.tif": 30}

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from skyproof.scenes.light import SunEstimate
 
-__all__ = ["KNOWN_FROM", "shared_sun", "turned"]
+__all__ = ["FEWEST_TO_SHARE", "KNOWN_FROM", "shared_sun", "turned"]
 
-FEWEST_SUNS = 3
+FEWEST_TO_SHARE = 3
+"""Photographs that must agree before the light of others is taken from them."""
 WITHIN_RAD = math.radians(20)
 KNOWN_FROM = "other photographs of the set"
 
@@ -30,7 +31,7 @@ def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
     Returns:
         None with fewer than 3, or where one's azimuth is off the median by more than 20 degrees.
     """
-    if len(suns) < FEWEST_SUNS:
+    if len(suns) < FEWEST_TO_SHARE:
         return None
     azimuths_rad = np.array([sun.azimuth_rad for sun in suns])
     elevations_rad = np.array([sun.elevation_rad for sun in suns])

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.clearing.shared_sun import shared_sun, turned
+from skyproof.imagery.clearing.shared_sun import FEWEST_TO_SHARE, shared_sun, turned
 from skyproof.imagery.clearing.vehicle_masks import (
     FAINTEST_SHADOW,
     FEWEST_VEHICLES,
@@ -131,7 +131,7 @@ def measured_lights(
     White and black are those of the ground without vehicles. What is known stays: the light of
     drawn ground, and a sun of a date and time. Where vehicles cast no shadow, all light is the
     sky's. Where theirs do not tell the sun, it is that of the set's other photographs, if these
-    agree (`shared_sun`).
+    agree (`shared_sun`); and the sky is overcast if at least three others are, and none has a sun.
 
     Args:
         backgrounds: the set with the tiles, vehicles still on them.
@@ -147,9 +147,14 @@ def measured_lights(
         picture: _light_by_vehicles(backgrounds, own, vehicles)
         for picture, own in of_picture.items()
     }
-    shared = shared_sun([light.sun for light in of_its_own.values() if light.sun is not None])
+    suns = [light.sun for light in of_its_own.values() if light.sun is not None]
+    overcast = sum(light.sky == OVERCAST_SKY for light in of_its_own.values())
+    under_clouds = overcast >= FEWEST_TO_SHARE and not suns
+    shared = shared_sun(suns)
     for picture, light in of_its_own.items():
-        if light.sun is None and light.sky != OVERCAST_SKY:
+        if under_clouds:
+            light = replace(light, sky=OVERCAST_SKY)
+        elif light.sun is None and light.sky != OVERCAST_SKY:
             light = replace(light, sun=shared)
         lights.update({tile.id: light for tile in of_picture[picture]})
     return lights
