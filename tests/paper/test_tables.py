@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 
 import pytest
 from scipy import stats
@@ -355,6 +356,8 @@ def test_one_repeat_of_two_on_cycles(folder):
     close(row["cycles_easr"], 50)
     close(row["cycles_change"], 50 - 100)  # of the second repeat alone
     assert "Of 2 repeats of an attack or draws of a control, Cycles has 1;" in page
+    texture = next(line for line in page.splitlines() if line.startswith("| T-U |"))
+    assert re.search(r"\| 50\.0 \([^)]*\)‡ \| 25\.0 \([^)]*\)‡ \| – \|", texture)
 
 
 def test_orders_on_cycles(folder):
@@ -383,6 +386,7 @@ def test_the_page_says_what_the_cycles_column_is(folder):
         line for line in page.splitlines() if line.startswith("| attack | practicality |")
     )
     assert header.count("|") == texture.count("|")
+    assert "‡" not in page
     assert "## On Cycles" in page
     assert "Blender’s path tracer Cycles" in page
     # Rows without copies and transfer: 4 of textures, S-O at three PM and a control, C-Fc-seq and
@@ -510,3 +514,10 @@ def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     # A plain paint all over is a control of T-Fc, too.
     said = "Against the strongest control that was chosen and not learnt, 1 of 3 do."
     assert said in page
+    # One that is stronger on the renderer and was not drawn on Cycles: nothing is said there.
+    write_scores(folder / "scores" / "002", {"R-U_search": 0.7, "R-U_best": 0.2})
+    write_reproduction(folder)
+    row = table(folder, "textures")["T-U"]
+    assert row["unlearnt_control"] == "R-U_search"
+    assert (row["cycles_unlearnt_control"], row["cycles_net_unlearnt_easr"]) == ("–", "–")
+    assert row["cycles_easr"] != "–"

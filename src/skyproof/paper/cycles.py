@@ -43,11 +43,14 @@ _KINDS: Mapping[str, Callable[[str], bool]] = {
 def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
     """Gives one camouflage's numbers on Cycles and how far its EASR moved, in percent.
 
-    Empty where nothing is on Cycles.
+    Empty where nothing is on Cycles. Of the controls that were chosen and not learnt nothing is
+    said unless Cycles has all that the renderer has: beside fewer, more would seem to be learnt.
     """
     if not run.cycles:
         return {}
     found = in_percent(run.row(name, renderer=CYCLES))
+    if not _has_all_chosen(run, CamouflageName.read(name)):
+        found |= {key: None for key in found if "unlearnt" in key}
     columns = {f"cycles_{key}": value for key, value in found.items() if key.startswith(_COLUMNS)}
     change = _change(run, [name])
     return columns | {
@@ -75,8 +78,9 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
         "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
         "“Blender” column. A vehicle counts where the detector found it on Cycles’ own image "
-        "without camouflage; net is minus the random control on Cycles. Shapes and combinations "
-        "keep the PM* that they have on the renderer.",
+        "without camouflage; net is minus the random control on Cycles. Net of unlearnt ones is "
+        "given where Cycles has all of them that the renderer has. Shapes and combinations keep "
+        "the PM* that they have on the renderer.",
         _missing(run),
         *_moves(tables["cycles"]),
         _placebo(tables),
@@ -89,6 +93,15 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
 def _names(run: Reproduction) -> list[str]:
     """Lists what both renderers show."""
     return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
+
+
+def _has_all_chosen(run: Reproduction, name: CamouflageName) -> bool:
+    """Whether Cycles has every control of it that was chosen on the renderer."""
+    return all(
+        run.results.row(control, renderer=CYCLES) is not None
+        for control in name.unlearnt
+        if run.results.row(control) is not None
+    )
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
@@ -201,7 +214,8 @@ def _missing(run: Reproduction) -> str:
     if on_cycles < repeats:
         parts.append(
             f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; "
-            "changes and rank correlations between the two take only those."
+            "changes and rank correlations between the two take only those. Of rows with ‡ it has "
+            "one alone, so that their intervals there say nothing of other starts and draws."
         )
     return " ".join(parts)
 

@@ -173,7 +173,10 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     papers = [number(row["paper_easr"], 2) + mark]
     if "cycles_easr" in row:
         names = ("cycles_easr", "cycles_net_easr", "cycles_net_unlearnt_easr")
-        cells += [bracket(row, name) for name in names]
+        # Several repeats here and one there: the interval there leaves out what starts do.
+        alone = row["easr_repeat_min"] is not None and row["cycles_easr_repeat_min"] is None
+        marks = ["‡" if alone and row[name] is not None else "" for name in names]
+        cells += [bracket(row, name) + mark for name, mark in zip(names, marks, strict=True)]
         papers.append(
             number(row["paper_easr_blender"], 2)
             + (mark if row["paper_easr_blender"] is not None else "")
