@@ -149,26 +149,33 @@ def test_vehicles_without_a_dark_side_tell_an_overcast_sky(ground):
     assert not casts_no_shadow([shown[0][:2]]), "two vehicles say nothing"
 
 
-def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(ground, tmp_path):
-    """Of five photographs one shows two vehicles alone, and one vehicles without any shadow."""
+def several_sources(ground, folder, sunny, *, overcast):
+    """Writes photographs of several sources; of "few" but two vehicles.
+
+    Returns what measures the lights of some of these sources.
+    """
     tiles, vehicles_of = [], {}
     images, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
     plain = [torch.full_like(image, 120) for image in images]
-    for source in ("a", "b", "c", "few", "overcast"):
-        for number, own in enumerate(vehicles):
-            if source == "few" and number > 0:
-                break
+    for source in (*sunny, *overcast):
+        for number, own in enumerate(vehicles[: 1 if source == "few" else None]):
             name = f"{source}-{number}"
             tile = BackgroundTile(name, f"{name}.png", "train", SIDE_PX, SIDE_PX, source)
-            save_tile(tmp_path, tile, (plain if source == "overcast" else images)[number])
+            save_tile(folder, tile, (plain if source in overcast else images)[number])
             tiles.append(tile)
             vehicles_of[name] = own[:2] if source == "few" else own
-    write_index(tmp_path, 0.125, tiles)
+    write_index(folder, 0.125, tiles)
 
     def lights_of(*sources):
         chosen = [tile for tile in tiles if tile.source in sources]
-        return measured_lights(BackgroundSet.open(tmp_path), chosen, vehicles_of)
+        return measured_lights(BackgroundSet.open(folder), chosen, vehicles_of)
 
+    return lights_of
+
+
+def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(ground, tmp_path):
+    """Of five photographs one shows two vehicles alone, and one vehicles without any shadow."""
+    lights_of = several_sources(ground, tmp_path, ("a", "b", "c", "few"), overcast=("overcast",))
     lights = lights_of("a", "b", "c", "few", "overcast")
     own = lights["a-0"].sun
     assert "shadows of" in own.known_from
@@ -182,24 +189,10 @@ def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(
 
 
 def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(ground, tmp_path):
-    tiles, vehicles_of = [], {}
-    images, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
-    for source in ("a", "b", "c", "few", "sunny"):
-        for number, own in enumerate(vehicles[: 1 if source == "few" else None]):
-            image = images[number]
-            if source != "sunny":
-                image = torch.full_like(image, 120)
-            tile = BackgroundTile(
-                f"{source}-{number}", f"{source}-{number}.png", "train", SIDE_PX, SIDE_PX, source
-            )
-            save_tile(tmp_path, tile, image)
-            tiles.append(tile)
-            vehicles_of[tile.id] = own[:2] if source == "few" else own
-    write_index(tmp_path, 0.125, tiles)
+    lights_of = several_sources(ground, tmp_path, ("sunny",), overcast=("a", "b", "c", "few"))
 
     def sky_of_few(*others):
-        chosen = [tile for tile in tiles if tile.source in ("few", *others)]
-        return measured_lights(BackgroundSet.open(tmp_path), chosen, vehicles_of)["few-0"].sky
+        return lights_of("few", *others)["few-0"].sky
 
     assert sky_of_few("a", "b", "c") == OVERCAST_SKY
     assert sky_of_few("a", "b") != OVERCAST_SKY, "two others are too few"

@@ -77,6 +77,17 @@ def test_what_is_hidden_from_each_judge(folder):
     assert (mean.detector, mean.easr.estimate) == ("mean", pytest.approx(0.8))
 
 
+def test_nothing_is_said_beside_fewer_chosen_controls_than_the_renderer_has(folder):
+    add_judges(folder, "real", RATES)
+    own = folder / "judges" / "real" / "scores"
+    write_scores(own / "more", {"R-U_plain": 0.1, "R-U_search": 0.5}, found=0.5)
+    write_scores(own / "cycles-more", {"R-U_plain": 0.1}, found=0.5, renderer="cycles")
+    row = next(row for row in tables(folder)["judges"] if row["attack"] == "T-U")
+    assert row["unlearnt_control"] == "R-U_search"
+    assert row["cycles_unlearnt_easr"] is None
+    assert row["cycles_net_unlearnt_easr"] is None
+
+
 def test_what_judges_find_without_camouflage(folder):
     add_judges(folder, "real", RATES)
     clean = tables(folder)["judges_clean"]

@@ -358,6 +358,13 @@ def test_one_repeat_of_two_on_cycles(folder):
     assert "Of 2 repeats of an attack or draws of a control, Cycles has 1;" in page
     texture = next(line for line in page.splitlines() if line.startswith("| T-U |"))
     assert re.search(r"\| 50\.0 \([^)]*\)‡ \| 25\.0 \([^)]*\)‡ \| – \|", texture)
+    assert "‡ Cycles has one repeat or draw alone" in page
+    # Explained, too, where of another attack Cycles has as many as the renderer.
+    rates = {"T-Fc-0": 0.5, "T-Fc-1": 0.5}
+    write_scores(folder / "scores" / "more", rates, found=0.8, renderer="cycles")
+    page = write_reproduction(folder).read_text()
+    assert "repeats of an attack or draws of a control, Cycles has" not in page
+    assert "‡ Cycles has one repeat or draw alone" in page
 
 
 def test_orders_on_cycles(folder):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -23,11 +23,20 @@ from skyproof.paper.cells import (
 )
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
-from skyproof.results.results import CYCLES, RENDERER
+from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name
 
-__all__ = ["cycles_columns", "cycles_section", "cycles_tables"]
+__all__ = [
+    "ALONE",
+    "alone_on_cycles",
+    "cycles_columns",
+    "cycles_section",
+    "cycles_tables",
+    "rates_under",
+]
+
+ALONE = "‡"
 
 _COLUMNS = ("easr", "random_", "net_easr", "unlearnt_", "net_unlearnt_easr", "apd")
 _KINDS: Mapping[str, Callable[[str], bool]] = {
@@ -43,14 +52,11 @@ _KINDS: Mapping[str, Callable[[str], bool]] = {
 def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
     """Gives one camouflage's numbers on Cycles and how far its EASR moved, in percent.
 
-    Empty where nothing is on Cycles. Of the controls that were chosen and not learnt nothing is
-    said unless Cycles has all that the renderer has: beside fewer, more would seem to be learnt.
+    Empty where nothing is on Cycles.
     """
     if not run.cycles:
         return {}
-    found = in_percent(run.row(name, renderer=CYCLES))
-    if not _has_all_chosen(run, CamouflageName.read(name)):
-        found |= {key: None for key in found if "unlearnt" in key}
+    found = rates_under(run.results, CamouflageName.read(name), CYCLES)
     columns = {f"cycles_{key}": value for key, value in found.items() if key.startswith(_COLUMNS)}
     change = _change(run, [name])
     return columns | {
@@ -82,6 +88,7 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "given where Cycles has all of them that the renderer has. Shapes and combinations keep "
         "the PM* that they have on the renderer.",
         _missing(run),
+        _alone([*tables["textures"].rows, *tables["shape_combined"].rows]),
         *_moves(tables["cycles"]),
         _placebo(tables),
         *_correlations(tables["cycles_agreement"]),
@@ -90,18 +97,24 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
     return [part for part in parts if part]
 
 
+def rates_under(
+    results: Results, name: CamouflageName, renderer: str, detector: str | None = None
+) -> dict[str, Any]:
+    """Gives a row under a renderer in percent and points; None where there is no row.
+
+    Of the controls that were chosen and not learnt nothing is said unless this renderer shows all
+    that the differentiable one does: beside fewer, more would seem to be learnt.
+    """
+    rates = in_percent(results.row(name, detector, renderer=renderer))
+    wanted = [control for control in name.unlearnt if results.row(control, detector)]
+    if all(results.row(control, detector, renderer=renderer) for control in wanted):
+        return rates
+    return rates | {key: None for key in rates if "unlearnt" in key}
+
+
 def _names(run: Reproduction) -> list[str]:
     """Lists what both renderers show."""
     return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
-
-
-def _has_all_chosen(run: Reproduction, name: CamouflageName) -> bool:
-    """Whether Cycles has every control of it that was chosen on the renderer."""
-    return all(
-        run.results.row(control, renderer=CYCLES) is not None
-        for control in name.unlearnt
-        if run.results.row(control) is not None
-    )
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
@@ -214,10 +227,24 @@ def _missing(run: Reproduction) -> str:
     if on_cycles < repeats:
         parts.append(
             f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; "
-            "changes and rank correlations between the two take only those. Of rows with ‡ it has "
-            "one alone, so that their intervals there say nothing of other starts and draws."
+            "changes and rank correlations between the two take only those."
         )
     return " ".join(parts)
+
+
+def alone_on_cycles(row: Mapping[str, Any]) -> bool:
+    """Whether a row of a table rests on one repeat on Cycles, and on several on the renderer."""
+    return row["easr_repeat_min"] is not None and row["cycles_easr_repeat_min"] is None
+
+
+def _alone(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Explains the mark of such rows; empty where there is none."""
+    if not any(alone_on_cycles(row) and row["cycles_easr"] is not None for row in rows):
+        return ""
+    return (
+        f"{ALONE} Cycles has one repeat or draw alone, where the renderer has several: the "
+        "interval there says nothing of other starts and draws."
+    )
 
 
 def _moves(table: Table) -> list[Block]:

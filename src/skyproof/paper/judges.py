@@ -19,10 +19,10 @@ from skyproof.paper.cells import (
     Heading,
     Table,
     bracket,
-    in_percent,
     interval_cells,
     number,
 )
+from skyproof.paper.cycles import rates_under
 from skyproof.paper.reproduction import Reproduction
 from skyproof.results.checks import Check
 from skyproof.results.results import CYCLES, RENDERER, Results
@@ -96,8 +96,8 @@ def _rates(results: Results, name: str, judge: str) -> dict[str, Any]:
     rates: dict[str, Any] = {}
     for renderer, prefix in _PREFIXES.items():
         if renderer in results.renderers:
-            row = results.row(CamouflageName.read(name), judge, renderer=renderer)
-            rates |= {f"{prefix}{key}": value for key, value in in_percent(row).items()}
+            found = rates_under(results, CamouflageName.read(name), renderer, judge)
+            rates |= {f"{prefix}{key}": value for key, value in found.items()}
     return rates
 
 
@@ -201,7 +201,7 @@ def _doubts(clean: Sequence[Mapping[str, Any]]) -> str:
 
 def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
     known = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of unlearnt"}
-    # Controls that were chosen are not on Cycles.
+    # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
         key: words
         for key, words in known.items()

@@ -20,7 +20,7 @@ from skyproof.paper.cells import (
 from skyproof.paper.colours import colours_section
 from skyproof.paper.convergence import convergence_section
 from skyproof.paper.criteria import criteria_section
-from skyproof.paper.cycles import cycles_section
+from skyproof.paper.cycles import ALONE, alone_on_cycles, cycles_section
 from skyproof.paper.embeddings import embeddings_section
 from skyproof.paper.judges import judges_section
 from skyproof.paper.looks import looks_section
@@ -173,10 +173,8 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     papers = [number(row["paper_easr"], 2) + mark]
     if "cycles_easr" in row:
         names = ("cycles_easr", "cycles_net_easr", "cycles_net_unlearnt_easr")
-        # Several repeats here and one there: the interval there leaves out what starts do.
-        alone = row["easr_repeat_min"] is not None and row["cycles_easr_repeat_min"] is None
-        marks = ["‡" if alone and row[name] is not None else "" for name in names]
-        cells += [bracket(row, name) + mark for name, mark in zip(names, marks, strict=True)]
+        alone = ALONE if alone_on_cycles(row) else ""
+        cells += [bracket(row, name) + (alone if row[name] is not None else "") for name in names]
         papers.append(
             number(row["paper_easr_blender"], 2)
             + (mark if row["paper_easr_blender"] is not None else "")
