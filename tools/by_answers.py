@@ -30,8 +30,6 @@ from skyproof.layout import Layout
 from skyproof.randomness import generator_of
 
 SIZE_PX = 128
-JUDGED = QuerySettings(batch_size=24, seed=1)
-"""Eight batches of 24 scenes of another seed than the searches'."""
 
 
 class Wall:
@@ -70,7 +68,8 @@ class ByAnswers:
         judge = load_detector(layout.detector(self.detector))
         box = LoadedDetector(Wall(judge.detector), judge.card)
         world = AttackWorld.open(layout.backgrounds, layout.fleets / "attack", size_px=SIZE_PX)
-        held_out = HeldOut([box], world, JUDGED)
+        # Eight batches of 24 scenes, of another seed than the searches'.
+        held_out = HeldOut([box], world, seed=1, batch_size=24)
         print(f"Of what is found in {held_out.scenes()} scenes without camouflage:")
         base = CamouflageName.parse(self.texture)
         variant = base.with_variant(f"without_{self.detector}").with_repeat(0)

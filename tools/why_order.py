@@ -122,7 +122,7 @@ class WhyOrder:
                     settings,
                     self.out / f"{name} {variant} {seed}".replace(" ", "_"),
                 )
-                hidden = HeldOut(judges, world, settings).judge(camouflage).hidden
+                hidden = HeldOut(judges, world, seed).judge(camouflage).hidden
                 rows.append([name, variant, str(steps), str(seed), f"{100 * hidden:.1f}"])
                 print(*rows[-1], flush=True)
                 self._write(rows)

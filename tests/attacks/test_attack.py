@@ -294,7 +294,7 @@ def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
         {"learning_rate": 1e300},
         {"steps": 10**9},
         {"keep_at": (0,)},
-        {"keep_at": (301,)},
+        {"keep_at": (401,)},
         {"seed": 2**63},
     ],
     ids=lambda changed: next(iter(changed)),
@@ -302,6 +302,17 @@ def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
 def test_settings_that_cannot_work_are_refused(changed):
     with pytest.raises(ConfigurationError):
         AttackSettings(**changed)
+
+
+@pytest.mark.parametrize(
+    ("steps", "batch_size", "of_search"),
+    [(200, 4, (100, 8)), (100, 32, (100, 32)), (3, 2, (1, 6)), (5, 4, (2, 8))],
+)
+def test_a_search_has_the_same_images_in_larger_batches(steps, batch_size, of_search):
+    settings = AttackSettings(steps=steps, batch_size=batch_size, keep_at=(1,), seed=5)
+    searched = settings.of_search()
+    assert (searched.steps, searched.batch_size) == of_search
+    assert (searched.keep_at, searched.seed) == ((), 5)
 
 
 @pytest.mark.parametrize("seed", [-1, -(2**63), 2**63 - 1])

@@ -17,7 +17,7 @@ class Told(HeldOut):
     """Gives these answers, one after the other, and remembers what it was shown."""
 
     def __init__(self, world, *hidden):
-        super().__init__([loaded(0.6)], world, FEW)
+        super().__init__([loaded(0.6)], world, FEW.seed)
         self.answers = list(hidden)
         self.shown = []
 
@@ -32,17 +32,24 @@ def learn(folder, world, held_out, *, name="T-PixFc", **more):
 
 
 def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
-    held_out = HeldOut([loaded(0.6)], world, FEW)
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
     black, white = (held_out.judge(plain_paint((level,) * 3, masked=False)) for level in (0, 255))
     assert black > white
     assert black.hidden > 0.5 > white.hidden
-    assert held_out.scenes() == BATCHES * FEW.batch_size
+    assert held_out.scenes() == 64
+
+
+def test_a_batch_is_as_large_as_asked_for_and_not_that_of_the_steps(world):
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed, 3)
+    assert held_out.scenes() == 24
+    assert held_out.scenes(2) == 6
+    assert len(held_out._scores(None, BATCHES)["brightness"]) == 24
 
 
 def test_of_several_detectors_it_is_the_mean(world):
     paint = plain_paint((100, 100, 100), masked=False)
-    one, two = (HeldOut([loaded(t)], world, FEW).judge(paint).hidden for t in (0.3, 0.7))
-    both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW)
+    one, two = (HeldOut([loaded(t)], world, FEW.seed).judge(paint).hidden for t in (0.3, 0.7))
+    both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW.seed)
     assert one != two
     assert both.judge(paint).hidden == pytest.approx((one + two) / 2)
 
@@ -53,7 +60,7 @@ def test_twice_the_steps_say_whether_an_attack_has_converged(tmp_path, world, la
     assert learn(tmp_path, world, held_out) == {
         "steps": [FEW.steps // 2, FEW.steps],
         "hidden": [0.4, later],
-        "scenes": BATCHES * FEW.batch_size,
+        "scenes": 64,
         "converged": converged,
     }
     # What is judged is finished, both times, and half-way it is another one.
@@ -64,7 +71,7 @@ def test_twice_the_steps_say_whether_an_attack_has_converged(tmp_path, world, la
 
 
 def test_judging_half_way_changes_nothing_of_the_attack(tmp_path, world):
-    learn(tmp_path / "judged", world, HeldOut([loaded(0.6)], world, FEW))
+    learn(tmp_path / "judged", world, HeldOut([loaded(0.6)], world, FEW.seed))
     assert learn(tmp_path / "alone", world, None) is None
     judged, alone = (
         (tmp_path / name / "camouflage.safetensors").read_bytes() for name in ("judged", "alone")

@@ -84,13 +84,13 @@ def test_the_paint_that_hides_most_is_chosen(world: AttackWorld) -> None:
     # The detector fires where it is bright.
     paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
     shown = []
-    held_out = HeldOut([loaded(0.6)], world, FEW)
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
     chosen = choose(paints, held_out, on_candidate=shown.append)
     assert chosen.camouflage is paints[1]
     assert chosen.hidden[1] > max(chosen.hidden[0], chosen.hidden[2])
     assert len(chosen.hidden) == 3
     assert shown == [0, 1, 2]
-    assert (chosen.scenes, chosen.final_scenes) == (4, 16)
+    assert (chosen.scenes, chosen.final_scenes) == (16, 64)
     assert chosen.finalists == {1: held_out.judge(paints[1]).hidden}
 
 
@@ -106,7 +106,7 @@ def test_all_scenes_decide_between_the_finalists(world: AttackWorld) -> None:
             return Judged((self.all if batches == BATCHES else self.few)[number], 0.0)
 
     paints = [plain_paint((level,) * 3, masked=False) for level in (0, 64, 128, 192, 255)]
-    chosen = choose(paints, Told([loaded(0.6)], world, FEW))
+    chosen = choose(paints, Told([loaded(0.6)], world, FEW.seed))
     assert chosen.camouflage is paints[2]
     assert chosen.finalists == {1: 0.2, 2: 0.3}
 
@@ -135,7 +135,7 @@ def test_a_plain_paint_has_no_other_constraint() -> None:
 
 def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: AttackWorld) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
-        HeldOut([loaded(1.1)], world, FEW).judge(plain_paint((0, 0, 0), masked=False))
+        HeldOut([loaded(1.1)], world, FEW.seed).judge(plain_paint((0, 0, 0), masked=False))
 
 
 def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:

@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skyproof.attacks.objective import target_scores
-from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
@@ -20,9 +19,10 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
 
-__all__ = ["BATCHES", "HeldOut", "Judged"]
+__all__ = ["BATCHES", "BATCH_SIZE", "HeldOut", "Judged"]
 
 BATCHES = 8
+BATCH_SIZE = 8
 
 
 class Judged(NamedTuple):
@@ -47,22 +47,26 @@ class HeldOut:
     Args:
         detectors: with the thresholds that count, on the device to work on.
         world: what the attack sees.
-        settings: batch size and seed of the scenes.
+        seed: of the attack; its scenes are drawn from it.
+        batch_size: scenes of a batch. That of the attack may be smaller: what small steps have
+            learnt is judged on as many scenes.
     """
 
     def __init__(
         self,
         detectors: Sequence[LoadedDetector[Detector | TrainableDetector]],
         world: AttackWorld,
-        settings: AttackSettings | QuerySettings,
+        seed: int,
+        batch_size: int = BATCH_SIZE,
     ) -> None:
         self._detectors = detectors
         self._world = world
-        self._settings = settings
+        self._seed = seed
+        self._batch_size = batch_size
 
     def scenes(self, batches: int = BATCHES) -> int:
         """Says how many scenes so many batches hold."""
-        return batches * self._settings.batch_size
+        return batches * self._batch_size
 
     @torch.no_grad()
     def judge(self, camouflage: Camouflage, batches: int = BATCHES) -> Judged:
@@ -96,9 +100,8 @@ class HeldOut:
 
     @cached_property
     def _batches(self) -> list[list[Scene]]:
-        settings = self._settings
         return [
-            self._world.step_scenes(settings.batch_size, settings.seed, -batch)
+            self._world.step_scenes(self._batch_size, self._seed, -batch)
             for batch in range(BATCHES)
         ]
 

@@ -153,7 +153,7 @@ def query_attack(
     if (folder / "camouflage.json").exists():
         return _finished(folder, identity)
     search = _search(start, settings)
-    held_out = HeldOut([judge], world, settings)
+    held_out = HeldOut([judge], world, settings.seed, settings.batch_size)
     # Without camouflage, in the start and in the result; a control has no start to fall back on.
     judged = 0 if start.name.choice else 3 * held_out.scenes()
     each = search.candidates * settings.batch_size

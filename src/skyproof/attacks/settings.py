@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from msgspec import Meta
@@ -12,6 +12,8 @@ from skyproof.ranges import Count, Seed, check_ranges
 
 __all__ = ["AttackSettings", "QuerySettings"]
 
+_SEARCH_BATCH_SIZE = 8
+
 
 @dataclass(frozen=True)
 class AttackSettings:
@@ -19,7 +21,8 @@ class AttackSettings:
 
     Attributes:
         steps: optimiser steps.
-        batch_size: images, and so vehicles, a step.
+        batch_size: images, and so vehicles, a step; of as many images, few in many steps teach more
+            (docs/attacks.md).
         learning_rate: Adam's at the start; half a cosine takes it to a tenth.
         balance_batches: batches, seen by no step, whose mean losses set the detectors' weights, and
             measure what the last rounding costs.
@@ -30,8 +33,8 @@ class AttackSettings:
         seed: decides all scenes and random draws.
     """
 
-    steps: Count = 300
-    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 8
+    steps: Count = 400
+    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 4
     learning_rate: Annotated[float, Meta(gt=0, le=10)] = 0.05
     balance_batches: Annotated[int, Meta(ge=1, le=1000)] = 4
     keep_at: Annotated[tuple[Count, ...], Meta(max_length=1000)] = ()
@@ -46,6 +49,16 @@ class AttackSettings:
                 f"keep_at expects steps of the attack, which has {self.steps}, got "
                 f"{max(self.keep_at)}."
             )
+
+    def of_search(self) -> AttackSettings:
+        """Returns those of a random search: as many images, in steps of more.
+
+        A step along the gradient of few images is right on average; a change that happens to help
+        on few images is kept for good.
+        """
+        images = self.steps * self.batch_size
+        batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)
+        return replace(self, steps=images // batch_size, batch_size=batch_size, keep_at=())
 
 
 @dataclass(frozen=True)

@@ -99,14 +99,13 @@ class UniversalTexture(Camouflage):
                 cells = palette[torch.randint(len(palette), grid, generator=generator)]
                 cells = cells.permute(2, 0, 1).contiguous()
             self.cells = nn.Parameter(cells)
-            # At the attack's own rate a hundred steps leave free colours unfinished
-            # (docs/attacks.md).
-            self.learning_rates = {"cells": 3.0}
+            self.learning_rates = {"cells": 1.2}
             return
         drawn = torch.rand(colours, *grid, generator=generator).clamp(min=1e-6)
         self.cells = nn.Parameter(drawn.log())
-        # A logit has farther to go than a colour, which lies in [0, 1].
-        self.learning_rates = {"cells": 6.0}
+        # A logit has farther to go than a colour, which lies in [0, 1], and a palette's few colours
+        # are moved by all cells (docs/attacks.md).
+        self.learning_rates = {"cells": 2.4, "palette": 0.4}
         if kind == "fixed":
             assert palette is not None
             self.register_buffer("palette", palette.float().clone())

@@ -171,7 +171,7 @@ class Attack:
         load: Load | None,
     ) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
-        from skyproof.attacks.held_out import HeldOut
+        from skyproof.attacks.held_out import BATCH_SIZE, HeldOut
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
@@ -189,7 +189,8 @@ class Attack:
         )
         gsd_m = world.backgrounds.gsd_m
         ensemble = load_ensemble(self.detectors, device, gsd_m, load)
-        held_out = HeldOut(ensemble, world, self.settings)
+        batch_size = max(BATCH_SIZE, self.settings.batch_size)
+        held_out = HeldOut(ensemble, world, self.settings.seed, batch_size)
         for name in names:
             if name.choice in ("plain", "best"):
                 self._choose(name, held_out, palette, device)
@@ -264,21 +265,23 @@ class Attack:
             settings=self.camouflage,
         ).to(device)
 
+        settings = self.settings.of_search() if name.random else self.settings
+
         def signs() -> dict[str, Any]:
             if name.random:
                 return {}
-            return {"sign_test": sign_test(camouflage, models, world, self.settings)}
+            return {"sign_test": sign_test(camouflage, models, world, settings)}
 
         with progress_bar(f"attack {name}") as update:
 
             def show(row: dict[str, Any]) -> None:
-                update(row["step"], self.settings.steps)
+                update(row["step"], settings.steps)
 
             attack(
                 camouflage,
                 models,
                 world,
-                self.settings,
+                settings,
                 self.out / str(name),
                 held_out=held_out,
                 record=signs,

@@ -89,7 +89,7 @@ def _training() -> TrainingSettings:
 
 
 def _attack() -> AttackSettings:
-    return AttackSettings(steps=100)
+    return AttackSettings(steps=200)
 
 
 @dataclass(frozen=True)
