@@ -16,5 +16,5 @@ detectors = [
 draws = torch.Generator().manual_seed(0)
 palette = sp.ground_palette(world.backgrounds)
 camouflage = sp.make_camouflage("T-PixFcMa", palette=palette, generator=draws)
-sp.attack(camouflage, detectors, world, sp.AttackSettings(steps=200), "runs/mine/T-PixFcMa")
+sp.attack(camouflage, detectors, world, sp.AttackSettings(steps=400), "runs/mine/T-PixFcMa")
 print(sp.practicality_account(camouflage, world.fleet.batch(world.fleet.ids)))

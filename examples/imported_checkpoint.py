@@ -33,4 +33,4 @@ print(sp.import_detector(checkpoint, validation, "runs/mine/vehicles").validatio
 detector = sp.load_detector("runs/mine/vehicles").detector
 world = sp.AttackWorld.open("runs/trained/backgrounds", "runs/trained/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
-sp.attack(texture, [detector], world, sp.AttackSettings(steps=200), "runs/mine/T-U-on-vehicles")
+sp.attack(texture, [detector], world, sp.AttackSettings(steps=400), "runs/mine/T-U-on-vehicles")

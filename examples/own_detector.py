@@ -26,4 +26,4 @@ class MyDetector(sp.TrainableDetector):
 
 world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
-sp.attack(texture, [MyDetector()], world, sp.AttackSettings(steps=200), "runs/mine/T-U")
+sp.attack(texture, [MyDetector()], world, sp.AttackSettings(steps=400), "runs/mine/T-U")

@@ -95,7 +95,7 @@ class WhyOrder:
     seeds: tuple[int, ...] = (0, 1)
     detectors: tuple[str, ...] = ("retinanet", "faster_rcnn")
     settings: AttackSettings = field(
-        default_factory=lambda: AttackSettings(steps=100, balance_batches=2, preview_every=1000)
+        default_factory=lambda: AttackSettings(steps=200, preview_every=1000)
     )
 
     def run(self) -> None:

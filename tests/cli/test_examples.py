@@ -33,8 +33,8 @@ AS_IT_IS = {"black_box", "maite_evaluate", "maite_sensor"}
 """What needs no shortening."""
 
 SHORTER = {
+    "AttackSettings(steps=400)": "AttackSettings(steps=2, batch_size=2)",
     "AttackSettings(steps=200)": "AttackSettings(steps=2, batch_size=2)",
-    "AttackSettings(steps=100)": "AttackSettings(steps=2, batch_size=2)",
     'open("runs/trained/datasets/train"), 200': 'open("runs/trained/datasets/train"), 2',
 }
 
