@@ -60,7 +60,7 @@ def attack(
     the start hides. Scenes depend on the seed and the step alone, so a stopped attack goes on
     exactly where it was from its last checkpoint. A finished folder is not touched again. A control
     that is to be searched for ("R-PixFc_search") takes random changes instead of gradients, on as
-    many images.
+    many images; it needs larger batches, which `AttackSettings.of_search` gives it.
 
     Differences from the paper: losses are normalised per image and the weights computed, not
     chosen; the optimiser, which the paper does not name, is Adam.
