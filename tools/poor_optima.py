@@ -1,0 +1,164 @@
+"""Experiments on free textures that end in poor optima: other starts, steps, masks and losses.
+
+    python tools/poor_optima.py --run-folder runs/trainings --name T-Ma-0 --out optima/as_it_is
+    python tools/poor_optima.py --run-folder runs/trainings --name T-Ma-0 --out optima/blocks \\
+        --start-block-texels 64
+
+Learns one camouflage before a run's detectors as the presets do, but for what is changed, and
+prints how many vehicles of 64 scenes of the attack's own ground it hides, the same for every start
+and seen by no step. `--judge` judges finished camouflages on them instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from unittest import mock
+
+import torch
+import tyro
+from jaxtyping import Float
+from torch import Tensor
+
+import skyproof.attacks.attack as loop
+from skyproof.attacks.held_out import HeldOut
+from skyproof.attacks.objective import loss_and_gradient
+from skyproof.attacks.settings import AttackSettings
+from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.palette import ground_palette
+from skyproof.camouflage.texture import UniversalTexture
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.loaded import load_ensemble
+from skyproof.layout import Layout
+from skyproof.randomness import generator_of
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
+
+SIZE_PX = 96
+JUDGING_SEED = 99
+# Below this share of its loss without camouflage a detector is left alone, more or less.
+FLOOR = 0.03
+
+
+class MaskedLater(UniversalTexture):
+    """A texture that lies on whole vehicles for a share of the steps, and then under its mask."""
+
+    everywhere = False
+    share: ClassVar[float] = 0.0
+
+    def before_step_(self, step: int, steps: int) -> None:
+        """Says where the map is laid in this step."""
+        super().before_step_(step, steps)
+        self.everywhere = (step - 1) / steps < self.share
+
+    def mask(self, vehicles: VehicleBatch) -> Tensor | None:
+        """Says where the map is laid."""
+        return None if self.everywhere else super().mask(vehicles)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is learnt, or judged.
+
+    Attributes:
+        run_folder: its ground, vehicles and detectors are attacked.
+        training: which training of the detectors.
+        name: of the camouflage; its repeat is the seed.
+        out: folder of the attack.
+        judge: folders of finished camouflages that are judged, where nothing is to be learnt.
+        steps: of four images.
+        learning_rate: Adam's.
+        start_block_texels: side of the blocks of full colours that a free texture begins with, in
+            place of even noise.
+        masked_from: share of the steps after which the mask holds.
+        logarithms: whether the sum of the losses' logarithms is minimised, and not their own.
+    """
+
+    run_folder: Path
+    training: int = 0
+    name: str = "T-Ma-0"
+    out: Path = Path("optima")
+    judge: tuple[Path, ...] = ()
+    steps: int = 300
+    learning_rate: float = 0.05
+    start_block_texels: int = 0
+    masked_from: float = 0.0
+    logarithms: bool = False
+
+
+def main(experiment: Experiment) -> None:
+    """Learns and judges."""
+    torch.set_num_threads(1)
+    layout = Layout(experiment.run_folder)
+    world = AttackWorld.open(
+        layout.backgrounds,
+        layout.fleets / "attack",
+        size_px=SIZE_PX,
+        conditions=("clear",),
+        places="uniform",
+    )
+    teachers = layout.training(experiment.training) if experiment.training else layout
+    folders = [teachers.detector(name) for name in ("retinanet", "faster_rcnn", "yolov5")]
+    ensemble = load_ensemble(folders, "cpu", world.backgrounds.gsd_m)
+    judges = HeldOut(ensemble, world, JUDGING_SEED)
+    if experiment.judge:
+        for folder in experiment.judge:
+            print(f"{folder}: {100 * judges.judge(load_camouflage(folder)).hidden:.1f} %")
+        return
+    camouflage = _start(experiment, world)
+    settings = AttackSettings(
+        steps=experiment.steps,
+        learning_rate=experiment.learning_rate,
+        preview_every=experiment.steps,
+        seed=int(camouflage.name.repeat or 0),
+    )
+    asked = _of_logarithms if experiment.logarithms else loss_and_gradient
+    with mock.patch.object(loop, "loss_and_gradient", asked):
+        models = [each.detector for each in ensemble]
+        loop.attack(camouflage, models, world, settings, experiment.out)
+    print(f"{experiment}: {100 * judges.judge(camouflage).hidden:.1f} %")
+
+
+def _start(experiment: Experiment, world: AttackWorld) -> Camouflage:
+    name = CamouflageName.parse(experiment.name)
+    seed = int(name.repeat or 0)
+    palette = ground_palette(world.backgrounds) if name.takes_palette else None
+    generator = generator_of(seed, "texture", str(name))
+    if experiment.masked_from:
+        MaskedLater.share = experiment.masked_from
+        return MaskedLater(name, generator=generator, palette=palette)
+    camouflage = make_camouflage(name, generator=generator, palette=palette)
+    if experiment.start_block_texels:
+        assert isinstance(camouflage, UniversalTexture)
+        blocks = TEXTURE_SIZE // experiment.start_block_texels
+        drawn = torch.rand(3, blocks, blocks, generator=generator_of(seed, "coarse")).round()
+        side = camouflage.cells.shape[-1] // blocks
+        with torch.no_grad():
+            camouflage.cells.copy_(
+                drawn.repeat_interleave(side, dim=1).repeat_interleave(side, dim=2)
+            )
+    return camouflage
+
+
+def _of_logarithms(
+    detectors: Sequence[TrainableDetector],
+    weights: Mapping[str, float],
+    images: Float[Tensor, "B 3 H W"],
+) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
+    """Weighs every detector up by what it has lost already."""
+    losses: dict[str, float] = {}
+    whole = torch.zeros_like(images)
+    for detector in detectors:
+        own, gradient = loss_and_gradient([detector], weights, images)
+        losses |= own
+        whole += gradient / (weights[detector.name] * own[detector.name] + FLOOR)
+    return losses, whole
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Experiment))
