@@ -68,6 +68,7 @@ class Experiment:
     Attributes:
         run_folder: its ground, vehicles and detectors are attacked.
         training: which training of the detectors.
+        detectors: names of those that are attacked together.
         name: of the camouflage; its repeat is the seed.
         out: folder of the attack.
         judge: folders of finished camouflages that are judged, where nothing is to be learnt.
@@ -81,6 +82,7 @@ class Experiment:
 
     run_folder: Path
     training: int = 0
+    detectors: tuple[str, ...] = ("retinanet", "faster_rcnn", "yolov5")
     name: str = "T-Ma-0"
     out: Path = Path("optima")
     judge: tuple[Path, ...] = ()
@@ -103,7 +105,7 @@ def main(experiment: Experiment) -> None:
         places="uniform",
     )
     teachers = layout.training(experiment.training) if experiment.training else layout
-    folders = [teachers.detector(name) for name in ("retinanet", "faster_rcnn", "yolov5")]
+    folders = [teachers.detector(name) for name in experiment.detectors]
     ensemble = load_ensemble(folders, "cpu", world.backgrounds.gsd_m)
     judges = HeldOut(ensemble, world, JUDGING_SEED)
     if experiment.judge:
