@@ -17,10 +17,10 @@ demo-cycles: $(VENV)/demo.ok $(BLENDER)/blender.ok
 
 blender: $(BLENDER)/blender.ok
 
-# A folder's tests stay in one process: what they share, such as a finished run, is made once. In the
-# order of the folders long ones come first, and no process waits for the other at the end.
+# A file's tests stay in one process: what they share, such as trained detectors, is made once. In
+# the order of their folders, long files come first, and no process waits for the other at the end.
 test: $(VENV)/test.ok
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/test.ok
 	$(BIN)/ruff check .
