@@ -112,12 +112,14 @@ def main(experiment: Experiment) -> None:
         for folder in experiment.judge:
             print(f"{folder}: {100 * judges.judge(load_camouflage(folder)).hidden:.1f} %")
         return
-    camouflage = _start(experiment, world)
+    name = CamouflageName.parse(experiment.name)
+    seed = int(name.repeat or 0)
+    camouflage = _start(name, seed, experiment, world)
     settings = AttackSettings(
         steps=experiment.steps,
         learning_rate=experiment.learning_rate,
         preview_every=experiment.steps,
-        seed=int(camouflage.name.repeat or 0),
+        seed=seed,
     )
     asked = _of_logarithms if experiment.logarithms else loss_and_gradient
     with mock.patch.object(loop, "loss_and_gradient", asked):
@@ -126,9 +128,9 @@ def main(experiment: Experiment) -> None:
     print(f"{experiment}: {100 * judges.judge(camouflage).hidden:.1f} %")
 
 
-def _start(experiment: Experiment, world: AttackWorld) -> Camouflage:
-    name = CamouflageName.parse(experiment.name)
-    seed = int(name.repeat or 0)
+def _start(
+    name: CamouflageName, seed: int, experiment: Experiment, world: AttackWorld
+) -> Camouflage:
     palette = ground_palette(world.backgrounds) if name.takes_palette else None
     generator = generator_of(seed, "texture", str(name))
     if experiment.masked_from:
