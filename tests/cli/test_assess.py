@@ -10,7 +10,7 @@ from skyproof.attacks.settings import QuerySettings
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.layout import Layout
 from skyproof.main import run
-from skyproof.plans import assess
+from skyproof.plans import assess, run_folder
 from skyproof.plans.answers import say_expected
 from skyproof.plans.enough import Enough
 from skyproof.plans.suite import Expected, read_suite
@@ -79,8 +79,11 @@ def test_from_a_detector_folder_to_a_report(assessed):
     assert "By its answers alone" in page
 
 
-def test_a_second_call_changes_nothing_and_says_the_answer(assessed, skyproof: Skyproof):
+def test_a_second_call_changes_nothing_and_says_the_answer(
+    assessed, skyproof: Skyproof, monkeypatch
+):
     before = bytes_of(assessed)
+    monkeypatch.setattr(run_folder, "_now", lambda: "another second")
     again = skyproof("assess", assessed / "mine", "--out", assessed / "run", "--device", "cpu")
     assert again.code == 0
     assert "the answer says nothing of your places" in again.out

@@ -60,6 +60,8 @@ class RunFolder:
     ) -> None:
         self.path = Path(path)
         self._layout = Layout(self.path)
+        self._plan = plan
+        self._had_ended = False
         self._config = json.loads(json.dumps(config, default=str))
         if not self.path.exists():
             return
@@ -87,13 +89,17 @@ class RunFolder:
             )
 
     def start(self, device: str) -> None:
-        """Notes what was asked, and on what machine.
+        """Notes what was asked, and on what machine, unless the run has ended already.
 
         Raises:
             RunFolderError: the folder cannot be written.
         """
         write_json(self._layout.config, self._config)
-        self._record_environment(device, self._config.get("seed"))
+        noted = "finished" in read_environment(self._layout.environment)
+        self._had_ended = noted and all(step.is_finished() for step in self._plan.steps)
+        # What nothing is left to do of was made by the version and until the time that it tells.
+        if not self._had_ended:
+            self._record_environment(device, self._config.get("seed"))
 
     def timed(self, step: Step, work: Callable[[], object]) -> None:
         """Does a step's work, and keeps the time it took."""
@@ -126,7 +132,9 @@ class RunFolder:
         write_json(self._layout.timings, rows)
 
     def finish(self) -> None:
-        """Notes when the run ended."""
+        """Notes when the run ended, once."""
+        if self._had_ended:
+            return
         path = self._layout.environment
         stored: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
         write_json(path, {**stored, "finished": _now()})
