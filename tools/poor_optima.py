@@ -1,4 +1,4 @@
-"""Experiments on free textures that end in poor optima: other starts, steps, masks and losses.
+"""Experiments on free textures that end in poor optima: other starts, steps, masks, objectives.
 
     python tools/poor_optima.py --run-folder runs/trainings --name T-Ma-0 --out optima/as_it_is
     python tools/poor_optima.py --run-folder runs/trainings --name T-Ma-0 --out optima/blocks \\
@@ -11,20 +11,18 @@ and seen by no step. `--judge` judges finished camouflages on them instead.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 from unittest import mock
 
 import torch
 import tyro
-from jaxtyping import Float
 from torch import Tensor
 
-import skyproof.attacks.attack as loop
+from skyproof.attacks import objective
+from skyproof.attacks.attack import attack
 from skyproof.attacks.held_out import HeldOut
-from skyproof.attacks.objective import loss_and_gradient
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
@@ -33,7 +31,6 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.loaded import load_ensemble
 from skyproof.layout import Layout
 from skyproof.randomness import generator_of
@@ -41,8 +38,6 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
 SIZE_PX = 96
 JUDGING_SEED = 99
-# Below this share of its loss without camouflage a detector is left alone, more or less.
-FLOOR = 0.03
 
 
 class MaskedLater(UniversalTexture):
@@ -77,7 +72,9 @@ class Experiment:
         start_block_texels: side of the blocks of full colours that a free texture begins with, in
             place of even noise.
         masked_from: share of the steps after which the mask holds.
-        logarithms: whether the sum of the losses' logarithms is minimised, and not their own.
+        logarithm_of: what the objective takes the logarithm of: every image's loss, as the presets
+            do, the mean over a detector's images, or nothing.
+        floor: is added to what the logarithm is taken of.
     """
 
     run_folder: Path
@@ -90,7 +87,8 @@ class Experiment:
     learning_rate: float = 0.05
     start_block_texels: int = 0
     masked_from: float = 0.0
-    logarithms: bool = False
+    logarithm_of: Literal["images", "means", "nothing"] = "images"
+    floor: float = 0.03
 
 
 def main(experiment: Experiment) -> None:
@@ -121,10 +119,16 @@ def main(experiment: Experiment) -> None:
         preview_every=experiment.steps,
         seed=seed,
     )
-    asked = _of_logarithms if experiment.logarithms else loss_and_gradient
-    with mock.patch.object(loop, "loss_and_gradient", asked):
+
+    def term(weight: float, losses: Tensor) -> Tensor:
+        if experiment.logarithm_of == "images":
+            return (weight * losses + experiment.floor).log().mean()
+        mean = weight * losses.mean()
+        return mean if experiment.logarithm_of == "nothing" else (mean + experiment.floor).log()
+
+    with mock.patch.object(objective, "_term", term):
         models = [each.detector for each in ensemble]
-        loop.attack(camouflage, models, world, settings, experiment.out)
+        attack(camouflage, models, world, settings, experiment.out)
     print(f"{experiment}: {100 * judges.judge(camouflage).hidden:.1f} %")
 
 
@@ -147,21 +151,6 @@ def _start(
                 drawn.repeat_interleave(side, dim=1).repeat_interleave(side, dim=2)
             )
     return camouflage
-
-
-def _of_logarithms(
-    detectors: Sequence[TrainableDetector],
-    weights: Mapping[str, float],
-    images: Float[Tensor, "B 3 H W"],
-) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
-    """Weighs every detector up by what it has lost already."""
-    losses: dict[str, float] = {}
-    whole = torch.zeros_like(images)
-    for detector in detectors:
-        own, gradient = loss_and_gradient([detector], weights, images)
-        losses |= own
-        whole += gradient / (weights[detector.name] * own[detector.name] + FLOOR)
-    return losses, whole
 
 
 if __name__ == "__main__":

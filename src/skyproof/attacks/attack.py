@@ -18,10 +18,11 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import (
+    Objective,
     balanced_weights,
     empty_truth_losses,
     frozen,
-    loss_and_gradient,
+    objective_and_gradient,
 )
 from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
@@ -63,7 +64,8 @@ def attack(
     many images; it needs larger batches, which `AttackSettings.of_search` gives it.
 
     Differences from the paper: losses are normalised per image and the weights computed, not
-    chosen; the optimiser, which the paper does not name, is Adam.
+    chosen; what falls is the sum of their logarithms (see `objective`), not of the losses
+    themselves; the optimiser, which the paper does not name, is Adam.
 
     Args:
         camouflage: on the device to work on; optimised in place.
@@ -148,11 +150,10 @@ def _take_steps(
     searched = camouflage.name.choice == "search"
     for step in loop:
         if searched:
-            losses, images = search_step(camouflage, detectors, weights, world, settings, step)
+            now, images = search_step(camouflage, detectors, weights, world, settings, step)
         else:
-            losses, images = _learn(camouflage, detectors, world, settings, loop)
-        total = sum(weights[name] * loss for name, loss in losses.items())
-        loop.report({"step": step, "loss": total, "losses": losses, "weights": weights})
+            now, images = _learn(camouflage, detectors, world, settings, loop)
+        loop.report({"step": step, "loss": now.loss, "losses": now.losses, "weights": weights})
         if step % settings.preview_every == 0 or step in (1, settings.steps):
             _write_preview(loop.folder / "previews" / f"{step:06d}.png", images.detach())
         if step in settings.keep_at:
@@ -199,23 +200,22 @@ def _learn(
     world: AttackWorld,
     settings: AttackSettings,
     loop: Loop,
-) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
-    """Takes the loop's step along the gradient; returns the losses before it, and their images."""
+) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
+    """Takes the loop's step along the gradient; returns the objective before it, and its images."""
     step = loop.step
     weights: dict[str, float] = loop.facts["weights"]
     camouflage.before_step_(step, settings.steps)
     scenes = world.step_scenes(settings.batch_size, settings.seed, step)
     images = world.frames(camouflage, scenes).image
-    losses, gradient = loss_and_gradient(detectors, weights, images)
-    total = sum(weights[name] * loss for name, loss in losses.items())
-    if not math.isfinite(total):
+    now, gradient = objective_and_gradient(detectors, weights, images)
+    if not math.isfinite(now.loss):
         raise NotFiniteError(
-            f"The loss of {camouflage.name} is {total} at step {step}; attack again in another "
+            f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in another "
             f"folder, with a lower --settings.learning-rate than {settings.learning_rate:g}."
         )
     descend(camouflage, cast(torch.optim.Adam, loop.parts["optimiser"]), images, gradient)
     cast(LambdaLR, loop.parts["schedule"]).step()
-    return losses, images
+    return now, images
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:

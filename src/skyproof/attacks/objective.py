@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -14,14 +15,32 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
 __all__ = [
+    "Objective",
     "balanced_weights",
     "empty_truth_losses",
     "frozen",
-    "loss_and_gradient",
+    "objective",
+    "objective_and_gradient",
     "target_scores",
 ]
 
 _NEAR_M = 1.0
+
+_FOOLED = 0.03
+"""A vehicle with so small a share of the loss without camouflage is hidden, more or less; an attack
+leaves it alone."""
+
+
+class Objective(NamedTuple):
+    """What an attack minimises, on some images.
+
+    Attributes:
+        loss: the objective; below zero where detectors are fooled.
+        losses: every detector's own mean loss against an empty truth, without its weight, by name.
+    """
+
+    loss: float
+    losses: dict[str, float]
 
 
 def empty_truth_losses(
@@ -35,32 +54,58 @@ def empty_truth_losses(
     return {detector.name: detector.loss(images, nothing) for detector in detectors}
 
 
-def loss_and_gradient(
+@torch.no_grad()
+def objective(
     detectors: Sequence[TrainableDetector],
     weights: Mapping[str, float],
     images: Float[Tensor, "B 3 H W"],
-) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
-    """Adds up the detectors' weighted losses, and says how the sum changes with the images.
+) -> Objective:
+    """Says how far detectors are from seeing nothing: the sum of their losses' logarithms.
 
-    Loss = sum over detectors of weight * mean over images of the detector's own loss against an
-    empty truth. One detector is asked at a time, so that only one network's activations are held.
+    Objective = sum over detectors of the mean over images of log(weight * loss + 0.03), where the
+    loss is the detector's own against an empty truth. A logarithm falls as much from 0.2 to 0.1 as
+    from 2 to 1, so the objective asks in how many images a detector is nearly fooled; the sum of
+    the losses themselves, which the paper takes, is ruled by the images in which it is surest.
+
+    Args:
+        detectors: frozen.
+        weights: of each detector's loss, by name; they make it 1 without camouflage.
+        images: sRGB in [0, 1].
+    """
+    by_detector = empty_truth_losses(detectors, images)
+    terms = [float(_term(weights[name], each)) for name, each in by_detector.items()]
+    return Objective(sum(terms), {name: float(each.mean()) for name, each in by_detector.items()})
+
+
+def objective_and_gradient(
+    detectors: Sequence[TrainableDetector],
+    weights: Mapping[str, float],
+    images: Float[Tensor, "B 3 H W"],
+) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
+    """Gives the objective, and says how it changes with the images.
+
+    One detector is asked at a time, so that only one network's activations are held.
 
     Args:
         detectors: frozen.
         weights: of each detector's loss, by name.
         images: sRGB in [0, 1]; what they were rendered from is left alone.
-
-    Returns:
-        Every detector's mean loss, without its weight; and the gradient of the sum.
     """
     leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
+    total = 0.0
     losses = {}
     for detector in detectors:
-        loss = empty_truth_losses([detector], leaf)[detector.name].mean()
-        (weights[detector.name] * loss).backward()
-        losses[detector.name] = float(loss.detach())
+        own = empty_truth_losses([detector], leaf)[detector.name]
+        term = _term(weights[detector.name], own)
+        term.backward()
+        total += float(term.detach())
+        losses[detector.name] = float(own.detach().mean())
     assert leaf.grad is not None
-    return losses, leaf.grad
+    return Objective(total, losses), leaf.grad
+
+
+def _term(weight: float, losses: Float[Tensor, " B"]) -> Float[Tensor, ""]:
+    return (weight * losses + _FOOLED).log().mean()
 
 
 def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:

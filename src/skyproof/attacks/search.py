@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.attacks.held_out import HeldOut
-from skyproof.attacks.objective import empty_truth_losses
+from skyproof.attacks.objective import Objective, objective
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
@@ -96,8 +96,8 @@ def search_step(
     world: AttackWorld,
     settings: AttackSettings,
     step: int,
-) -> tuple[dict[str, float], Float[Tensor, "B 3 H W"]]:
-    """Tries one random change, and keeps it if the attack's own loss is lower with it.
+) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
+    """Tries one random change, and keeps it if the attack's own objective is lower with it.
 
     Both are shown to the detectors on the same half of a batch, so that a search of as many steps
     as an attack has as many forward passes.
@@ -111,19 +111,17 @@ def search_step(
         step: decides scenes and change.
 
     Returns:
-        Every detector's mean loss for the camouflage that is kept, and its images.
+        The objective with the camouflage that is kept, and its images.
     """
     scenes = world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
     other = copy.deepcopy(camouflage)
     other.vary_(torch.Generator().manual_seed((settings.seed * 1_000_033 + step) % 2**63))
-    totals, found = [], []
+    found = []
     for each in (camouflage, other):
         images = world.frames(each, scenes).image
-        by_detector = empty_truth_losses(detectors, images)
-        losses = {name: float(loss.mean()) for name, loss in by_detector.items()}
-        totals.append(sum(weights[name] * loss for name, loss in losses.items()))
-        found.append((losses, images))
-    if totals[1] < totals[0]:
+        found.append((objective(detectors, weights, images), images))
+    before, after = found
+    if after[0].loss < before[0].loss:
         camouflage.load_state_dict(other.state_dict())
-        return found[1]
-    return found[0]
+        return after
+    return before

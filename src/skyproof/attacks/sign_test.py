@@ -15,7 +15,7 @@ from skyproof.attacks.objective import (
     balanced_weights,
     empty_truth_losses,
     frozen,
-    loss_and_gradient,
+    objective_and_gradient,
     target_scores,
 )
 from skyproof.attacks.settings import AttackSettings
@@ -88,7 +88,7 @@ def _before_and_after(
     with torch.no_grad():
         first = empty_truth_losses(detectors, frames.image)
     weights = balanced_weights({name: [float(loss.mean())] for name, loss in first.items()})
-    _, gradient = loss_and_gradient(detectors, weights, frames.image)
+    _, gradient = objective_and_gradient(detectors, weights, frames.image)
     descend(moved, make_optimiser(moved, settings), frames.image, gradient)
     with torch.no_grad():
         return frames, world.frames(moved, scenes)

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from skyproof import __version__
-from skyproof.attacks.objective import frozen, loss_and_gradient
+from skyproof.attacks.objective import frozen, objective_and_gradient
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.cli.bench_ground import BenchGround
@@ -115,7 +115,7 @@ def _attack_steps(
     weights = {model.name: 1.0 for model in models}
 
     def detectors_only(images: torch.Tensor) -> torch.Tensor:
-        return loss_and_gradient(models, weights, images)[1]
+        return objective_and_gradient(models, weights, images)[1]
 
     def step(camouflage: Camouflage) -> None:
         vehicles = camouflage(placed_vehicles(fleet, batch).to(device))
