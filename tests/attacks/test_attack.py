@@ -187,7 +187,7 @@ def test_a_killed_attack_goes_on_to_the_same_bits(tmp_path, world):
         attack(start(), [StandIn()], world, FEW, tmp_path / "killed")
 
 
-def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, world):
+def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, world, monkeypatch):
     def kill(row):
         if row["step"] == 3:
             raise KeyboardInterrupt
@@ -200,6 +200,11 @@ def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, wo
     # The same name with other weights is another detector.
     with pytest.raises(RunFolderError, match="other detectors"):
         attack(start(), [StandIn(seed=1)], world, FEW, tmp_path)
+    # An attack that an earlier version began, which minimised something else.
+    monkeypatch.setattr("skyproof.attacks.attack.OBJECTIVE", "the losses")
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(start(), [StandIn()], world, FEW, tmp_path)
+    monkeypatch.undo()
     (tmp_path / "checkpoint.safetensors").write_bytes(b"damaged")
     with pytest.raises(StoredFileError, match=r"checkpoint\.safetensors"):
         attack(start(), [StandIn()], world, FEW, tmp_path)

@@ -18,6 +18,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import (
+    OBJECTIVE,
     Objective,
     balanced_weights,
     empty_truth_losses,
@@ -96,6 +97,7 @@ def attack(
         "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
+        "objective": OBJECTIVE,
     }
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)

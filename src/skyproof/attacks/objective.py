@@ -15,6 +15,7 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
 __all__ = [
+    "OBJECTIVE",
     "Objective",
     "balanced_weights",
     "empty_truth_losses",
@@ -29,6 +30,10 @@ _NEAR_M = 1.0
 _FOOLED = 0.03
 """A vehicle with so small a share of the loss without camouflage is hidden, more or less; an attack
 leaves it alone."""
+
+
+OBJECTIVE = f"sum over detectors, mean over images: log(weight * loss + {_FOOLED:g})"
+"""What is minimised, as it is recorded with a camouflage."""
 
 
 class Objective(NamedTuple):
