@@ -119,6 +119,8 @@ def main(experiment: Experiment) -> None:
         preview_every=experiment.steps,
         seed=seed,
     )
+    if name.choice == "search":
+        settings = settings.of_search()
 
     def term(weight: float, losses: Tensor) -> Tensor:
         if experiment.logarithm_of == "images":
