@@ -1,9 +1,10 @@
-"""Shape annotations are checked at run time in tests.
+"""What holds in all tests: shape annotations are checked, and commands judge on few scenes.
 
 Each worker has one thread, because two workers share two cores.
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from jaxtyping import install_import_hook
@@ -19,6 +20,19 @@ SHAPED = [
 ]
 install_import_hook(SHAPED, "beartype.beartype")
 
+import pytest  # noqa: E402
 import torch  # noqa: E402
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_scenes_judge() -> Iterator[None]:
+    """Commands judge what they learn or choose on eight batches of the attack's own size.
+
+    Eight scenes each would take more than half of a tiny run's time. `HeldOut` itself, as
+    tests/attacks asks it, keeps its 64 scenes.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skyproof.attacks.held_out.BATCH_SIZE", 1)
+        yield
