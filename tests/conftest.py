@@ -23,16 +23,13 @@ install_import_hook(SHAPED, "beartype.beartype")
 import pytest  # noqa: E402
 import torch  # noqa: E402
 
+from tests.few_scenes import few_scenes_judge  # noqa: E402
+
 torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def few_scenes_judge() -> Iterator[None]:
-    """Commands judge what they learn or choose on eight batches of the attack's own size.
-
-    Eight scenes each would take more than half of a tiny run's time. `HeldOut` itself, as
-    tests/attacks asks it, keeps its 64 scenes.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skyproof.attacks.held_out.BATCH_SIZE", 1)
+def few_scenes() -> Iterator[None]:
+    """Commands judge what they learn or choose on few scenes."""
+    with few_scenes_judge():
         yield

@@ -28,6 +28,7 @@ from PIL import Image
 
 from skyproof.main import run
 from tests.barely_trained import everything_counts
+from tests.few_scenes import few_scenes_judge
 
 
 def plain(path: object) -> str:
@@ -91,6 +92,7 @@ def main() -> None:
             arm(how, fragment, nth)
             with (
                 everything_counts(),
+                few_scenes_judge(),
                 open(os.devnull, "w") as nowhere,
                 contextlib.redirect_stdout(nowhere),
             ):
