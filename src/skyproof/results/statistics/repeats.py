@@ -53,7 +53,7 @@ more is expected than of seeds."""
 
 TRAININGS = Kind("trainings", 0.1, 0.1)
 """Of the detectors, each with attacks of its own: with another training comes another seed, too.
-Measured since this was chosen were 0.002 to 0.11 for means over three detectors, and up to 0.18 for
+Measured since this was chosen were 0.002 to 0.11 for means over three detectors, and up to 0.19 for
 a single one (docs/results/trainings). Three simulated trainings of standard deviation 0.15, as of
 trainings and seeds by some 0.1 each, held the truth in 93 % of runs at worst, with 0.07 in 91 %. An
 attack and a control before the same training are paired, but need not fare alike, so that no less
