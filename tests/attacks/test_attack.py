@@ -282,6 +282,16 @@ def test_the_objective_weighs_images_up_in_which_a_detector_is_nearly_fooled():
     assert asked.losses == pytest.approx(found.losses)
 
 
+def test_a_detector_whose_loss_falls_below_zero_is_refused(tmp_path, world):
+    class Likelihood(StandIn):
+        def loss(self, images, targets):
+            return super().loss(images, targets) - 10
+
+    with pytest.raises(ConfigurationError, match=r"one is -.*never below"):
+        attack(start(), [Likelihood("one")], world, FEW, tmp_path)
+    assert not (tmp_path / "steps.jsonl").exists()
+
+
 def test_frozen_puts_detectors_into_evaluation_without_weight_gradients():
     detector = StandIn().train()
     with frozen([detector]):

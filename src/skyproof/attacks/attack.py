@@ -85,7 +85,7 @@ def attack(
         The camouflage, finished.
 
     Raises:
-        ConfigurationError: the camouflage has nothing to learn.
+        ConfigurationError: the camouflage has nothing to learn, or a detector's loss is below zero.
         NotFiniteError: a loss or the camouflage is no longer finite; the last checkpoint stays.
         RunFolderError: the folder holds an attack with other settings or detectors, somebody else
             works there, or the disk is full.
@@ -283,6 +283,12 @@ def _measure(
                 raise NotFiniteError(
                     f"The loss of the detector {name} is {means[name][-1]} on the attack's scenes; "
                     "train or import it again."
+                )
+            if float(losses.min()) < 0:
+                raise ConfigurationError(
+                    f"The loss of the detector {name} is {float(losses.min()):g} on one of the "
+                    "attack's images, and an attack takes its logarithm; give it a loss that is 0 "
+                    "where nothing is detected, and never below."
                 )
     return means
 
