@@ -20,6 +20,7 @@ from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
 from skyproof.main import run
+from skyproof.results.statistics.rates import overall_attack_success_rate
 
 
 @dataclass(frozen=True)
@@ -43,37 +44,38 @@ class Between:
 
 def main(between: Between) -> None:
     """Judges, and writes the table."""
-    layout = Layout(between.run_folder)
     worn = [
         _marked(between, name, training)
         for name in between.names
         for training in range(between.trainings)
     ]
+    easr = [_judged(between, judge, worn) for judge in range(between.trainings)]
     rows = []
-    for judge in range(between.trainings):
-        scores = between.out / f"by_training_{judge}"
-        own = layout.training(judge)
-        if not scores.exists():
-            call = ["score", "--out", scores, "--original", layout.dataset("test")]
-            call += ["--backgrounds", layout.backgrounds, "--fleet", layout.fleets / "test"]
-            call += ["--detectors", *(own.detector(name) for name in between.detectors)]
-            if run(list(map(str, [*call, "--camouflages", *worn]))) != 0:
-                raise SystemExit(2)
-        easr = _easr(scores)
-        for name in between.names:
-            for training in range(between.trainings):
-                rates = easr[_variant(name, training)]
+    for name in between.names:
+        for training in range(between.trainings):
+            for judge, rates_by_camouflage in enumerate(easr):
+                rates = rates_by_camouflage[_variant(name, training)]
                 row = {"attack": name.removesuffix("-0"), "learnt_on_training": training}
                 row |= {"judged_by_training": judge}
                 row |= {each: rates[each] for each in between.detectors}
                 rows.append({**row, "mean": rates[list(between.detectors)].mean()})
-    order = [name.removesuffix("-0") for name in between.names]
-    table = pd.DataFrame(rows).sort_values(
-        ["attack", "learnt_on_training", "judged_by_training"],
-        key=lambda column: column.map(order.index) if column.name == "attack" else column,
-    )
+    table = pd.DataFrame(rows)
     table.to_csv(between.out / "between.csv", index=False, float_format="%.4f")
     print(table.to_string(index=False, float_format="%.1f"))
+
+
+def _judged(between: Between, judge: int, worn: list[Path]) -> pd.DataFrame:
+    """EASR in percent of all camouflages before the detectors of one training."""
+    layout = Layout(between.run_folder)
+    own = layout.training(judge)
+    scores = between.out / f"by_training_{judge}"
+    if not scores.exists():
+        call = ["score", "--out", scores, "--original", layout.dataset("test")]
+        call += ["--backgrounds", layout.backgrounds, "--fleet", layout.fleets / "test"]
+        call += ["--detectors", *(own.detector(name) for name in between.detectors)]
+        if run(list(map(str, [*call, "--camouflages", *worn]))) != 0:
+            raise SystemExit(2)
+    return _easr(scores)
 
 
 def _variant(name: str, training: int) -> str:
@@ -98,11 +100,11 @@ def _easr(scores: Path) -> pd.DataFrame:
         columns=["camouflage", "detector", "detected_original", "detected_adversarial"],
         filters=[("match", "==", "centre_1m")],
     ).to_pandas()
-    found = rows.groupby(["detector", "camouflage"], observed=True)[
-        ["detected_original", "detected_adversarial"]
-    ].sum()
-    share = 1 - found.detected_adversarial / found.detected_original
-    return 100 * share.unstack("camouflage")
+    before, after = rows.detected_original, rows.detected_adversarial
+    pairs = {"both": before & after, "lost": before & ~after, "gained": ~before & after}
+    counts = rows.assign(**pairs).groupby(["detector", "camouflage"], observed=True)[[*pairs]].sum()
+    easr = pd.Series(100 * overall_attack_success_rate(counts.to_numpy()), counts.index)
+    return easr.unstack("camouflage")
 
 
 if __name__ == "__main__":

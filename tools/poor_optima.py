@@ -88,7 +88,7 @@ class Experiment:
     start_block_texels: int = 0
     masked_from: float = 0.0
     logarithm_of: Literal["images", "means", "nothing"] = "images"
-    floor: float = 0.03
+    floor: float = objective._FOOLED
 
 
 def main(experiment: Experiment) -> None:
