@@ -33,6 +33,7 @@ from skyproof.detectors.common import (
 )
 from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import Levels, anchor_levels, area_levels, pool_boxes
+from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import WIDTHS, SlimBackbone
 
@@ -368,7 +369,7 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
             rpn_fg_iou_thresh=0.6,
             # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is
             # enough.
-            box_roi_pool=ops.MultiScaleRoIAlign(["0", "1"], output_size=5, sampling_ratio=1),
+            box_roi_pool=CentreAlign((8.0, 16.0), output_size=5),
             box_head=TwoMLPHead(widths.pyramid * 5 * 5, widths.region),
             box_predictor=FastRCNNPredictor(widths.region, 2),
             **limits,
