@@ -508,6 +508,20 @@ def test_commands_on_cycles(tmp_path):
     assert "--renderer cycles --workers 1" in said
 
 
+def test_snakemake_looks_at_waiting_steps_when_one_ends_and_not_between(tmp_path):
+    config = tmp_path / "config.json"
+    config.write_text(TINY_FILE.read_text())
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--verbose"]
+    command += ["--directory", tmp_path, "--configfile", config, "--cores", "1"]
+    command += ["--config", "device=cpu", "--scheduler", "greedy"]
+    done = subprocess.run([*command, "fleets", "backgrounds"], capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    # Each takes some seconds, in which one of them waits.
+    assert said.count("Finished jobid") == 2
+    assert len(re.findall(r"^Ready jobs: [12]$", said, re.MULTILINE)) == 2
+
+
 def leave(folder, steps, age):
     """Leaves a step's outputs, as old as they would be."""
     for path in (folder / output for step in steps for output in step.outputs):
