@@ -22,6 +22,7 @@ __all__ = [
     "covering_windows",
     "detect_all",
     "detect_batch",
+    "detect_by_each",
     "device_of",
     "to_detector",
 ]
@@ -43,23 +44,28 @@ _WINDOW_BATCH_SIZE = 8
 
 
 def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
-    """Runs `detect` over all images, in batches of one size, on the detector's own device.
+    """Runs `detect` over all images, as `detect_by_each` does for several detectors."""
+    return detect_by_each([detector], dataset)[0]
 
-    Images are decoded batch by batch, the next batch while the detector looks at the present one.
-    An image of more than 1024 px a side is looked at in windows of 384 px that overlap by at least
-    96 px; each detection is kept by the window whose core holds its centre, and duplicates at the
-    seams are suppressed, so that neither memory nor the most detections a detector returns limit
-    what is found in a large image.
+
+def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
+    """Runs `detect` of every detector over all images, in batches of one size.
+
+    Each works on its own device. Images are decoded batch by batch, once for all detectors, the
+    next batch while they look at the present one. An image of more than 1024 px a side is looked at
+    in windows of 384 px that overlap by at least 96 px; each detection is kept by the window whose
+    core holds its centre, and duplicates at the seams are suppressed, so that neither memory nor
+    the most detections a detector returns limit what is found in a large image.
 
     Returns:
-        Per image its detections, sorted by falling score, boxes in the image's pixels.
+        Per detector and image its detections, sorted by falling score, boxes in the image's pixels.
 
     Raises:
         StoredFileError: an image file of a dataset folder is missing or damaged.
         ImageryError: an annotated frame cannot be read.
     """
     sizes = dataset.sizes_px
-    results: list[Detections] = []
+    results: list[list[Detections]] = [[] for _ in detectors]
 
     def decode(batch: Sequence[int]) -> list[Tensor]:
         # Of large images only the windows are decoded, when it is their turn.
@@ -67,10 +73,12 @@ def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
 
     batches = list(_batches(sizes))
     for batch, images in zip(batches, made_ahead(decode, batches), strict=True):
-        if images:
-            results += detect_batch(detector, torch.stack(images))
-        else:
-            results.append(_detect_in_windows(detector, dataset.pictures[batch[0]]))
+        shown = torch.stack(images) if images else None
+        for found, detector in zip(results, detectors, strict=True):
+            if shown is not None:
+                found += detect_batch(detector, shown)
+            else:
+                found.append(_detect_in_windows(detector, dataset.pictures[batch[0]]))
     return results
 
 

@@ -10,7 +10,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections, Detector
-from skyproof.detectors.inference import detect_all
+from skyproof.detectors.inference import detect_by_each
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -184,8 +184,7 @@ class _Scored:
         # All detectors see the clean set first: one that finds nothing there ends the scoring
         # before the long part.
         unharmed: dict[str, _Seen] = {}
-        for judge in self.judges:
-            seen = self._see(judge, before)
+        for judge, seen in zip(self.judges, self._see(before), strict=True):
             _write_detections(folder, pairs.places[0], judge, before, seen)
             # Each check draws alike, so that adding a set does not change another's interval.
             check = self._check_rendered(judge, before, seen)
@@ -199,8 +198,9 @@ class _Scored:
         for (camouflage, dataset), place in zip(
             pairs.camouflaged.items(), pairs.places[1:], strict=True
         ):
-            for number, judge in enumerate(self.judges):
-                seen = self._see(judge, dataset)
+            for number, (judge, seen) in enumerate(
+                zip(self.judges, self._see(dataset), strict=True)
+            ):
                 _write_detections(folder, place, judge, dataset, seen)
                 outcomes = _outcomes(camouflage, judge, before, unharmed[judge.name], seen)
                 scores = _set_scores(camouflage, judge, dataset, seen)
@@ -216,22 +216,24 @@ class _Scored:
 
     def check(self, clean: Sequence[CleanSet]) -> None:
         """Checks every detector on every set, and orders all checks by detector."""
-        for judge in self.judges:
-            for images in clean:
-                seen = self._see(judge, images.images)
+        for images in clean:
+            for judge, seen in zip(self.judges, self._see(images.images), strict=True):
                 self.checks.append(self._check(judge, images, seen))
         order = [judge.name for judge in self.judges]
         self.checks.sort(key=lambda check: order.index(check.detector))
 
-    def _see(self, judge: Judge, dataset: Dataset) -> _Seen:
-        found = detect_all(judge.detector, dataset)
-        matches: dict[str, MatchTable] = {
-            match: match_images(found, dataset, criterion=match) for match in MATCHES
-        }
-        self.done += 1
+    def _see(self, dataset: Dataset) -> list[_Seen]:
+        """What each detector finds in a dataset."""
+        seen = []
+        for found in detect_by_each([judge.detector for judge in self.judges], dataset):
+            matches: dict[str, MatchTable] = {
+                match: match_images(found, dataset, criterion=match) for match in MATCHES
+            }
+            seen.append(_Seen(found, matches))
+        self.done += len(seen)
         if self.progress:
             self.progress(self.done, self.runs)
-        return _Seen(found, matches)
+        return seen
 
     def _check(self, judge: Judge, clean: CleanSet, seen: _Seen) -> Check:
         generator = numpy_generator(self.seed)
