@@ -100,8 +100,8 @@ def of_textures(tables: Tables) -> Iterator[str]:
     three = [f"T-{name}" for name in falling if name != "U"]
     lie = ", ".join(f"of {name} {starts(rows[name])}" for name in three)
     yield (
-        f"**Starts end alike.** Three starts hide, in percent, {lie}; of T-U, five, {starts(rows['T-U'])} "
-        f"{cited('textures', ['T-U', *three])}."
+        f"**Starts end alike.** Three starts hide, in percent, {lie}; of T-U, five, "
+        f"{starts(rows['T-U'])} {cited('textures', ['T-U', *three])}."
     )
     masked = [number(rows[f"T-{name}"]["easr"]) for name in MASKED]
     yield (
