@@ -1,4 +1,6 @@
-"""What holds in all tests: shape annotations are checked, and commands judge on few scenes.
+"""What holds in all tests.
+
+Shape annotations are checked, commands judge on few scenes, and equal figures are drawn once.
 
 Each worker has one thread, because two workers share two cores.
 """
@@ -6,6 +8,7 @@ Each worker has one thread, because two workers share two cores.
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from jaxtyping import install_import_hook
 
@@ -23,6 +26,7 @@ install_import_hook(SHAPED, "beartype.beartype")
 import pytest  # noqa: E402
 import torch  # noqa: E402
 
+from tests.drawn_once import figures_are_drawn_once  # noqa: E402
 from tests.few_scenes import few_scenes_judge  # noqa: E402
 
 torch.set_num_threads(1)
@@ -33,3 +37,25 @@ def few_scenes() -> Iterator[None]:
     """Commands judge what they learn or choose on few scenes."""
     with few_scenes_judge():
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def drawn_once() -> Iterator[None]:
+    """A report whose numbers stay draws no figure again."""
+    with figures_are_drawn_once():
+        yield
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keeps a file's tests in one process, and all that share the world of tests/hostile."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler.loadfile import LoadFileScheduling
+
+    class Files(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            hostile = nodeid.startswith("tests/hostile/")
+            return "tests/hostile" if hostile else super()._split_scope(nodeid)
+
+    return Files(config, log)

@@ -28,7 +28,7 @@ SIZES = flags(
 STEPS = flags(
     "--training.steps 4 --training.batch-size 2 --training.validate-every 4 "
     "--training.checkpoint-every 2 --attack.steps 4 --attack.batch-size 2 "
-    "--attack.checkpoint-every 2"
+    "--attack.checkpoint-every 2 --attack.balance-batches 1"
 )
 # Controls that are chosen by the detectors and not learnt.
 CHOSEN = (
@@ -41,7 +41,8 @@ TINY = [*SIZES, *STEPS, "--train", "--detectors", "retinanet", "--device", "cpu"
 # The same of detectors that come trained; they take larger networks' time, but see well.
 UNTRAINED = flags(
     "--sizes.image-px 128 --sizes.tiles 1 1 2 3 --sizes.vehicles 1 1 2 3 --sizes.test-images 6 "
-    "--sizes.random-draws 1 --attack.steps 2 --attack.batch-size 2 --device cpu"
+    "--sizes.random-draws 1 --attack.steps 2 --attack.batch-size 2 --attack.balance-batches 1 "
+    "--device cpu"
 )
 
 

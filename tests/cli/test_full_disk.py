@@ -128,7 +128,7 @@ def test_really_full_disk(small_disk: Path, finished: Path, skyproof: Skyproof) 
     """
     filler, stops = small_disk / "filler", 0
     while True:
-        room = 2**20 * (1 + 3 * stops)
+        room = 2**20 * (1 + 6 * stops)
         free = shutil.disk_usage(small_disk).free + (
             filler.stat().st_size if filler.exists() else 0
         )

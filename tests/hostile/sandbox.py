@@ -22,6 +22,7 @@ from safetensors.numpy import load_file
 
 from skyproof.main import run
 from tests.hostile.values import finite
+from tests.hostile.world import one_texture
 
 MARK = b"the user's own and nobody else's 5b1c9"
 
@@ -219,7 +220,8 @@ def called(words: list[str], folder: Path) -> Answer:
             warnings.simplefilter("always")
             for silent in (DeprecationWarning, PendingDeprecationWarning, ResourceWarning):
                 warnings.simplefilter("ignore", silent)
-            code = run(words)
+            with one_texture():
+                code = run(words)
     finally:
         os.chdir(here)
     messages = [f"{warning.category.__name__}: {warning.message}" for warning in warned]

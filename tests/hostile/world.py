@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import rasterio
 from PIL import Image
@@ -24,7 +27,7 @@ from tests.barely_trained import everything_counts
 from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise
 
-__all__ = ["DEMO", "make_world"]
+__all__ = ["DEMO", "make_world", "one_texture"]
 
 _SIZES = "image-px 96,tiles 1 1 1 1,vehicles 1 1 1 1,training-images 6,validation-images 2"
 _SIZES += ",test-images 2,training-vehicles 2,random-draws 1,check-scenes 0"
@@ -32,7 +35,7 @@ _STEPS = "steps 2,batch-size 1,checkpoint-every 2"
 DEMO = [
     *(f"--sizes.{size}" for size in _SIZES.split(",")),
     *(f"--training.{value}" for value in (*_STEPS.split(","), "validate-every 2")),
-    *(f"--attack.{value}" for value in _STEPS.split(",")),
+    *(f"--attack.{value}" for value in (*_STEPS.split(","), "balance-batches 1")),
     "--train --detectors retinanet --device cpu",
 ]
 DEMO = [word for option in DEMO for word in option.split(" ")]
@@ -49,10 +52,17 @@ DOTA_TEXT = (
 )
 
 
+@contextmanager
+def one_texture() -> Iterator[None]:
+    """Within it a demo has T-U alone: T-PixFcMa would be in no document of another form."""
+    with patch("skyproof.plans.demo.TEXTURES", ("T-U",)):
+        yield
+
+
 def make_world(folder: Path) -> None:
     """Writes everything below a folder that is not there yet."""
     command = ["demo", "--out", str(folder), *DEMO]
-    with everything_counts():
+    with everything_counts(), one_texture():
         assert run(command) == 0
     _write_check(folder / "detectors/retinanet")
     imagery = folder / "imagery"

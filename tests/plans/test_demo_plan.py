@@ -51,6 +51,8 @@ def test_controls_are_chosen_where_there_are_any():
     assert searched.settings == next(
         command.settings for command in commands(demo, Attack) if command.names == ("T-PixFcMa",)
     )
+    best = [c.draws for c in commands(demo, Attack) if c.names[0].endswith("_best")]
+    assert best == [32, 32]
     (score,) = commands(demo, Score)
     scored = [folder.name for folder in score.camouflages]
     assert scored[:8] == ["T-U", "T-PixFcMa", *CHOSEN]

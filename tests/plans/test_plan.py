@@ -483,12 +483,23 @@ def dry_run(folder, preset, *more):
     return counts, said
 
 
-@pytest.mark.parametrize("cycles", [False, True])
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    ("preset", "cycles"), [*((name, True) for name in PRESETS), ("quick", False)]
+)
 def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
     counted, _ = dry_run(tmp_path, PRESETS[preset], *(["--config", "cycles=1"] if cycles else []))
     plan = plan_of_config({**read(preset), "cycles": int(cycles)})
     assert counted == {**plan.counts, "all": 1, "total": len(plan.steps) + 1}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
+    plain, more = (plan_of_config({**read(preset), "cycles": cycles}) for cycles in (0, 1))
+    added = {step.id: step for step in more.steps}
+    assert len(added) > len(plain.steps)
+    for step in plain.steps:
+        if step.kind != "report":
+            assert added[step.id] == step
 
 
 def test_commands_on_cycles(tmp_path):
