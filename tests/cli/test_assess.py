@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from skyproof.attacks.settings import QuerySettings
@@ -12,8 +13,10 @@ from skyproof.layout import Layout
 from skyproof.main import run
 from skyproof.plans import assess, run_folder
 from skyproof.plans.answers import say_expected
-from skyproof.plans.enough import Enough
+from skyproof.plans.enough import Enough, _tiles_for
 from skyproof.plans.suite import Expected, read_suite
+from skyproof.results.statistics.acceptance import fewest_tiles
+from skyproof.scenes.scene import read_scenes
 from tests.cli.conftest import Skyproof, bytes_of
 
 WHOLE = read_suite()
@@ -95,7 +98,34 @@ def test_a_second_call_changes_nothing_and_says_the_answer(
 def test_another_detector_or_seed_is_refused(assessed, skyproof: Skyproof):
     call = ("assess", assessed / "mine", "--out", assessed / "run")
     skyproof(*call, "--seed", 1).refused("(seed)", "another --out")
-    skyproof(*call, "--accept", 0.1, "--reject", 0.2).refused("requirement", "another --out")
+    card = assessed / "mine/detector.json"
+    whole = card.read_bytes()
+    card.write_bytes(whole + b"\n")
+    try:
+        skyproof(*call).refused("other content of", str(assessed / "mine"), "put back what they")
+    finally:
+        card.write_bytes(whole)
+
+
+def test_a_finished_run_is_asked_for_a_verdict(assessed, tmp_path, skyproof: Skyproof):
+    folder = tmp_path / "run"
+    shutil.copytree(assessed / "run", folder)
+    before = bytes_of(folder)
+    call = ("assess", assessed / "mine", "--out", folder, "--device", "cpu")
+    for reject in (0.9, 0.95):
+        risks = ("--producer-risk", 0.3, "--consumer-risk", 0.3)
+        answer = skyproof(*call, "--accept", 0.5, "--reject", reject, *risks)
+        assert answer.code == 0
+        verdict = json.loads((folder / "verdict.json").read_text())
+        assert verdict["requirement"]["reject"] == reject
+        assert verdict["suite"]["version"] == WHOLE.version
+        assert " ".join(verdict["detectors"][0]["sentences"]) in answer.out
+        assert "no verdict is possible on fewer than" in answer.out or reject == 0.95
+    renewed = {"config.json", "environment.json", "timings.json", "report.html", "results.json"}
+    added = {"verdict.json", "enough.json"}
+    after = bytes_of(folder)
+    assert {name for name in after if before.get(name) != after[name]} <= renewed | added
+    assert added <= after.keys()
 
 
 @pytest.mark.parametrize(
@@ -126,6 +156,19 @@ def test_detectors_that_are_not_there_or_say_no_classes(tmp_path, skyproof: Skyp
     file.touch()
     skyproof("assess", file, "--out", out).refused("best.pt is a checkpoint", "--vehicle-classes")
     assert not out.exists()
+    for name in ("my town", "mean"):
+        call = ("assess", file, "--vehicle-classes", "car", "--out", tmp_path / name)
+        skyproof(*call).refused(f"'{name}' is no name for a detector", "choose another --out")
+        assert not (tmp_path / name).exists()
+
+
+def test_what_no_imagery_could_show_is_refused_at_once(assessed, tmp_path, skyproof: Skyproof):
+    out = tmp_path / "run"
+    call = ("assess", assessed / "mine", "--out", out, "--device", "cpu")
+    skyproof(*call, "--accept", 0.2, "--reject", 0.3).refused(
+        "takes 12 test tiles", "the suite has 6 scenes", "larger risk"
+    )
+    assert not out.exists()
 
 
 def test_too_little_ground_for_the_risks_stops_before_anything_is_learnt(
@@ -133,13 +176,25 @@ def test_too_little_ground_for_the_risks_stops_before_anything_is_learnt(
 ):
     out = tmp_path / "run"
     call = ("assess", assessed / "mine", "--out", out, "--device", "cpu")
-    skyproof(*call, "--accept", 0.2, "--reject", 0.3).refused(
-        "has 4 test tiles", "times as much imagery"
+    # Six scenes stand on four tiles at most.
+    reject = next(each / 100 for each in range(99, 0, -1) if fewest_tiles(each / 100, 0.05) == 5)
+    skyproof(*call, "--accept", 0.01, "--reject", reject).refused(
+        "The 6 scenes of", "on fewer than 5 no detector can be accepted", "give imagery with about"
     )
-    assert not Layout(out).fleets.exists()
-    ground = Enough(Layout(out).backgrounds, 0.9, 0.3, tmp_path / "enough.json")
+    assert not Layout(out).camouflages.exists()
+    scenes = read_scenes(Layout(out).scenes("test"))
+    ground = Enough(Layout(out).scenes("test"), 0.9, 0.3, tmp_path / "enough.json")
     ground.run()
-    assert json.loads((tmp_path / "enough.json").read_text())["test_tiles"] == 4
+    told = json.loads((tmp_path / "enough.json").read_text())["test_tiles"]
+    assert told == len({scene.background.tile for scene in scenes})
+
+
+@pytest.mark.parametrize("tiles", [40, 75, 110])
+def test_so_many_tiles_as_it_says_are_seen_by_the_scenes(tiles):
+    enough = _tiles_for(tiles, 120)
+    generator = np.random.default_rng(1)
+    seen = [len(np.unique(generator.integers(enough, size=120))) for _ in range(400)]
+    assert tiles - 0.5 < np.mean(seen) < tiles + 1.5
 
 
 @pytest.mark.parametrize(("low", "weaker"), [(-1.0, False), (1.01, True)])

@@ -15,7 +15,13 @@ from safetensors.torch import load_file, save_file
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector, load_detector, load_ensemble, save_detector
+from skyproof.detectors.loaded import (
+    LoadedDetector,
+    copy_detector,
+    load_detector,
+    load_ensemble,
+    save_detector,
+)
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
 
@@ -174,3 +180,22 @@ def test_a_loaded_detector_is_no_pair() -> None:
     assert (black_box.name, black_box.threshold, black_box.card.gsd_m) == ("mine", 0.5, 0.2)
     with pytest.raises(TypeError):
         _, _ = black_box
+
+
+def test_a_copy_has_what_belongs_to_a_detector_and_nothing_from_elsewhere(
+    folder: Path, tmp_path: Path
+) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("nobody else's")
+    (folder / "notes.txt").symlink_to(secret)
+    (folder / "steps.jsonl").write_text("{}\n")
+    copy_detector(folder, tmp_path / "plain")
+    copied = {path.name for path in (tmp_path / "plain").iterdir()}
+    assert copied == {"weights.safetensors", "detector.json"}
+    assert load_detector(tmp_path / "plain").card == CARD
+    copy_detector(folder, tmp_path / "logged", ["steps.jsonl", "check.json"])
+    assert (tmp_path / "logged" / "steps.jsonl").is_file()
+    (folder / "steps.jsonl").unlink()
+    (folder / "steps.jsonl").symlink_to(secret)
+    with pytest.raises(StoredFileError, match="leads out of its folder"):
+        copy_detector(folder, tmp_path / "stolen", ["steps.jsonl"])

@@ -241,6 +241,12 @@ def test_cleared_ground_is_drivable_where_vehicles_stood(tmp_path):
     assert drivable[40:54, 40:70].all(), "the plain ground that was filled in"
 
 
+def test_where_nobody_labelled_and_nothing_is_found_grey_ground_is_drivable(tmp_path):
+    result, _ = cleared(tiled(tmp_path / "tiled"), tmp_path, finder=finder())
+    assert result.tile("b").drivable == "drivable/b.png"
+    assert (result.directions("b") > 0).float().mean() > 0.5
+
+
 def test_bytes_beside_the_vehicles_stay(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="c")
     result, _ = cleared(folder, tmp_path, inpainting=lambda image, mask: torch.zeros_like(image))

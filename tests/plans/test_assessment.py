@@ -111,7 +111,7 @@ def test_without_imagery_ground_is_drawn(tmp_path):
 def test_a_requirement_counts_the_ground_first_and_reaches_the_report(tmp_path):
     asked = given(tmp_path, requirement=ASKED)
     steps = ids(asked)
-    assert steps.index("size/size") == steps.index("clear/clear") + 1
+    assert steps.index("size/size") == steps.index("scenes/test") + 1
     assert only(asked, Enough).reject == 0.3
     report = only(asked, Report)
     assert {key: getattr(report, key) for key in ASKED} == ASKED

@@ -11,6 +11,7 @@ from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.plans.demo import Demo, demo_plan
 from skyproof.plans.run_folder import RunFolder
+from skyproof.results.stored import read_environment
 
 
 def opened(demo: Demo) -> RunFolder:
@@ -33,6 +34,18 @@ def test_a_demo_takes_corrected_settings_of_what_is_not_begun(
         opened(replace(demo, seed=1))
     with pytest.raises(RunFolderError, match=r"other settings \(imagery\)"):
         opened(replace(demo, imagery=(Path("e.tif"),)))
+
+
+def test_the_longest_command_line_is_kept_as_far_as_it_can_be_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    demo = Demo(tmp_path / "run")
+    photographs = [f"photographs/{number:05}.tif" for number in range(2000)]
+    monkeypatch.setattr("sys.argv", ["skyproof", "assess", "mine", *photographs])
+    opened(demo).start("cpu")
+    (command,) = read_environment(Layout(demo.out).environment)["commands"]
+    assert command.startswith("skyproof assess mine photographs/00000.tif ")
+    assert command.endswith(" …")
 
 
 def test_a_time_without_a_name_belongs_to_no_step(tmp_path: Path) -> None:

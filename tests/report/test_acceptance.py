@@ -5,15 +5,20 @@ import shutil
 from pathlib import Path
 
 import pytest
+from markupsafe import Markup
 
 from skyproof.errors import ConfigurationError
+from skyproof.report.acceptance import Ruling, _attacks, _doubted
+from skyproof.report.queries import ByAnswers
 from skyproof.report.report import write_report
 from skyproof.results.pairs.tiles import TileCounts, read_tiles, write_tiles
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
 from tests.report.fabricate import fabricate
 from tests.report.test_gate import checked
+from tests.report.test_queries import missed
 from tests.report.test_report import words_of
+from tests.results.test_worst import scored
 
 LENIENT = Requirement(0.97, 0.995)
 STRICT = Requirement(0.2, 0.4)
@@ -58,6 +63,7 @@ def test_a_detector_that_loses_most_is_rejected(run_folder):
     assert f"RetinaNet is REJECTED: T-U, the only attack, hides {100 * share:.0f}" in page
     assert "one that loses 40 % rejected" in page
     assert verdict["requirement"]["reject"] == 0.4
+    assert verdict["alarms"] == []
     assert page.index("REJECTED") < page.index("Worth attacking?") < page.index("what decides")
 
 
@@ -92,6 +98,40 @@ def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
     assert "RetinaNet: no verdict, because it failed the check: " in page
     assert "Faster R-CNN: no verdict, because nothing says whether it is worth attacking" in page
     assert all(not each["attacks"] for each in verdict["detectors"])
+
+
+def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
+    found = {"R-U-0": set(), "T-U": set(), "T-U_transfer": set()}
+    # What answers find is as good an attack as any, and misleading gradients leave others open.
+    hides = missed({**found, "T-U_asked": set(range(4))})
+    results = scored(tmp_path, hides)
+    attacks = _attacks(results.tiles, results.judges[0])
+    assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked"}
+    requirement = Requirement(0.5, 0.9999)
+    ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})
+    doubted = _doubted(ruling, requirement)
+    assert (doubted.answer, doubted.more_vehicles) == ("undecided", None)
+    assert "but its gradients mislead attacks" in doubted.sentences[0]
+    assert doubted.sentences[1:] == ["T-U hides 0 %."]
+    rejected = Ruling("mine", "rejected", ["mine is REJECTED: so."], 0, {})
+    assert _doubted(rejected, requirement) is rejected
+
+
+def test_the_verdict_holds_the_alarms(run_folder, monkeypatch):
+    def keep(key, counts):
+        counts[:, 1] += counts[:, 2]
+        counts[:, 2] = 0
+        return counts
+
+    change_tiles(run_folder, keep)
+    alarm = "T-U hides 0 % where it follows the detector’s gradients, and 80 % by its answers."
+    found = ByAnswers([], Markup(""), only=False, alarms=[alarm], told="Masking alarm.")
+    monkeypatch.setattr("skyproof.report.report.by_answers", lambda _: found)
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["undecided", "undecided"]
+    assert verdict["alarms"] == [alarm]
+    assert "ACCEPTED" not in page
+    assert "RetinaNet is UNDECIDED: every attack hides surely less than 40 %, but its" in page
 
 
 def test_what_was_asked_once_is_asked_again(run_folder):

@@ -37,6 +37,28 @@ def run_folder(fabricated, tmp_path):
     return Path(shutil.copytree(fabricated, tmp_path / "run"))
 
 
+def test_who_failed_the_check_is_no_witness_that_the_ground_is_clear(run_folder):
+    config = json.loads((run_folder / "config.json").read_text())
+    write_json(run_folder / "config.json", config | {"imagery": ["Selwyn 2012"]})
+    totals = {"labelled_removed": 7, "detected_removed": 0, "masked_share": 0.01}
+    clearing = {
+        "totals": totals,
+        "checked_by": {"name": "runs/town/detectors/retinanet (0123abcd)"},
+    }
+    (run_folder / "backgrounds").mkdir(exist_ok=True)
+    write_json(run_folder / "backgrounds/clearing.json", clearing)
+    checked(run_folder, "retinanet", {})
+    trusted = first_lines(write_report(run_folder).read_text())
+    assert "7 vehicles that stood in the photographs were removed" in trusted
+    assert "That none is left" not in trusted
+    (run_folder / "detectors/retinanet/check.json").unlink()
+    checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
+    doubted = first_lines(write_report(run_folder).read_text())
+    assert (
+        "That none is left RetinaNet told, which failed its check: look at backgrounds" in doubted
+    )
+
+
 def clean(name, recall, best_recall, *, real=False):
     sure = Interval(0.99, 0.97, 1.0)
     return Check(

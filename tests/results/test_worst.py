@@ -30,6 +30,12 @@ HIDES = {
 }
 
 
+MANY = {
+    **{name: {0} for name in ("T-Ma", "T-Fc", "T-PixFc", "T-PixFcMa", "R-U-0")},
+    "T-U": {0, 1, 2},
+}
+
+
 def outcome(tile, place, camouflage, after, match):
     before = place != 4
     return Outcome(
@@ -115,3 +121,20 @@ def test_it_stands_in_results_and_report(tmp_path):
     assert (row["hidden"], row["strongest"], row["attacks"]) == (0.75, "T-U", ["T-U", "T-Ma"])
     assert "at least one of the 2 attacks hides 75\u202f%" in page
     assert "the strongest alone, T-U, hides 50\u202f%" in page
+
+
+def test_of_many_the_strongest_is_shown_in_full_but_in_a_reproduction(tmp_path):
+    scored(tmp_path, {name: places | {4} for name, places in MANY.items()})
+    page = write_report(tmp_path).read_text()
+    assert "<h3>The strongest: T-U, renderer torch</h3>" in page
+    assert "<h2>What it looks like: T-U</h2>" in page
+    assert "<h2>Success by condition: T-U</h2>" in page
+    assert "<h2>What the others look like</h2>" in page
+    others = page[page.index("What the others look like") :]
+    assert "<h3>T-Ma: 25" in others
+    assert "<h3>T-U: " not in others
+    write_json(tmp_path / "config.json", {"preset": "quick"})
+    page = write_report(tmp_path).read_text()
+    assert "The strongest" not in page
+    assert "<h2>What they look like</h2>" in page
+    assert "<h3>T-U: 75" in page

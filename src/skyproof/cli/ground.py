@@ -158,7 +158,8 @@ def say_record(ground: Ground, record: TilingRecord) -> None:
         say(
             f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
             f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
-            "points; give more imagery, or make the tiles smaller (--tiling.size-px)."
+            "points; give more imagery, or make the tiles smaller (--tiling.size-px of skyproof "
+            "ground)."
         )
     if ground.tiling.like is not None:
         say(

@@ -33,13 +33,9 @@ class Reference:
     def run(self) -> None:
         """Copies the detectors, and prints what was found of them and where they lie."""
         from skyproof.cli.check_words import lines
+        from skyproof.detectors.loaded import copy_detector
         from skyproof.detectors.reference_detectors import reference_detector, reference_folder
-        from skyproof.files import (
-            drop_empty_folder,
-            finished_folder,
-            refuse_existing,
-            write_bytes,
-        )
+        from skyproof.files import drop_empty_folder, finished_folder, refuse_existing
         from skyproof.gate.record import RECORD_FILE, read_record
 
         names = tuple(dict.fromkeys(self.detectors))
@@ -56,9 +52,7 @@ class Reference:
             refuse_existing(self.out / name)
         for name, told in zip(names, found, strict=True):
             with finished_folder(self.out / name) as folder:
-                for file in reference_folder(name).iterdir():
-                    if self.check or file.name != RECORD_FILE:
-                        write_bytes(folder / file.name, file.read_bytes())
+                copy_detector(reference_folder(name), folder, [RECORD_FILE] if self.check else ())
             for line in told if self.check else ():
                 say(line)
             say(f"Detector: {(self.out / name).resolve()}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -12,9 +13,9 @@ from msgspec import Meta
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.doubts import find_doubts
 from skyproof.documents import read_document
-from skyproof.errors import StoredFileError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
-from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber
+from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, is_name
 
 __all__ = [
     "FOLDER_FORMAT",
@@ -22,6 +23,7 @@ __all__ = [
     "installed_version",
     "read_card",
     "read_card_and_digest",
+    "require_detector_name",
     "write_card",
 ]
 
@@ -30,6 +32,10 @@ _REMEDY = "copy the whole folder again, or train or import the detector again"
 
 _Side = Annotated[int, Meta(ge=0, le=16_384)]
 _Word = Annotated[str, Meta(max_length=100)]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+# What tables call the average of all detectors.
+_TAKEN = ("mean",)
 
 
 @dataclass(frozen=True)
@@ -131,3 +137,20 @@ def installed_version() -> str:
         return version("skyproof")
     except PackageNotFoundError:
         return "unknown"
+
+
+def require_detector_name(name: str, remedy: str) -> None:
+    """Refuses what tables and files cannot call a detector.
+
+    Args:
+        name: that it is to have.
+        remedy: what to do instead.
+
+    Raises:
+        ConfigurationError: it is no such name, or taken.
+    """
+    if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
+        raise ConfigurationError(
+            f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are, "
+            f"and {' and '.join(_TAKEN)} is taken; {remedy}."
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.blueprint import Blueprint
-from skyproof.detectors.card import DetectorCard, installed_version
+from skyproof.detectors.card import DetectorCard, installed_version, require_detector_name
 from skyproof.detectors.checkpoints import network_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.imported_torchvision import count_classes
@@ -24,7 +23,7 @@ from skyproof.detectors.stored_ultralytics import read_ultralytics
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
-from skyproof.ranges import GroundResolution, check_value, is_name
+from skyproof.ranges import GroundResolution, check_value
 
 __all__ = ["Checkpoint", "import_detector"]
 
@@ -33,9 +32,6 @@ _WITHOUT_EPS = {
     "retinanet_resnet50_fpn": detection.RetinaNet_ResNet50_FPN_Weights.COCO_V1,
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
 }
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-# What tables call the average of all detectors.
-_TAKEN = ("mean",)
 
 
 @dataclass(frozen=True)
@@ -89,11 +85,7 @@ def import_detector(
     folder = Path(folder)
     refuse_existing(folder)
     name = folder.resolve().name if name is None else name
-    if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
-        raise ConfigurationError(
-            f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are; "
-            "give --name."
-        )
+    require_detector_name(name, "give --name")
     check_validation(validation)
     gsd_m = validation.gsd_m if checkpoint.gsd_m is None else checkpoint.gsd_m
     check_value("--gsd", gsd_m, GroundResolution)
@@ -132,8 +124,8 @@ def import_detector(
     if not scores["f1"]:
         raise ConfigurationError(
             f"{checkpoint.path} finds none of the vehicles of the validation images, so no "
-            "threshold can be frozen; check --vehicle-classes, and give with --gsd the metres per "
-            "pixel that it was made for."
+            "threshold can be frozen; check --vehicle-classes, and say which metres per pixel it "
+            "was made for (--gsd; --detector-gsd of skyproof assess)."
         )
     width, height = validation.pictures[0].size_px
     card = DetectorCard(

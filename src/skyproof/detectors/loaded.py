@@ -17,11 +17,13 @@ from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.settings import SIZES
 from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import inside, write_bytes
 from skyproof.storage import read_tensors, write_tensors
 
 __all__ = [
     "Load",
     "LoadedDetector",
+    "copy_detector",
     "load_apart",
     "load_detector",
     "load_ensemble",
@@ -67,6 +69,24 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
     write_tensors(folder / "weights.safetensors", plain_state(detector))
     # The digest ties both files together: a weights file from elsewhere is noticed.
     write_card(folder / "detector.json", card, weights_digest(detector))
+
+
+def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
+    """Copies what belongs to a detector, and nothing else that lies in its folder; the card last.
+
+    Args:
+        folder: the detector's.
+        out: folder to fill; a `finished_folder`, so that it comes whole or not at all.
+        also: further files, where they are there.
+
+    Raises:
+        StoredFileError: a file is a link that leads out of the folder.
+        RunFolderError: the disk is full or not writable.
+    """
+    for name in ("weights.safetensors", *also, "detector.json"):
+        file = inside(folder, name, folder)
+        if file.is_file():
+            write_bytes(out / name, file.read_bytes())
 
 
 def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:

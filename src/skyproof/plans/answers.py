@@ -15,7 +15,7 @@ from skyproof.layout import Layout
 from skyproof.plans.suite import Suite
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["Answer", "read_answers", "say_answers", "say_expected"]
+__all__ = ["Answer", "read_answers", "say_answers", "say_expected", "say_verdict"]
 
 
 class Answer(Struct, frozen=True):
@@ -40,6 +40,14 @@ class WorstAnswer(Struct, frozen=True):
     hidden: float
     hidden_low: float | None
     hidden_high: float | None
+
+
+class _Ruled(Struct, frozen=True):
+    sentences: list[str]
+
+
+class _Verdict(Struct, frozen=True):
+    detectors: list[_Ruled]
 
 
 class _Answers(Struct, frozen=True):
@@ -72,6 +80,13 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
             f"attacks hides {percent(worst.hidden)}{_where(worst.renderer)} (95 % interval "
             f"{interval(worst.hidden_low, worst.hidden_high)})"
         )
+
+
+def say_verdict(layout: Layout) -> None:
+    """Prints whether each detector is accepted, and why."""
+    verdict: _Verdict = read_document(layout.verdict, _Verdict, "report again")
+    for ruled in verdict.detectors:
+        say(" ".join(ruled.sentences))
 
 
 def say_expected(layout: Layout, suite: Suite) -> None:

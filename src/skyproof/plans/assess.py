@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -12,12 +13,15 @@ from msgspec import Meta
 from tyro.conf import Positional
 
 from skyproof.cli.console import say
+from skyproof.detectors.card import require_detector_name
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.layout import Layout
 from skyproof.plans.assessment import Given, assessment_plan
+from skyproof.plans.enough import refuse_what_scenes_cannot_show
 from skyproof.plans.plan import Plan
+from skyproof.plans.sources import SOURCES, source_digests
 from skyproof.plans.suite import read_suite, suite_digest
 from skyproof.plans.world import GSD_M
 from skyproof.ranges import Fraction, GroundResolution, Risk, Seed, check_ranges, is_name
@@ -109,7 +113,7 @@ class Assess:
             run = RunFolder(self.out, self._config(given), plan, partial(self._plan_of, box))
             run.start(str(device))
             say(f"skyproof assess {given.name} on {device}, run folder {self.out}")
-            for sentence in self._unsaid():
+            for sentence in self._unsaid(given):
                 say(f"  note: {sentence}")
             run_serially(plan, run)
             run.finish()
@@ -121,7 +125,10 @@ class Assess:
         Raises:
             ConfigurationError: options that contradict each other, or speak of what is not there.
         """
-        self._requirement()
+        if requirement := self._requirement():
+            refuse_what_scenes_cannot_show(
+                requirement["reject"], requirement["consumer_risk"], read_suite().test_images
+            )
         if self.blender is not None and not self.cycles:
             raise ConfigurationError(
                 "--blender says which Blender draws for --cycles; give --cycles too."
@@ -164,6 +171,14 @@ class Assess:
                 f"{self.detector} is a checkpoint file, whose classes may be anything; say with "
                 "--vehicle-classes which of them are vehicles."
             )
+        else:
+            remedy = "it is called like the run folder, so choose another --out"
+            require_detector_name(self._name_of_checkpoint, remedy)
+
+    @property
+    def _name_of_checkpoint(self) -> str:
+        # "best" and "last" are what trainers call their files.
+        return self.out.resolve().name
 
     def _requirement(self) -> dict[str, float]:
         from skyproof.results.statistics.acceptance import requirement_of
@@ -180,8 +195,7 @@ class Assess:
             card = read_card(self.detector)
             name, gsd_m = card.name, card.gsd_m
         else:
-            # "best" and "last" are what trainers call their files.
-            name, gsd_m = self.out.resolve().name, self.detector_gsd or GSD_M
+            name, gsd_m = self._name_of_checkpoint, self.detector_gsd or GSD_M
         return Given(
             name=name,
             detector=self.detector if box is None else None,
@@ -204,17 +218,19 @@ class Assess:
         left_out = ("device", "cycles", "blender")
         settings = {key: value for key, value in asdict(given).items() if key not in left_out}
         suite = read_suite()
+        sources = [given.detector, given.labels]
         return {
             "title": "How robust is this vehicle detector to camouflage?",
             **settings,
             "imagery": [str(path) for path in self.imagery] or "procedural",
             "detectors": [given.name],
             "suite": {"version": suite.version, "sha256": suite_digest()},
+            SOURCES: source_digests(path for path in sources if path is not None),
         }
 
     def _plan_of(self, box: Detector | None, config: dict[str, Any]) -> Plan:
         """The steps that a run folder's config stands for."""
-        told = ("title", "detectors", "suite")
+        told = ("title", "detectors", "suite", SOURCES)
         settings = {key: value for key, value in config.items() if key not in told}
         if settings.get("imagery") == "procedural":
             settings["imagery"] = []
@@ -223,24 +239,35 @@ class Assess:
         given: Given = check_document(settings, Given, place, "choose another --out")
         return assessment_plan(given, read_suite(), self.out, box)
 
-    def _unsaid(self) -> list[str]:
+    def _unsaid(self, given: Given) -> list[str]:
         """What this run cannot say."""
+        unsaid = []
         if not self.imagery:
-            return ["without --imagery, ground is drawn: the answer says nothing of your places"]
-        if self.labels is None:
-            return [
+            unsaid.append(
+                "without --imagery, ground is drawn: the answer says nothing of your places"
+            )
+        elif self.labels is None:
+            unsaid.append(
                 "without --labels, the threshold is not chosen on photographs, only what the "
                 "detector itself finds is cleared, and nothing tells how well it finds real "
                 "vehicles"
-            ]
-        return []
+            )
+        if not math.isclose(given.gsd_m, GSD_M):
+            unsaid.append(
+                f"the detector sees {given.gsd_m:g} m per pixel, and those that carry attacks by "
+                f"answers alone to it see {GSD_M}: whether its gradients mislead attacks is not "
+                "tried"
+            )
+        return unsaid
 
     def _say_answer(self) -> None:
-        from skyproof.plans.answers import say_answers, say_expected
+        from skyproof.plans.answers import say_answers, say_expected, say_verdict
 
         layout = Layout(self.out)
         suite = read_suite()
         say_answers(layout, suite.attacks)
+        if layout.verdict.exists():
+            say_verdict(layout)
         if not self.imagery and self.seed == 0:
             say_expected(layout, suite)
         say(f"Report: {layout.report.resolve()}")

@@ -15,7 +15,7 @@ from skyproof.cli.ground import Ground, tiling_for_images
 from skyproof.cli.import_detector import Import
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.score import Score
-from skyproof.files import finished_folder, write_bytes
+from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings
 from skyproof.layout import Layout
 from skyproof.plans.asking import Asked, Frozen
@@ -94,14 +94,11 @@ class _Copy:
 
     def run(self) -> None:
         """Copies it."""
-        from skyproof.detectors.loaded import load_detector
-        from skyproof.gate.record import RECORD_FILE
+        from skyproof.detectors.loaded import copy_detector, load_detector
 
         load_detector(self.detector)
         with finished_folder(self.out) as folder:
-            for file in sorted(self.detector.iterdir()):
-                if file.is_file() and file.name != RECORD_FILE:
-                    write_bytes(folder / file.name, file.read_bytes())
+            copy_detector(self.detector, folder, ["steps.jsonl"])
 
 
 def assessment_plan(given: Given, suite: Suite, folder: Path, box: Any = None) -> Plan:
@@ -121,27 +118,13 @@ def assessment_plan(given: Given, suite: Suite, folder: Path, box: Any = None) -
         layout, suite, given.name, box, given.seed, given.places, given.gsd_m, given.device
     )
     steps = [*_ground_and_detector(given, suite, layout, sizes, box)]
-    if given.requirement:
-        enough = layout.folder / "enough.json"
-        steps.append(
-            Step(
-                "size",
-                "size",
-                Enough(
-                    layout.backgrounds,
-                    given.requirement["reject"],
-                    given.requirement["consumer_risk"],
-                    enough,
-                ),
-                (layout.backgrounds,),
-                (enough,),
-            )
-        )
     steps += [
         vehicles_step(layout, sizes, given.seed),
         scene_step(layout, sizes, "test", given.seed),
-        render_step(layout, sizes, "test", device=given.device),
     ]
+    if given.requirement:
+        steps.append(_enough_step(layout, given.requirement))
+    steps.append(render_step(layout, sizes, "test", device=given.device))
     frames = (f"your imagery={layout.tiles / 'test'}@{given.gsd_m}",) if given.labels else ()
     classes = ("vehicle",)
     steps.append(
@@ -202,6 +185,14 @@ def assessment_plan(given: Given, suite: Suite, folder: Path, box: Any = None) -
     return Plan(steps if box is None else [_asking(step, box, own) for step in steps])
 
 
+def _enough_step(layout: Layout, requirement: Mapping[str, float]) -> Step:
+    """Whether the test scenes show enough ground to decide what is asked."""
+    scenes, enough = layout.scenes("test"), layout.folder / "enough.json"
+    command = Enough(scenes, requirement["reject"], requirement["consumer_risk"], enough)
+    # Another requirement may be asked of a run that has ended.
+    return Step("size", "size", command, (scenes, layout.config), (enough,), renewed=True)
+
+
 def _made(given: Given, suite: Suite, layout: Layout, by_answers: ByAnswers) -> list[Step]:
     """What is learnt, asked or chosen; whatever can be, on the detector itself."""
     attack_px = suite.attack_px(given.gsd_m)
@@ -254,6 +245,7 @@ def _ground_and_detector(
     if given.labels is None:
         steps += _without_labels(given, suite, layout, box)
     elif given.detector is not None and given.detector.is_dir():
+        needed = (given.detector, layout.tiles)
         frozen = Check(
             detectors=(given.detector,),
             freeze="labels",
@@ -262,9 +254,7 @@ def _ground_and_detector(
             out=detector,
             device=given.device,
         )
-        steps.append(
-            Step("threshold", given.name, frozen, (layout.tiles,), (card,), effort_s=_IMPORT_S)
-        )
+        steps.append(Step("threshold", given.name, frozen, needed, (card,), effort_s=_IMPORT_S))
     else:
         validation = layout.tiles / "validation"
         steps.append(_brought_step(given, validation, layout.tiles, detector, box))

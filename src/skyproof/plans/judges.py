@@ -14,7 +14,8 @@ from pathlib import Path
 from skyproof.detectors.card import DetectorCard, read_card_and_digest
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.files import finished_folder, is_leftover, write_bytes
+from skyproof.files import finished_folder, is_leftover
+from skyproof.gate.record import RECORD_FILE
 from skyproof.layout import Layout
 from skyproof.plans.preset import Preset
 from skyproof.plans.world import GSD_M
@@ -24,8 +25,6 @@ __all__ = ["Judge", "new_judges", "read_judges", "store_judges", "stored_judges"
 
 _TABLE = "judges"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
-_FILES = ("weights.safetensors", "check.json", "detector.json")
-"""What is copied of a detector folder, where it is there; the card comes last."""
 
 
 @dataclass(frozen=True)
@@ -171,14 +170,12 @@ def store_judges(layout: Layout, tables: Mapping[str, Sequence[Judge]]) -> None:
     Raises:
         RunFolderError: the disk cannot take them.
     """
+    from skyproof.detectors.loaded import copy_detector
+
     for table, judges in tables.items():
         with finished_folder(layout.judges / table) as folder:
             for judge in judges:
-                for name in _FILES:
-                    file = judge.folder / name
-                    if file.exists():
-                        place = Layout(folder).detector(judge.name) / name
-                        write_bytes(place, file.read_bytes())
+                copy_detector(judge.folder, Layout(folder).detector(judge.name), [RECORD_FILE])
 
 
 def _attacked(layout: Layout, preset: Preset, name: str) -> Judge | None:

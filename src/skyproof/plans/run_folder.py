@@ -27,11 +27,15 @@ from skyproof.files import is_leftover, write_json
 from skyproof.layout import Layout
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.progress import FinishedJob
+from skyproof.plans.sources import read_otherwise
 from skyproof.results.stored import read_environment, read_timings
 
 __all__ = ["RunFolder"]
 
 _REMEDY = "move it away and give the same command again"
+
+_LONGEST_COMMAND = 2000
+"""A shell may have put hundreds of photographs into it."""
 
 
 class RunFolder:
@@ -63,6 +67,7 @@ class RunFolder:
         self._plan = plan
         self._had_ended = False
         self._config = json.loads(json.dumps(config, default=str))
+        self._stored: dict[str, Any] | None = None
         if not self.path.exists():
             return
         if not self.path.is_dir():
@@ -76,9 +81,15 @@ class RunFolder:
                 )
             return
         stored: dict[str, Any] = read_document(place, dict[str, Any], "choose another --out")
+        self._stored = stored
         records = {place.name, self._layout.environment.name, self._layout.timings.name}
         if stored == self._config or entries <= records:
             return
+        if replaced := read_otherwise(stored, self._config, plan):
+            raise RunFolderError(
+                f"{self.path} holds a run whose finished steps read other content of "
+                f"{', '.join(replaced)[:300]}; choose another --out, or put back what they read."
+            )
         if not _same_where_finished(stored, plan, plan_of):
             names = {*stored, *self._config}
             changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
@@ -94,7 +105,8 @@ class RunFolder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        write_json(self._layout.config, self._config)
+        if self._stored != self._config:
+            write_json(self._layout.config, self._config)
         noted = "finished" in read_environment(self._layout.environment)
         self._had_ended = noted and all(step.is_finished() for step in self._plan.steps)
         # What nothing is left to do of was made by the version and until the time that it tells.
@@ -159,6 +171,8 @@ class RunFolder:
         path = self._layout.environment
         stored = read_environment(path)
         command = " ".join(["skyproof", *sys.argv[1:]])
+        if len(command) > _LONGEST_COMMAND:
+            command = f"{command[:_LONGEST_COMMAND]} …"
         commands = [*stored.get("commands", []), command]
         record = {
             "skyproof": __version__,
@@ -188,7 +202,8 @@ def _same_where_finished(
     except SkyproofError:
         # Settings that this version does not understand.
         return False
-    made = {step.id: step.command for step in before.steps if step.is_begun()}
+    # What is renewed is made again where anything changes.
+    made = {step.id: step.command for step in before.steps if step.is_begun() and not step.renewed}
     after = {step.id: step.command for step in plan.steps}
     return all(after.get(name) == command for name, command in made.items())
 

@@ -356,7 +356,12 @@ def report_step(
         "report",
         "report",
         Report(layout.folder, **requirement),
-        (*checks, *(folder for step in scores for folder in step.outputs)),
+        # Another requirement may be asked of a run that has ended.
+        (
+            *checks,
+            *(folder for step in scores for folder in step.outputs),
+            *([layout.config] if requirement else []),
+        ),
         (layout.results, layout.report),
         renewed=True,
         effort_s=2 * START_S,

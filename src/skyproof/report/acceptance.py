@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +14,7 @@ from markupsafe import Markup
 from msgspec import Struct
 
 import skyproof
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
@@ -86,11 +86,18 @@ def read_requirement(path: Path) -> Requirement | None:
     return read_document(path, _Asked, _REMEDY).requirement if path.exists() else None
 
 
-def rule(results: Results, requirement: Requirement) -> Acceptance:
+def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:
     """Decides on every detector of a run that passed its check.
 
-    Attacks are all camouflages of the run on all renderers, learnt ones and those that were chosen
-    as controls, every repeat for itself; not single random draws, and no copies of unfinished ones.
+    Attacks are all camouflages of the run on all renderers, learnt ones, those that were sought by
+    answers or carried over from other detectors, and those that were chosen as controls, every
+    repeat for itself; not single random draws, and no copies of unfinished ones. Where gradients
+    mislead attacks, no detector is accepted: what the others could have hidden nobody knows.
+
+    Args:
+        results: of the run.
+        requirement: what is asked.
+        alarms: a sentence for every attack that hides more by answers than by gradients.
 
     Raises:
         ConfigurationError: no camouflage of the run is such an attack.
@@ -119,19 +126,24 @@ def rule(results: Results, requirement: Requirement) -> Acceptance:
             )
             rulings.append(Ruling(name, "not applicable", [sentence], None, {}))
         else:
-            rulings.append(_ruling(name, decision, results, requirement))
+            ruling = _ruling(name, decision, results, requirement)
+            rulings.append(_doubted(ruling, requirement) if alarms else ruling)
     figure = _figure(results, requirement)
     return Acceptance(_asked(requirement), rulings, figure, _validity(results))
 
 
-def write_verdict(results: Results, requirement: Requirement, acceptance: Acceptance) -> None:
+def write_verdict(
+    results: Results, requirement: Requirement, acceptance: Acceptance, alarms: Sequence[str] = ()
+) -> None:
     """Writes `verdict.json`: the answers, and digests of everything that they hold for."""
     layout = Layout(results.folder)
     facts = results.detectors
     scenes = layout.scenes("test")
     document = {
         "skyproof": skyproof.__version__,
+        "suite": results.config.every.get("suite"),
         "requirement": asdict(requirement),
+        "alarms": list(alarms),
         "detectors": [
             {
                 "detector": ruling.detector,
@@ -168,8 +180,8 @@ def _attacks(tiles: TileCounts, detector: str) -> dict[str, tuple[np.ndarray, np
     for key, counts in tiles.series.items():
         camouflage = CamouflageName.read(key.camouflage)
         single_draw = camouflage.random and not camouflage.choice
-        unfinished = camouflage.variant not in ("", camouflage.choice)
-        if (key.detector, key.match) != (detector, MAIN_MATCH) or single_draw or unfinished:
+        finished = camouflage.variant in ("", camouflage.choice, ASKED, TRANSFER)
+        if (key.detector, key.match) != (detector, MAIN_MATCH) or single_draw or not finished:
             continue
         by_tile = np.zeros((len(names), 4), dtype=np.int64)
         np.add.at(by_tile, place, counts)
@@ -209,6 +221,20 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
         )
         said = [f"{shown} is UNDECIDED: {lost}.", enough]
     return Ruling(name, decision.answer, said, more, attacks)
+
+
+def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
+    """Takes back that a detector is accepted whose gradients mislead attacks."""
+    if ruling.answer != "accepted":
+        return ruling
+    _, *lost = ruling.sentences
+    sentences = [
+        f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides surely less than "
+        f"{percent(requirement.reject)}, but its gradients mislead attacks (“By its answers "
+        "alone”, below), so others could hide more than these.",
+        *lost,
+    ]
+    return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)
 
 
 def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:

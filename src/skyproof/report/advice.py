@@ -74,7 +74,11 @@ def advice(headline: Headline) -> list[str]:
 
 
 def limits(
-    results: Results, every: Sequence[Sequence[Headline]], *, several_trainings: bool = False
+    results: Results,
+    every: Sequence[Sequence[Headline]],
+    *,
+    several_trainings: bool = False,
+    asked: bool = False,
 ) -> list[str]:
     """Says what the numbers do not cover.
 
@@ -82,6 +86,7 @@ def limits(
         results: of the run.
         every: headlines by camouflage.
         several_trainings: whether the page has a section on other trainings of the detectors.
+        asked: whether attacks by answers were made beside those by gradients.
     """
     sentences = []
     if results.sources == ["procedural"]:
@@ -119,6 +124,11 @@ def limits(
                 f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst "
                 "case for them. Detectors that the pattern was not optimised against may lose "
                 "fewer vehicles; that is not measured here."
+            )
+        if attacked and not asked:
+            sentences.append(
+                "Attacks by answers alone were not made beside these, so nothing tells whether the "
+                "detectors’ gradients mislead attacks, as those of some defences do."
             )
         growing = _not_converged(results, every)
         if growing:

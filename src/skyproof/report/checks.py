@@ -11,6 +11,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from skyproof.documents import read_document
+from skyproof.gate.record import read_records
+from skyproof.gate.verdict import findings, verdict
 from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
 from skyproof.results.checks import Check
@@ -127,7 +129,7 @@ def standing(results: Results) -> Standing:
         heading = "Real ground, rendered vehicles."
         sentences = [
             "The ground is real imagery; every vehicle that is tested is computer-generated.",
-            _removed(Layout(results.folder).backgrounds / CLEARING_RECORD),
+            _removed(Layout(results.folder)),
             f"On real vehicles without camouflage the detectors score {scores}."
             if real
             else unchecked,
@@ -147,18 +149,24 @@ class _Removed(Struct, frozen=True):
     masked_share: Fraction
 
 
+class _Checker(Struct, frozen=True):
+    name: str
+
+
 class _Clearing(Struct, frozen=True):
     """Of what clearing a background set records, what is told here."""
 
     totals: _Removed
+    checked_by: _Checker | str = ""
 
 
-def _removed(path: Path) -> str:
+def _removed(layout: Layout) -> str:
     """Says what became of the vehicles that stood in the photographs.
 
     Raises:
         StoredFileError: the record is damaged.
     """
+    path = layout.backgrounds / CLEARING_RECORD
     if not path.is_file():
         return (
             "Vehicles that stand in the photographs are taught as ground in training tiles and "
@@ -167,9 +175,20 @@ def _removed(path: Path) -> str:
     record: _Clearing = read_document(path, _Clearing, "clear the ground again")
     totals = record.totals
     count = totals.labelled_removed + totals.detected_removed
-    return (
+    removed = (
         f"{count:,} vehicles that stood in the photographs were removed, and "
         f"{percent(totals.masked_share)} of the ground was filled for it."
+    )
+    if not isinstance(record.checked_by, _Checker):
+        return removed
+    # A finder is named by its folder, then by its weights in brackets.
+    checker = Path(record.checked_by.name.partition(" (")[0]).name
+    checked = read_records(layout.detectors)
+    if checker not in checked or verdict(findings(checked[checker])) != "failed":
+        return removed
+    return (
+        f"{removed} That none is left {detector_name(checker)} told, which failed its check: look "
+        f"at {path.parent.name}/sheets before you trust the ground."
     )
 
 

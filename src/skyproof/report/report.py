@@ -6,6 +6,7 @@ The paper's tables are written beside it where they apply.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,8 @@ __all__ = ["write_report"]
 _SEED = 20240
 _PAIRS_OF_SECOND = 3
 _FEW = 4
-"""Up to so many camouflages have a section of their own; beyond it they share one."""
+"""Up to so many camouflages have a section of their own; beyond it all but the strongest share
+one."""
 
 
 @dataclass(frozen=True)
@@ -150,11 +152,13 @@ class _Known(Struct, frozen=True):
 
 
 def _write(results: Results, layout: Layout, requirement: Requirement | None) -> Path:
-    acceptance = None if requirement is None else rule(results, requirement)
+    asked = by_answers(results)
+    alarms = [] if asked is None else asked.alarms
+    acceptance = None if requirement is None else rule(results, requirement, alarms)
     worst = [case for renderer in results.renderers for case in worst_cases(results, renderer)]
     results.write([case.json() for case in worst])
     if requirement is not None and acceptance is not None:
-        write_verdict(results, requirement, acceptance)
+        write_verdict(results, requirement, acceptance, alarms)
     paper = paper_part(results)
     by_camouflage: dict[str, list[Headline]] = {}
     for headline in results.headlines():
@@ -162,7 +166,10 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             by_camouflage.setdefault(str(headline.camouflage), []).append(headline)
     every = list(by_camouflage.values())
     few = len(every) <= _FEW
-    sections = [_section(results, *headlines[:2]) for headlines in every] if few else []
+    in_full = every if few else _strongest(results, every)
+    sections = [_section(results, *headlines[:2]) for headlines in in_full]
+    others = [headlines for headlines in every if headlines not in in_full]
+    exhibits = [] if few else _exhibits(results, others)
     page = (
         _environment()
         .get_template("report.html.j2")
@@ -170,7 +177,9 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             results=results,
             title=results.config.title or "Camouflage robustness of overhead vehicle detectors",
             sections=sections,
-            exhibits=[] if few else _exhibits(results, every),
+            exhibits=exhibits,
+            # One camouflage alone needs no name in every heading.
+            named=len(sections) > 1 or bool(exhibits),
             viewer=viewer,
             place_of_model=PLACE_OF_MODEL,
             overviews=[] if few else _overviews(results),
@@ -178,7 +187,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             first=every[0][0] if every else None,
             tested=_tested(results, every),
             acceptance=acceptance,
-            asked=by_answers(results),
+            asked=asked,
             gate=read_gate(results),
             standing=standing(results),
             checked=checked_sets(results),
@@ -188,7 +197,12 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             training=training_loss(results),
             advice=advice(every[0][0]) if every else [],
             hardening=hardening(results, every, _panels),
-            limits=limits(results, every, several_trainings=_several_trainings(paper)),
+            limits=limits(
+                results,
+                every,
+                several_trainings=_several_trainings(paper),
+                asked=asked is not None,
+            ),
             settings=list(_flat(results.config.every)),
         )
     )
@@ -265,6 +279,14 @@ def _second(results: Results, first: Headline, headline: Headline) -> _Second:
         pairs=[*chosen[:_PAIRS_OF_SECOND], *extremes],
         conditions=Markup(condition_figure(panels)) if panels else None,
     )
+
+
+def _strongest(results: Results, every: Sequence[list[Headline]]) -> Sequence[list[Headline]]:
+    """Gives the camouflage that hides most; none of a reproduction, which is read in its tables."""
+    known = [one for one in every if not math.isnan(one[0].row.easr.estimate)]
+    if not known or "preset" in results.config.every:
+        return []
+    return [max(known, key=lambda headlines: headlines[0].row.easr.estimate)]
 
 
 def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Exhibit]:

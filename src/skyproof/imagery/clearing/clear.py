@@ -173,7 +173,8 @@ def clear_backgrounds(
             rows.append(row)
             if row.left_out is None:
                 lit = replace(tile, light=lights[tile.id])
-                kept.append(_with_places(out, lit, found[tile.id], backgrounds))
+                own = found[tile.id]
+                kept.append(_with_places(out, lit, own, backgrounds, labelled=labels is not None))
             if sheet_row is not None:
                 sheet.add(sheet_row)
             if progress is not None:
@@ -183,7 +184,7 @@ def clear_backgrounds(
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
-            "larger --settings.largest-masked-share."
+            "larger --settings.largest-masked-share of skyproof clear."
         )
     kept = shaded_tiles(
         BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
@@ -261,14 +262,16 @@ def _find(
 
 
 def _with_places(
-    out: Path, tile: BackgroundTile, found: _Found, backgrounds: BackgroundSet
+    out: Path, tile: BackgroundTile, found: _Found, backgrounds: BackgroundSet, *, labelled: bool
 ) -> BackgroundTile:
     """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
     gsd_m = backgrounds.gsd_m
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
-    directions = drivable_directions(cleared, gsd_m, found.sure, cover)
+    # Of a tile that nobody labelled, no find tells nothing of where vehicles may stand.
+    stood = found.sure if labelled or len(found.sure) else None
+    directions = drivable_directions(cleared, gsd_m, stood, cover)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),
