@@ -101,6 +101,23 @@ def mean_loss(camouflage, detectors, world):
     }
 
 
+def test_what_is_given_and_not_learnt_makes_another_attack(tmp_path, world):
+    def fixed(level):
+        palette = torch.tensor([[0.2, 0.2, 0.2], [level, level, level]])
+        draw = torch.Generator().manual_seed(0)
+        return make_camouflage("T-Fc", generator=draw, palette=palette)
+
+    few = dataclasses.replace(FEW, steps=1)
+    attack(fixed(0.8), [StandIn()], world, few, tmp_path)
+    attack(fixed(0.8), [StandIn()], world, few, tmp_path)
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(fixed(0.4), [StandIn()], world, few, tmp_path)
+    fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(7))
+    elsewhere = dataclasses.replace(world, fleet=fleet)
+    with pytest.raises(RunFolderError, match="other settings"):
+        attack(fixed(0.8), [StandIn()], elsewhere, few, tmp_path)
+
+
 def test_an_attack_lowers_the_loss_of_every_detector_on_unseen_scenes(tmp_path, world):
     detectors = [StandIn("one", 0).eval(), StandIn("two", 1, scale=300.0).eval()]
     before = [weights_digest(detector) for detector in detectors]

@@ -39,6 +39,13 @@ def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
     assert held_out.scenes() == 64
 
 
+def test_of_scenes_in_which_a_detector_found_nothing_before_nothing_is_hidden(world):
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
+    # It finds the vehicles of later batches alone.
+    held_out.__dict__["_bare"] = {"brightness": torch.arange(64) >= 16}
+    assert held_out.judge(plain_paint((0, 0, 0), masked=False), 2).hidden == 0
+
+
 def test_a_batch_is_as_large_as_asked_for_and_not_that_of_the_steps(world):
     held_out = HeldOut([loaded(0.6)], world, FEW.seed, 3)
     assert held_out.scenes() == 24

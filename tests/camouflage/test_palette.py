@@ -61,6 +61,20 @@ def test_colours_that_look_alike_share_a_cluster():
     assert float((palette - torch.tensor([0.0, 0.0, 60 / 255])).abs().sum(1).min()) < 0.01
 
 
+def test_ground_of_many_tiles_is_seen_in_fewer_pixels_each(tmp_path, monkeypatch):
+    backgrounds = write_procedural_backgrounds(tmp_path / "ground", {"attack": 3}, 140, seed=0)
+    monkeypatch.setattr("skyproof.camouflage.palette._PIXELS", 100)
+    seen = []
+
+    def fit(pixels, colours, *, seed):
+        seen.append(len(pixels))
+        return fit_palette(pixels, colours, seed=seed)
+
+    monkeypatch.setattr("skyproof.camouflage.palette.fit_palette", fit)
+    assert ground_palette(backgrounds, 3, seed=1).shape == (3, 3)
+    assert seen == [3 * 34]
+
+
 def test_the_palette_of_the_ground_is_that_of_the_attack_split(tmp_path):
     splits = {"attack": 2, "test": 1}
     backgrounds = write_procedural_backgrounds(tmp_path / "ground", splits, 140, seed=0)

@@ -226,6 +226,10 @@ def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> No
     before = bytes_of(made)
     assert attack(names, "--draws", 3).code == 0
     assert bytes_of(made) == before
+    # A control of other draws, colours or detectors is no control of this attack.
+    attack(names, "--draws", 2).refused("R-PixFc_best holds a control that was made otherwise")
+    attack("R-Ma_plain", "--settings.seed", 1).refused("R-Ma_plain holds a control that was made")
+    assert bytes_of(made) == before
 
 
 @pytest.mark.usefixtures("every_candidate")

@@ -19,6 +19,11 @@ def test_sizes() -> None:
     assert TEMPLATE.uvs.shape == (31 * 33 + 64, 2)
 
 
+def test_a_device_has_one_copy_by_which_buffers_know_it() -> None:
+    assert TEMPLATE.to("meta").faces is TEMPLATE.to("meta").faces
+    assert TEMPLATE.to("cpu").faces is TEMPLATE.faces
+
+
 def test_every_edge_is_used_once_in_each_direction() -> None:
     edges = _edges(TEMPLATE.faces)
     assert set(edges.values()) == {1}

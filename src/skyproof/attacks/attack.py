@@ -29,15 +29,20 @@ from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
+from skyproof.camouflage.folder import (
+    describe_camouflage,
+    load_camouflage,
+    read_record,
+    save_camouflage,
+)
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
-from skyproof.detectors.weights import weights_digest
+from skyproof.detectors.weights import tensors_digest, weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, Part, refuse_other
 
-__all__ = ["attack", "descend", "make_optimiser"]
+__all__ = ["attack", "attack_weights", "descend", "make_optimiser"]
 
 _LITTLE = 0.02
 """An attack is done when twice the steps hide no larger a share more."""
@@ -87,8 +92,8 @@ def attack(
     Raises:
         ConfigurationError: the camouflage has nothing to learn, or a detector's loss is below zero.
         NotFiniteError: a loss or the camouflage is no longer finite; the last checkpoint stays.
-        RunFolderError: the folder holds an attack with other settings or detectors, somebody else
-            works there, or the disk is full.
+        RunFolderError: the folder holds an attack with other settings or detectors, from another
+            start or in another world, somebody else works there, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -98,6 +103,8 @@ def attack(
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
         "objective": OBJECTIVE,
+        "start": _start(camouflage),
+        "world_sha256": world.digest(),
     }
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)
@@ -130,6 +137,13 @@ def attack(
     return camouflage
 
 
+def _start(camouflage: Camouflage) -> dict[str, Any]:
+    """What an attack begins with and does not learn: fixed colours, a texture under a shape."""
+    learnt = {name for name, value in camouflage.named_parameters() if value.requires_grad}
+    kept = {name: part for name, part in camouflage.state_dict().items() if name not in learnt}
+    return {**describe_camouflage(camouflage), "kept_sha256": tensors_digest(kept)}
+
+
 def _finished(camouflage: Camouflage, folder: Path, identity: Mapping[str, Any]) -> Camouflage:
     refuse_other(folder, read_record(folder).get("attack"), identity, _OTHER)
     camouflage.load_state_dict(load_camouflage(folder).state_dict())
@@ -146,7 +160,7 @@ def _take_steps(
 ) -> dict[str, Any]:
     """Takes the steps that are left, and finalises the camouflage; returns what is recorded."""
     if "weights" not in loop.facts:
-        loop.facts["weights"] = balanced_weights(_measure(None, detectors, world, settings))
+        loop.facts["weights"] = attack_weights(detectors, world, settings)
     weights: dict[str, float] = loop.facts["weights"]
 
     searched = camouflage.name.choice == "search"
@@ -185,7 +199,7 @@ def _convergence(
     """Says what twice the steps added: the second half of them.
 
     The learning rate is still high half-way, where less is hidden than an attack of so many steps
-    would have hidden; so what is called converged, is.
+    would have hidden.
     """
     hidden = [loop.facts["hidden_half_way"], held_out.judge(camouflage).hidden]
     return {
@@ -218,6 +232,18 @@ def _learn(
     descend(camouflage, cast(torch.optim.Adam, loop.parts["optimiser"]), images, gradient)
     cast(LambdaLR, loop.parts["schedule"]).step()
     return now, images
+
+
+def attack_weights(
+    detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
+) -> dict[str, float]:
+    """Gives the weights of the losses: every detector's term is 1 without camouflage.
+
+    Raises:
+        ConfigurationError: a detector's loss is below zero.
+        NotFiniteError: a loss is not finite.
+    """
+    return balanced_weights(_measure(None, detectors, world, settings))
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:

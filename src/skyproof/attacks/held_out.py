@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.world import AttackWorld
@@ -16,6 +16,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
 
@@ -29,7 +30,8 @@ class Judged(NamedTuple):
     """How well a camouflage hides; of two of them the greater one hides more.
 
     Attributes:
-        hidden: EASR, mean over the detectors.
+        hidden: EASR, mean over the detectors, where found means a candidate at the threshold whose
+            centre lies within 1 m. Scores go by detections, which suppress neighbours first.
         silence: minus the mean over scenes and detectors of the best score on the target, which
             decides where as many are hidden.
     """
@@ -64,6 +66,17 @@ class HeldOut:
         self._seed = seed
         self._batch_size = batch_size
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Which detectors judge: by name the digest of their weights, if known, and threshold."""
+        return {
+            each.name: [
+                weights_digest(each.detector) if isinstance(each.detector, nn.Module) else "",
+                each.threshold,
+            ]
+            for each in self._detectors
+        }
+
     def scenes(self, batches: int = BATCHES) -> int:
         """Says how many scenes so many batches hold."""
         return batches * self._batch_size
@@ -78,9 +91,10 @@ class HeldOut:
         shown = self._scores(camouflage, batches)
         left = []
         for each in self._detectors:
+            before = int(self._bare[each.name][: self.scenes(batches)].sum())
+            after = int((shown[each.name] >= each.threshold).sum())
             # Of a few scenes only, a detector may have found none before: nothing is hidden there.
-            before = max(1, int(self._bare[each.name][: self.scenes(batches)].sum()))
-            left.append(int((shown[each.name] >= each.threshold).sum()) / before)
+            left.append(after / before if before else 1.0)
         silence = -float(torch.stack(list(shown.values())).mean())
         return Judged(1 - sum(left) / len(left), silence)
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
+from skyproof.detectors.matching import CENTRE_DISTANCE_M
 from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
@@ -24,8 +25,6 @@ __all__ = [
     "objective_and_gradient",
     "target_scores",
 ]
-
-_NEAR_M = 1.0
 
 _FOOLED = 0.03
 """A vehicle with so small a share of the loss without camouflage is hidden, more or less; an attack
@@ -135,7 +134,7 @@ def target_scores(
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
     candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
     distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
-    near = candidates.valid & (distance_m <= _NEAR_M)
+    near = candidates.valid & (distance_m <= CENTRE_DISTANCE_M)
     return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 

@@ -116,9 +116,10 @@ def query_attack(
 
     What is lowered is the mean over vehicles of the best score that the detector gives within 1 m
     of the vehicle (0 where it gives none). Candidates of one generation are shown in the same
-    scenes, those of the next in others. A stopped search goes on from its last checkpoint: what the
-    detector answered is stored, and never asked again. At the end start and result are shown the
-    same scenes that no candidate was tried on, and the better one stays; so a search is never a
+    scenes, those of the next in others. A stopped search goes on from its last generation: what the
+    detector answered is stored, and only the answers of the generation or of the last judgement
+    that it stopped in are asked for again, beyond the budget. At the end start and result are shown
+    the same scenes that no candidate was tried on, and the better one stays; so a search is never a
     step back. These images count, too.
 
     Args:

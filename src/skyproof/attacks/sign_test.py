@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from scipy import special
 from torch import Tensor
 
-from skyproof.attacks.attack import descend, make_optimiser
-from skyproof.attacks.objective import (
-    balanced_weights,
-    empty_truth_losses,
-    frozen,
-    objective_and_gradient,
-    target_scores,
-)
+from skyproof.attacks.attack import attack_weights, descend, make_optimiser
+from skyproof.attacks.objective import frozen, objective_and_gradient, target_scores
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import AttackWorld
 from skyproof.camouflage.camouflage import Camouflage
@@ -38,7 +32,7 @@ def sign_test(
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
     Every batch (those that no step of the attack sees) starts from the camouflage as given, which
-    is not changed. The losses are balanced as at the start of an attack.
+    is not changed. The losses are balanced as in an attack, on vehicles without camouflage.
 
     Args:
         camouflage: as at the start of its attack.
@@ -59,9 +53,12 @@ def sign_test(
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     gsd_m = world.backgrounds.gsd_m
     with frozen(detectors):
+        weights = attack_weights(detectors, world, settings)
         for batch in range(settings.balance_batches):
             scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
-            frames, stepped = _before_and_after(camouflage, detectors, world, settings, scenes)
+            frames, stepped = _before_and_after(
+                camouflage, detectors, weights, world, settings, scenes
+            )
             for detector in detectors:
                 before[detector.name].append(target_scores(detector, frames, gsd_m))
                 after[detector.name].append(target_scores(detector, stepped, gsd_m))
@@ -77,6 +74,7 @@ def sign_test(
 def _before_and_after(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
+    weights: Mapping[str, float],
     world: AttackWorld,
     settings: AttackSettings,
     scenes: list[Scene],
@@ -85,9 +83,6 @@ def _before_and_after(
     moved = copy.deepcopy(camouflage)
     moved.before_step_(1, settings.steps)
     frames = world.frames(moved, scenes)
-    with torch.no_grad():
-        first = empty_truth_losses(detectors, frames.image)
-    weights = balanced_weights({name: [float(loss.mean())] for name, loss in first.items()})
     _, gradient = objective_and_gradient(detectors, weights, frames.image)
     descend(moved, make_optimiser(moved, settings), frames.image, gradient)
     with torch.no_grad():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import torch
 
 from skyproof.camouflage.camouflage import Camouflage
@@ -79,6 +81,13 @@ class AttackWorld:
         )
         photographs = BackgroundSet.open(Path(backgrounds))
         return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
+
+    def digest(self) -> str:
+        """Computes the SHA-256 of the ground's tiles, as their index has them, and the vehicles'
+        sizes: what tells this world from another of the same settings.
+        """
+        told = [self.backgrounds.gsd_m, self.backgrounds.tiles("attack"), self.fleet.sizes_m]
+        return hashlib.sha256(msgspec.json.encode(told)).hexdigest()
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Draws random scenes on the attack backgrounds."""

@@ -23,7 +23,7 @@ from skyproof.files import write_beside, write_json
 from skyproof.ranges import Count, Name
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["load_camouflage", "read_record", "save_camouflage"]
+__all__ = ["describe_camouflage", "load_camouflage", "read_record", "save_camouflage"]
 
 _FORMAT = 2
 _REMEDY = "copy the whole folder again, or make the camouflage again"
@@ -51,7 +51,7 @@ def save_camouflage(
             _write_png(folder / "displacement.png", (part.map().detach() * 255).round().byte())
     write_json(
         folder / "camouflage.json",
-        {"format": _FORMAT, "camouflage": _describe(camouflage), "record": record or {}},
+        {"format": _FORMAT, "camouflage": describe_camouflage(camouflage), "record": record or {}},
     )
 
 
@@ -132,8 +132,8 @@ def _flat(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".")[:200]
 
 
-def _describe(camouflage: Camouflage) -> dict[str, Any]:
-    """What is needed to build it again, but for its tensors."""
+def describe_camouflage(camouflage: Camouflage) -> dict[str, Any]:
+    """Says what is needed to build a camouflage again, but for its tensors, as JSON values."""
     described: dict[str, Any] = {"kind": type(camouflage).__name__, "name": str(camouflage.name)}
     if isinstance(camouflage, UniversalTexture):
         colours = len(camouflage.palette) if camouflage.restricted else None
@@ -142,8 +142,8 @@ def _describe(camouflage: Camouflage) -> dict[str, Any]:
         return described | {"frozen_parts": camouflage.frozen_parts}
     if isinstance(camouflage, Combination):
         return described | {
-            "texture": _describe(camouflage.texture),
-            "shape": _describe(camouflage.shape),
+            "texture": describe_camouflage(camouflage.texture),
+            "shape": describe_camouflage(camouflage.shape),
             "turn_steps": camouflage.turn_steps,
         }
     return described

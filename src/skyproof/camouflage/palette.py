@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,8 @@ from skyproof.scenes.backgrounds import BackgroundSet
 __all__ = ["fit_palette", "ground_palette", "load_palette"]
 
 _PIXELS_PER_TILE = 4000
+_PIXELS = 400_000
+"""Of all tiles together, about: more change no colour, and country-wide ground has many tiles."""
 
 _Byte = Annotated[int, Meta(ge=0, le=255)]
 
@@ -91,7 +94,9 @@ def ground_palette(
         StoredFileError: a tile is missing or damaged.
     """
     generator = generator_of(seed, "palette")
-    pixels = backgrounds.sample_pixels("attack", _PIXELS_PER_TILE, generator=generator)
+    tiles = max(1, len(backgrounds.tiles("attack")))
+    per_tile = min(_PIXELS_PER_TILE, math.ceil(_PIXELS / tiles))
+    pixels = backgrounds.sample_pixels("attack", per_tile, generator=generator)
     return fit_palette(pixels, colours, seed=seed)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -152,12 +152,26 @@ class Attack:
         texture = self._finished_texture()
         for name in names:
             folder = self.out / str(name)
+            drawn = {"seed": seed, **self._decisive(name, palette, texture)}
             if (folder / "camouflage.json").exists():
+                _refuse_other(folder, "drawn", drawn)
                 continue
             control = draw_control(
                 name, seed=seed, palette=palette, texture=texture, settings=self.camouflage
             )
-            _store(folder, control, {"seed": seed})
+            _store(folder, control, {"seed": seed, "drawn": drawn})
+
+    def _decisive(
+        self, name: CamouflageName, palette: torch.Tensor | None, texture: Camouflage | None = None
+    ) -> dict[str, Any]:
+        """Gives what decides a control beside its name and seed, as JSON values."""
+        from skyproof.detectors.weights import weights_digest
+
+        return {
+            "camouflage": asdict(self.camouflage),
+            "palette": palette.tolist() if palette is not None and name.takes_palette else None,
+            "texture_sha256": None if texture is None else weights_digest(texture),
+        }
 
     def _finished_texture(self) -> Camouflage | None:
         from skyproof.camouflage.folder import load_camouflage
@@ -193,7 +207,7 @@ class Attack:
         held_out = HeldOut(ensemble, world, self.settings.seed, batch_size)
         for name in names:
             if name.choice in ("plain", "best"):
-                self._choose(name, held_out, palette, device)
+                self._choose(name, held_out, world, palette, device)
             else:
                 models = [each.detector for each in ensemble]
                 self._attack(name, models, world, held_out, palette, device)
@@ -202,6 +216,7 @@ class Attack:
         self,
         name: CamouflageName,
         held_out: HeldOut,
+        world: AttackWorld,
         palette: torch.Tensor | None,
         device: torch.device,
     ) -> None:
@@ -209,7 +224,16 @@ class Attack:
         from skyproof.camouflage.make import make_candidates
 
         folder = self.out / str(name)
+        by = {
+            "detectors": held_out.identity,
+            "scenes": asdict(world.scenes),
+            "world_sha256": world.digest(),
+            "seed": self.settings.seed,
+            "draws": self.draws if name.choice == "best" else None,
+            **self._decisive(name, palette),
+        }
         if (folder / "camouflage.json").exists():
+            _refuse_other(folder, "by", by)
             return
         candidates = [
             candidate.to(device)
@@ -238,7 +262,8 @@ class Attack:
                 },
                 "final_scenes": chosen.final_scenes,
                 "seed": self.settings.seed,
-            }
+            },
+            "by": by,
         }
         chosen.camouflage.name = name
         _store(folder, chosen.camouflage, record)
@@ -287,6 +312,17 @@ class Attack:
                 record=signs,
                 on_step=show,
             )
+
+
+def _refuse_other(folder: Path, key: str, wanted: dict[str, Any]) -> None:
+    """Keeps a control of other detectors, scenes or colours from passing for this one."""
+    from skyproof.camouflage.folder import read_record
+    from skyproof.loop import refuse_other
+
+    stored = read_record(folder).get(key)
+    # Controls of before do not say it.
+    if stored is not None:
+        refuse_other(folder, stored, wanted, "a control that was made otherwise")
 
 
 def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:

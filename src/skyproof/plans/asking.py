@@ -57,7 +57,7 @@ class Frozen:
     out: Path
 
     def run(self) -> None:
-        """Asks it about every image, and chooses the threshold of the best F1."""
+        """Asks it about every image, and chooses its threshold on them."""
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.inference import WINDOW_PX
         from skyproof.detectors.training import check_validation, validate

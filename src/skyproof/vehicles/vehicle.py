@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -54,8 +55,16 @@ class Template:
     vertex_uvs: Float[Tensor, "V 2"]
 
     def to(self, device: torch.device | str) -> Template:
-        """Returns the same template on another device."""
-        return Template(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+        """Returns the same template on another device, and the same copy every time.
+
+        Buffers of geometry and edges are known by the tensor of the faces.
+        """
+        return _template_on(self, torch.device(device))
+
+
+@lru_cache(maxsize=8)
+def _template_on(template: Template, device: torch.device) -> Template:
+    return Template(*(getattr(template, name).to(device) for name in Template.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
