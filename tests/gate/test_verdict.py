@@ -1,5 +1,7 @@
 """Limits and intervals to verdicts and sentences."""
 
+from dataclasses import replace
+
 import pytest
 
 from skyproof.gate.record import GateRecord, MeasuredOn, Rate
@@ -88,6 +90,10 @@ def test_the_worst_finding_is_the_surest_then_the_largest():
 
 def test_a_threshold_that_does_not_carry_over_is_named():
     good = check(recall=0.92, best_recall=0.96)
+    # What freezing prefers, the lowest threshold of nearly the best F1, gives precision for recall.
+    lower = replace(good, precision=Interval(0.90, 0.85, 0.94), recall=Interval(0.94, 0.9, 0.97))
+    assert replace(lower, best=BestF1(0.7, 0.98, 0.88)).carries_over
+    assert not replace(lower, best=BestF1(0.7, 0.98, 0.94)).carries_over
     bad = check(recall=0.47, best_recall=0.90, name="KIT", real=True)
     assert misfit_thresholds([good, bad]) == [
         "The frozen threshold of toy, 0.62, does not carry over to KIT: recall 47\u202f% at "

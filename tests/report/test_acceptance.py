@@ -103,10 +103,11 @@ def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
 def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     found = {"R-U-0": set(), "T-U": set(), "T-U_transfer": set()}
     # What answers find is as good an attack as any, and misleading gradients leave others open.
-    hides = missed({**found, "T-U_asked": set(range(4))})
+    kept = {"T-U_step10-0": set(), "T-U_asked1500": set(), "T-U_relaxed": set()}
+    hides = missed({**found, **kept, "T-U_asked": set(range(4)), "T-U_on_mine": {0}})
     results = scored(tmp_path, hides)
     attacks = _attacks(results.tiles, results.judges[0])
-    assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked"}
+    assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked", "T-U_on_mine"}
     requirement = Requirement(0.5, 0.9999)
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})
     doubted = _doubted(ruling, requirement)

@@ -10,6 +10,7 @@ from skyproof.files import write_json
 from skyproof.report.queries import by_answers
 from skyproof.report.report import write_report
 from skyproof.results.results import Results
+from skyproof.results.score_folder import ScoreRecord, write_record
 from skyproof.results.statistics.intervals import Interval
 from tests.results.test_worst import scored
 
@@ -87,6 +88,21 @@ def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Pa
     page = write_report(tmp_path).read_text()
     assert "Of this detector only answers are known" in page
     assert "learnt by<br>gradients" not in page
+
+
+def test_a_detector_that_was_only_checked_hides_no_alarm(tmp_path: Path) -> None:
+    hides = {"T-U": set(), "T-U_transfer": {0}, "T-U_asked": {0, 1, 2, 3}, "R-U-0": set()}
+    sought(tmp_path, "T-U_asked")
+    scored(tmp_path, missed(hides))
+    other = tmp_path / "scores" / "zoo"
+    write_record(other, ScoreRecord({"other": 0.5}))
+    write_json(other / "checks.json", {"rows": []})
+    results = Results.open(tmp_path)
+    assert (results.judges, results.checked) == (["retinanet"], ["retinanet", "other"])
+    found = by_answers(results)
+    assert found is not None
+    assert found.alarms
+    assert "Masking alarm" in write_report(tmp_path).read_text()
 
 
 def test_where_nothing_was_asked_nothing_is_said(tmp_path: Path) -> None:

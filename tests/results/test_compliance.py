@@ -6,7 +6,12 @@ from scipy import stats
 
 from skyproof.errors import ConfigurationError
 from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
-from skyproof.results.statistics.compliance import fixed_plan, sequential_plan, tiles_to_decide
+from skyproof.results.statistics.compliance import (
+    _chances,
+    fixed_plan,
+    sequential_plan,
+    tiles_to_decide,
+)
 from skyproof.results.statistics.planning import Assumptions
 
 
@@ -74,6 +79,19 @@ def test_the_exact_chances_are_those_of_tests_played_out():
     assert (trials > 0).all()
     assert accepted.mean() == pytest.approx(expected.accepted, abs=0.03)
     assert trials.mean() == pytest.approx(expected.trials, rel=0.05)
+
+
+def test_only_right_answers_count_and_tiles_without_a_found_vehicle_tell_nothing():
+    requirement = Requirement(0.1, 0.3, 0.2, 0.2)
+    assumptions = Assumptions(0.8, vehicles_per_tile=6.0, design_effect=1.5)
+    tiles = tiles_to_decide(requirement, assumptions)
+    good, bad = (_chances(requirement, assumptions, tiles, share) for share in (0.1, 0.3))
+    assert good[0] >= 0.9
+    assert bad[1] >= 0.9
+    few = Assumptions(0.8, vehicles_per_tile=1.0, found_before=0.5)
+    all_found = Assumptions(0.8, vehicles_per_tile=1.0, found_before=1.0)
+    more, fewer = (tiles_to_decide(requirement, one) for one in (few, all_found))
+    assert more == pytest.approx(2 * fewer, rel=0.2)
 
 
 def test_as_many_tiles_as_planned_decide():

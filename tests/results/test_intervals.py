@@ -109,6 +109,14 @@ def test_unanimous_tiles_still_have_an_interval(rng):
     assert interval.low == pytest.approx(stats.binomtest(20, 20).proportion_ci(0.95, "exact").low)
 
 
+def test_tiles_on_which_nothing_was_found_before_agree_with_nobody(rng):
+    counts = np.zeros((1, 38, 3), dtype=int)
+    counts[0, :4, 1] = [2, 1, 1, 1]
+    interval = cluster_interval(counts, easr, resample(38, generator=rng), limits=(-math.inf, 1.0))
+    assert interval.estimate == 1
+    assert interval.low == pytest.approx(stats.binomtest(4, 4).proportion_ci(0.95, "exact").low)
+
+
 def test_undefined(rng):
     nothing = cluster_interval(np.zeros((1, 5, 3), dtype=int), easr, resample(5, generator=rng))
     assert all(math.isnan(value) for value in (nothing.estimate, nothing.low, nothing.high))

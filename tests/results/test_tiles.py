@@ -174,6 +174,18 @@ def test_two_renderers_are_merged(make_folder):
     }
 
 
+def test_repeats_that_other_detectors_judged_are_refused(make_folder):
+    one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
+    two = make_folder("two", {"T-U-1": [[1, 1, 0], [0, 2, 0]]})
+    tiles = read_tiles(two / "tiles.parquet")
+    more = {key._replace(detector="retinanet"): counts for key, counts in tiles.series.items()}
+    write_tiles(two / "tiles.parquet", TileCounts(tiles.cells, {**tiles.series, **more}))
+    with pytest.raises(
+        ConfigurationError, match="T-U-0 judged by yolov5, and another repeat of it"
+    ):
+        merge_counts([one, two])
+
+
 def test_contradictions_are_refused(make_folder, tmp_path):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
     with pytest.raises(ConfigurationError, match="different results for T-U-0 as seen by yolov5"):

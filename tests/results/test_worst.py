@@ -138,3 +138,13 @@ def test_of_many_the_strongest_is_shown_in_full_but_in_a_reproduction(tmp_path):
     assert "The strongest" not in page
     assert "<h2>What they look like</h2>" in page
     assert "<h3>T-U: 75" in page
+
+
+def test_attacks_that_share_a_control_have_a_draw_of_it_each(tmp_path):
+    # Each draw hides a vehicle of its own: two tries hide two of four, one alone would hide one.
+    drawn = {f"R-C-Fc@0.2-{draw}": {draw % 4, 4} for draw in range(5)}
+    hides = {"C-Fc-seq@0.2": {0, 4}, "C-Fc-par@0.2": {1, 4}, **drawn}
+    (case,) = worst_cases(scored(tmp_path, hides))
+    assert case.random == pytest.approx(0.5)
+    assert case.net is not None
+    assert case.net.estimate == pytest.approx(0.0)

@@ -26,6 +26,8 @@ TRANSFER = "transfer"
 ASKED = "asked"
 """The variant that was sought by answers on a detector that has gradients: "T-U_asked"."""
 
+_KEPT = re.compile(rf"(?:.*_)?(?:step\d+|relaxed|{ASKED}\d+)")
+
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
 
@@ -192,6 +194,11 @@ class CamouflageName:
         """
         kept = f"{ASKED}{images}"
         return self.with_variant(kept) if self.choice else replace(self, variant=kept)
+
+    @property
+    def kept_copy(self) -> bool:
+        """Whether it is a copy that was kept on the way: "T-U_step10", "T-U_relaxed"; no attack."""
+        return _KEPT.fullmatch(self.variant) is not None
 
     @property
     def choice(self) -> Choice | None:

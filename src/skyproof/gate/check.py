@@ -234,8 +234,7 @@ class _Gate:
     def rates(self, unchanged: _Seen, trials: Sequence[Trial]) -> dict[str, list[Rate]]:
         """What each change hides from each detector; draws of one control are averaged.
 
-        These draws are taken as given: a detector that loses vehicles to them is caught, whatever
-        others would do.
+        These draws are taken as given: what others would do is left open.
         """
         cells = sorted(
             {

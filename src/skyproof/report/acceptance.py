@@ -14,7 +14,7 @@ from markupsafe import Markup
 from msgspec import Struct
 
 import skyproof
-from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
+from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
@@ -89,10 +89,11 @@ def read_requirement(path: Path) -> Requirement | None:
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:
     """Decides on every detector of a run that passed its check.
 
-    Attacks are all camouflages of the run on all renderers, learnt ones, those that were sought by
-    answers or carried over from other detectors, and those that were chosen as controls, every
-    repeat for itself; not single random draws, and no copies of unfinished ones. Where gradients
-    mislead attacks, no detector is accepted: what the others could have hidden nobody knows.
+    Attacks are all camouflages of the run on all renderers, learnt ones on whichever detectors and
+    in whichever weather, those that were sought by answers, and those that were chosen as controls,
+    every repeat for itself; not single random draws, and no copies of unfinished ones. Where
+    gradients mislead attacks, no detector is accepted: what the others could have hidden nobody
+    knows.
 
     Args:
         results: of the run.
@@ -180,8 +181,11 @@ def _attacks(tiles: TileCounts, detector: str) -> dict[str, tuple[np.ndarray, np
     for key, counts in tiles.series.items():
         camouflage = CamouflageName.read(key.camouflage)
         single_draw = camouflage.random and not camouflage.choice
-        finished = camouflage.variant in ("", camouflage.choice, ASKED, TRANSFER)
-        if (key.detector, key.match) != (detector, MAIN_MATCH) or single_draw or not finished:
+        if (
+            (key.detector, key.match) != (detector, MAIN_MATCH)
+            or single_draw
+            or camouflage.kept_copy
+        ):
             continue
         by_tile = np.zeros((len(names), 4), dtype=np.int64)
         np.add.at(by_tile, place, counts)

@@ -58,7 +58,7 @@ def checked_sets(results: Results) -> list[CheckedSet]:
     for name in dict.fromkeys(check.dataset for check in results.checks):
         by_detector = {check.detector: check for check in results.checks if check.dataset == name}
         some = next(iter(by_detector.values()))
-        checks = [by_detector.get(detector) for detector in results.judges]
+        checks = [by_detector.get(detector) for detector in results.checked]
         sets.append(CheckedSet(name, some.real, _contents(some), checks))
     return sorted(sets, key=lambda checked: checked.real)
 
@@ -83,7 +83,7 @@ def standing(results: Results) -> Standing:
     Where all of it is synthetic, that is said first.
     """
     real = [checked for checked in checked_sets(results) if checked.real]
-    scores = _scores(real, results.judges)
+    scores = _scores(real, results.checked)
     synthetic = results.sources == ["procedural"]
     if synthetic and not real:
         return Standing(
@@ -134,7 +134,7 @@ def standing(results: Results) -> Standing:
             if real
             else unchecked,
         ]
-    weak = _weak(real, results.judges)
+    weak = _weak(real, results.checked)
     if weak:
         sentences.append(
             f"{weak}: what hides vehicles from detectors this unsure of real ones may say little "

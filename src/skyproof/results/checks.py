@@ -15,10 +15,10 @@ from skyproof.ranges import Fraction, Name, WholeNumber
 from skyproof.results.rows_file import nulls_for_undefined, read_rows
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["BestF1", "Check", "StoredCheck", "check_of", "read_checks", "write_checks"]
+__all__ = ["BestF1", "Check", "StoredCheck", "check_of", "f1", "read_checks", "write_checks"]
 
-_FAR = 0.05
-"""A frozen threshold that costs more recall or precision than this does not carry over."""
+_FAR = 0.03
+"""A frozen threshold that costs more of F1 than this does not carry over."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,11 @@ class BestF1:
     threshold: float
     precision: float
     recall: float
+
+    @property
+    def f1(self) -> float:
+        """The harmonic mean of both."""
+        return f1(self.precision, self.recall)
 
 
 @dataclass(frozen=True)
@@ -72,16 +77,13 @@ class Check:
     def carries_over(self) -> bool:
         """Whether the frozen threshold is about as good here as the best one would be.
 
-        It is not where recall or precision falls short of the best threshold's by more than five
-        points; on a set of which nothing is known, it is.
+        It is not where F1 falls short of the best threshold's by more than three points; on a set
+        of which nothing is known, it is. Freezing takes the lowest of the thresholds that are
+        nearly as good, which gives precision for recall, and F1 says what both are worth together.
         """
         if self.best is None:
             return True
-        short = (
-            self.best.recall - self.recall.estimate,
-            self.best.precision - self.precision.estimate,
-        )
-        return not max(short) > _FAR
+        return not self.best.f1 - f1(self.precision.estimate, self.recall.estimate) > _FAR
 
     def json(self) -> dict[str, Any]:
         """Gives the check as flat JSON values, undefined ones as None."""
@@ -112,6 +114,11 @@ class Check:
             "note": self.note,
         }
         return nulls_for_undefined(values)
+
+
+def f1(precision: float, recall: float) -> float:
+    """Gives the harmonic mean; 0 where both are, nan where one is undefined."""
+    return 2 * precision * recall / (precision + recall) if precision + recall != 0 else 0.0
 
 
 def write_checks(path: Path, checks: Sequence[Check]) -> None:

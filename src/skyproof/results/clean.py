@@ -196,6 +196,7 @@ def ap_interval(
         np.array([replicate(row) for row in weights]),
         np.array([replicate(row) for row in left_out]),
         (0.0, 1.0),
+        telling=len(set(cluster_of_image[matches.image_of_vehicle].tolist())),
     )
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.sets import ORIGINAL, SetScore, read_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
@@ -51,7 +52,30 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
                 )
             series.setdefault(key, spread)
             source.setdefault(key, folder)
+    _refuse_other_judges(source)
     return TileCounts(tuple(cells), series), _merge_sets([folder for folder, _ in read])
+
+
+def _refuse_other_judges(source: Mapping[Series, Path]) -> None:
+    """Keeps repeats of one camouflage together that the same detectors judged.
+
+    Raises:
+        ConfigurationError: some did not judge all; their rows would be left out in silence.
+    """
+    judges: dict[tuple[CamouflageName, str], dict[str, set[str]]] = {}
+    for key in source:
+        pooled = (CamouflageName.read(key.camouflage).pooled, key.renderer)
+        judges.setdefault(pooled, {}).setdefault(key.camouflage, set()).add(key.detector)
+    for repeats in judges.values():
+        every = set().union(*repeats.values())
+        for name, own in repeats.items():
+            if own != every:
+                place = next(path for key, path in source.items() if key.camouflage == name)
+                raise ConfigurationError(
+                    f"{place} has {name} judged by {', '.join(sorted(own))}, and another repeat of "
+                    f"it is judged by {', '.join(sorted(every))}; score all repeats with the same "
+                    "detectors, or leave the folder out."
+                )
 
 
 def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:

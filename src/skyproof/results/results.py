@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,6 @@ from skyproof.results.rows import MAIN_MATCH, MEAN, Headline, Row
 from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
-from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
 from skyproof.results.stored import (
     AttackRecord,
@@ -152,7 +152,15 @@ class Results:
 
     @cached_property
     def judges(self) -> list[str]:
-        """The detectors' names, in the order in which they were given to the first score."""
+        """The detectors that camouflages were shown to, in the order of the first score.
+
+        Where nothing was compared, they are all that were checked.
+        """
+        return list(dict.fromkeys(row.detector for row in self._single_rows)) or self.checked
+
+    @cached_property
+    def checked(self) -> list[str]:
+        """All detectors of the scores, also those that were checked on clean images alone."""
         named = [name for score in self.scores for name in score.record.thresholds]
         return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
 
@@ -297,9 +305,9 @@ class Results:
                 return None
             plus.append(random_before)
             minus.append(random_after)
-            rates = (_easr(before) - _easr(random_before), _easr(after) - _easr(random_after))
+            rates = (before.rate - random_before.rate, after.rate - random_after.rate)
         else:
-            rates = (_easr(before), _easr(after))
+            rates = (before.rate, after.rate)
         return Change(*rates, difference_interval(plus, minus, self.sample))
 
     def single_easr(self, camouflage: str) -> float | None:
@@ -307,7 +315,7 @@ class Results:
         group = self._group(camouflage)
         if group is None:
             return None
-        value = _easr(group)
+        value = group.rate
         return None if np.isnan(value) else value
 
     def single_interval(self, camouflage: str) -> Interval | None:
@@ -316,7 +324,7 @@ class Results:
         None where unknown or undefined.
         """
         group = self._group(camouflage)
-        if group is None or np.isnan(_easr(group)):
+        if group is None or math.isnan(group.rate):
             return None
         return mean_interval(group, self.sample)
 
@@ -370,10 +378,6 @@ class Results:
         if len(known) < len(keys):
             return None
         return Group(np.stack(known), [[repeat_of(camouflage)]] * len(known))
-
-
-def _easr(group: Group) -> float:
-    return float(overall_attack_success_rate(group.counts.sum(axis=1)).mean())
 
 
 def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:

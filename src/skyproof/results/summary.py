@@ -225,7 +225,7 @@ class _Beside:
             return None
         group = self.table.group(drawn, self.detectors)
         net = difference_interval([self.group], [group], self.table.sample)
-        return Contrast(control, _mean_easr(group), len(drawn), net, self._p(drawn))
+        return Contrast(control, group.rate, len(drawn), net, self._p(drawn))
 
     def strongest(self, controls: Sequence[CamouflageName]) -> Contrast | None:
         """Sets it beside the strongest of some controls, sure only of what holds against all.
@@ -259,11 +259,6 @@ class _Beside:
             axis=0
         )
         return hidden
-
-
-def _mean_easr(group: Group) -> float:
-    rates: Float[np.ndarray, " S"] = overall_attack_success_rate(group.counts.sum(axis=1))
-    return float(rates.mean())
 
 
 def _unique(values: Iterable[str]) -> list[str]:

@@ -7,7 +7,8 @@ one hides the vehicles that it does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,8 +37,8 @@ class WorstCase:
         hidden: share of the vehicles found before that at least one of them hides.
         strongest: the attack that alone hides most of them.
         alone: the share that it hides.
-        random: the same share for one random draw of each attack's control, mean over as many such
-            sets as there are draws; None where a control was not drawn.
+        random: the same share for as many random draws, one of each attack's control, mean over as
+            many such sets as there are draws; None where a control was not drawn.
         net: `hidden` minus `random`; None without it.
     """
 
@@ -89,16 +90,29 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
     if len(attacks) < 2:
         return []
     lost = _Lost.of(results, renderer)
-    controls = dict.fromkeys(name.control for name in attacks)
-    draws = 0
-    while all(str(control.with_repeat(draws)) in scored for control in controls):
-        draws += 1
-    sets = [[str(control.with_repeat(draw)) for control in controls] for draw in range(draws)]
+    sets = _sets_of_draws([name.control for name in attacks], set(scored))
     return [
         found
         for detector in results.judges
         if (found := _worst_case(results, lost, detector, renderer, attacks, sets)) is not None
     ]
+
+
+def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list[list[str]]:
+    """Gives as many sets as there are draws for, each with one draw for every attack: of a control
+    that several attacks share, as many.
+    """
+    sets: list[list[str]] = []
+    while True:
+        used: Counter[CamouflageName] = Counter()
+        draws = []
+        for control in controls:
+            sharing = controls.count(control)
+            draws.append(str(control.with_repeat(len(sets) * sharing + used[control])))
+            used[control] += 1
+        if not scored.issuperset(draws):
+            return sets
+        sets.append(draws)
 
 
 def _worst_case(

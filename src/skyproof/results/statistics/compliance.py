@@ -182,8 +182,9 @@ def chances_on_tiles(
 ) -> DecisionChances:
     """Gives the operating characteristic of a test on so many tiles, by simulation.
 
-    Tiles show 1 vehicle or more, found before, by a Poisson distribution; what they have in common
-    is a beta distribution of the design effect's correlation.
+    Tiles show 1 vehicle or more by a Poisson distribution, of which each is found before by chance;
+    a tile without one says nothing. What tiles have in common is a beta distribution of the design
+    effect's correlation.
     """
     shares = np.linspace(0.0, 1.0, 41)
     chances = [_chances(requirement, assumptions, tiles, float(share)) for share in shares]
@@ -191,7 +192,8 @@ def chances_on_tiles(
 
 
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
-    """Says on how many tiles nine of ten tests decide, by the simulation of `chances_on_tiles`.
+    """Says on how many tiles nine of ten tests decide rightly, by the simulation of
+    `chances_on_tiles`.
 
     The detector loses as much as `accept`, or as `reject`, whichever takes longer, and one attack
     decides.
@@ -201,10 +203,9 @@ def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
     """
 
     def enough(tiles: int) -> bool:
-        return all(
-            sum(_chances(requirement, assumptions, tiles, share)) >= _DECIDED
-            for share in (requirement.accept, requirement.reject)
-        )
+        accepted, _ = _chances(requirement, assumptions, tiles, requirement.accept)
+        _, rejected = _chances(requirement, assumptions, tiles, requirement.reject)
+        return min(accepted, rejected) >= _DECIDED
 
     many = 4
     while not enough(many):
@@ -236,9 +237,14 @@ def _chances(
     # A beta distribution has no rate of exactly 0 or 1.
     inside = min(max(share, 1e-9), 1 - 1e-9)
     shape = (_RUNS, tiles)
-    found = 1 + generator.poisson(max(found_per_tile - 1, 0.0), shape)
+    shown = 1 + generator.poisson(max(assumptions.vehicles_per_tile - 1, 0.0), shape)
+    found = generator.binomial(shown, assumptions.found_before)
     rate = generator.beta(inside * certainty, (1 - inside) * certainty, shape)
-    shares = generator.binomial(found, rate) / found
-    accepted = evidence_below(shares, requirement.reject) >= 1 / requirement.consumer_risk
-    rejected = evidence_above(shares, requirement.accept) >= 1 / requirement.producer_risk
+    shares = generator.binomial(found, rate) / np.maximum(found, 1)
+    # A share at the limit is no evidence either way.
+    below, above = (
+        np.where(found > 0, shares, limit) for limit in (requirement.reject, requirement.accept)
+    )
+    accepted = evidence_below(below, requirement.reject) >= 1 / requirement.consumer_risk
+    rejected = evidence_above(above, requirement.accept) >= 1 / requirement.producer_risk
     return float(accepted.mean()), float((rejected & ~accepted).mean())

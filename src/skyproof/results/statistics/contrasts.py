@@ -45,6 +45,11 @@ class Group:
         default_factory=list, init=False, repr=False, compare=False
     )
 
+    @property
+    def rate(self) -> float:
+        """The EASR, mean over the series."""
+        return float(overall_attack_success_rate(self.counts.sum(axis=1)).mean())
+
     def easr(self, sample: Sample) -> _Values:
         """Gives every series' EASR on a sample, worked out once: it stands in many contrasts."""
         for own, values in self._known:
@@ -129,11 +134,16 @@ class _Values:
     tiles: Float[np.ndarray, "C S"]
     vehicles: Float[np.ndarray, "V S"]
     cells: Float[np.ndarray, "N S"]
+    telling: Int[np.ndarray, " S"]
+    """On how many tiles, or vehicles where these are fewer, each series is defined."""
 
     @classmethod
     def of(cls, counts: Int[np.ndarray, "S N 3"], sample: Sample, rate: Rate) -> _Values:
-        tiles = sample.by_tile(counts)
+        tiles, vehicles = sample.by_tile(counts), sample.by_vehicle(counts)
         total = tiles.sum(axis=1)
+
+        def told(parts: Num[np.ndarray, "S G 3"]) -> Int[np.ndarray, " S"]:
+            return (~np.isnan(rate(parts.transpose(1, 0, 2)))).sum(axis=0)
 
         def without(parts: Num[np.ndarray, "S G 3"]) -> Float[np.ndarray, "G S"]:
             return rate(total - parts.transpose(1, 0, 2))
@@ -142,8 +152,10 @@ class _Values:
             rate(total),
             rate(resampled(tiles, sample.weights)),
             without(tiles),
-            without(sample.by_vehicle(counts)),
+            without(vehicles),
             without(counts),
+            # A fleet of one vehicle says nothing of others, however many tiles it stood on.
+            np.minimum(told(tiles), told(vehicles)) if vehicles.shape[1] > 1 else told(tiles),
         )
 
     @classmethod
@@ -155,6 +167,7 @@ class _Values:
                 np.concatenate([getattr(values, name) for values in each], axis=1)
                 for name in ("replicates", "tiles", "vehicles", "cells")
             ),
+            np.concatenate([values.telling for values in each]),
         )
 
     def interval(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
@@ -165,6 +178,7 @@ class _Values:
             self.tiles @ factors,
             limits,
             LeftOut(self.vehicles @ factors, self.cells @ factors),
+            int(self.telling[factors != 0].min()),
         )
 
     def mean(self, limits: tuple[float, float]) -> Interval:

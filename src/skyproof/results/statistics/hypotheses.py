@@ -50,9 +50,9 @@ def control_p(learnt: Float[np.ndarray, "repeats C"], drawn: Float[np.ndarray, "
     The hypothesis is that on every tile it is chance which of the two hides more. So learnt and
     drawn are swapped tile by tile: in all ways for up to 12 tiles on which they differ, else in
     10,000 random ones, the same in every call. p is the share of swaps, the one that was observed
-    included, after which the sums differ by as much as they do, in either direction. It is 1 where
-    some pairs differ one way and some the other: then nothing can be claimed of every repeat and
-    every draw.
+    included, after which the sums differ by as much as they do, in either direction. It is 1 unless
+    the learnt one hides more in every pair: then nothing can be claimed of every repeat and every
+    draw.
 
     Tiles count as independent; that a vehicle stands on several is left to the interval.
 
@@ -64,7 +64,7 @@ def control_p(learnt: Float[np.ndarray, "repeats C"], drawn: Float[np.ndarray, "
     sums = differences.sum(axis=1)
     # Sums of fractions that are equal may differ by rounding.
     slack = 1e-9 * max(float(np.abs(differences).sum(axis=1).max()), 1e-300)
-    if sums.min() < -slack and sums.max() > slack:
+    if not sums.min() > slack:
         return 1.0
     telling = differences[:, np.any(np.abs(differences) > slack, axis=0)]
     tiles = telling.shape[1]

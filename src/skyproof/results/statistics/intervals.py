@@ -105,7 +105,8 @@ def cluster_interval(
     farther: the exact binomial limit at the effective number of vehicles, see `effective_limits`.
     Replicates in which the statistic is undefined are left out. Where all replicates agree (nothing
     changed on any tile, or everything did) resampling sees no spread; each cluster then counts as
-    one trial and the exact binomial limit 1 − 0.025^(1/C) is used on both sides.
+    one trial, where the statistic is defined on it, and the exact binomial limit 1 − 0.025^(1/C) is
+    used on both sides.
 
     Args:
         counts: `[S, C, 3]` (both, lost, gained) per series (detector, camouflage) and cluster.
@@ -115,9 +116,14 @@ def cluster_interval(
             so seldom beyond [-1, 1].
     """
     total = counts.sum(axis=1)
-    replicates = statistic(resampled(counts, weights))
-    left_one_out = statistic(total - counts.transpose(1, 0, 2))
-    return bootstrap_interval(float(statistic(total)), replicates, left_one_out, limits)
+    by_cluster = counts.transpose(1, 0, 2)
+    return bootstrap_interval(
+        float(statistic(total)),
+        statistic(resampled(counts, weights)),
+        statistic(total - by_cluster),
+        limits,
+        telling=int((~np.isnan(statistic(by_cluster))).sum()),
+    )
 
 
 def resampled(
@@ -144,14 +150,15 @@ def bootstrap_interval(
     left_one_out: Float[np.ndarray, " C"],
     limits: tuple[float, float],
     crossed: LeftOut | None = None,
+    telling: int | None = None,
 ) -> Interval:
     """Does what `cluster_interval` does, from a statistic's values.
 
     Where vehicles are crossed with the clusters, the variance is that of both (`_crossed`): the
     half-width that vehicles add to that of the clusters is squared and added to BCa's, and the
     effective number of vehicles follows from the whole variance. Where all replicates agree, each
-    cluster or each vehicle counts as one trial, whichever are fewer. With a single vehicle nothing
-    is known of others, and the interval is about this one.
+    cluster or each vehicle that tells anything counts as one trial, whichever are fewer. With a
+    single vehicle nothing is known of others, and the interval is about this one.
 
     Args:
         estimate: the statistic of all clusters.
@@ -159,6 +166,8 @@ def bootstrap_interval(
         left_one_out: `[C]` with each cluster left out.
         limits: the values that the statistic can take.
         crossed: its values with vehicles and with cells left out; None where nothing is crossed.
+        telling: how many clusters, or vehicles where these are fewer, it is defined on; all where
+            not given. One on which no vehicle was found before agrees with nobody.
     """
     clusters = len(left_one_out)
     replicates = replicates[~np.isnan(replicates)]
@@ -172,6 +181,8 @@ def bootstrap_interval(
         added, degrees = _crossed(variance, degrees, crossed)
         errors["vehicles"] = math.sqrt(added)
         trials = min(clusters, len(crossed.vehicles))
+    if telling is not None:
+        trials = max(1, min(trials, telling))
     unanimous = is_unanimous(replicates)
     if unanimous:
         margin = unanimous_margin(trials)

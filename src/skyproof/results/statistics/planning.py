@@ -232,7 +232,8 @@ def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[A
     for key, counts in tiles.series.items():
         total = counts.sum(axis=0)
         found = int(total[1] + total[2])
-        if CamouflageName.read(key.camouflage).random or key.match != match or not found:
+        camouflage = CamouflageName.read(key.camouflage)
+        if camouflage.random or camouflage.kept_copy or key.match != match or not found:
             continue
         seen = counts[:, 0] > 0
         cells = [cell for cell, here in zip(tiles.cells, seen, strict=True) if here]
