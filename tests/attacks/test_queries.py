@@ -33,6 +33,7 @@ from tests.attacks.test_kinds import BrightnessDetector, start, world
 __all__ = ["world"]
 
 FEW = QuerySettings(images=320, batch_size=2, seed=3)
+KEPT = replace(FEW, keep_at=(60, 250))
 KINDS = ["T-Pix", "T-PixFcMa", "S-O@0.4", "C-PixFc-seq@0.3"]
 
 
@@ -72,6 +73,14 @@ def finished(name: str) -> Camouflage:
     return camouflage.requires_grad_(False)
 
 
+@pytest.fixture(scope="module")
+def searched(world: AttackWorld, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished search for T-Pix; not to be changed."""
+    folder = tmp_path_factory.mktemp("searched") / "T-Pix"
+    query_attack(finished("T-Pix"), judge(Answering()), world, KEPT, folder)
+    return folder
+
+
 @pytest.mark.parametrize("name", [*KINDS, "R-PixFc_search"])
 def test_answers_alone_find_something_better(tmp_path: Path, world: AttackWorld, name: str) -> None:
     before = mean_score(finished(name), world)
@@ -108,30 +117,30 @@ def test_a_search_is_never_a_step_back(tmp_path: Path, world: AttackWorld) -> No
 
 
 def test_a_stopped_search_ends_where_it_would_have_and_asks_nothing_twice(
-    tmp_path: Path, world: AttackWorld
+    tmp_path: Path, searched: Path, world: AttackWorld
 ) -> None:
-    whole = Answering()
-    straight = query_attack(finished("T-Pix"), judge(whole), world, FEW, tmp_path / "straight")
+    straight = load_camouflage(searched)
+    assert isinstance(straight, UniversalTexture)
     first = Answering(stops_after=170)
     with pytest.raises(DetectorAnswerError):
         query_attack(finished("T-Pix"), judge(first), world, FEW, tmp_path / "stopped")
     second = Answering()
     found = query_attack(finished("T-Pix"), judge(second), world, FEW, tmp_path / "stopped")
+    assert isinstance(found, UniversalTexture)
     assert torch.equal(found.cells, straight.cells)
     # Of the generation that was under way, the answers are lost.
     generation = 11 * FEW.batch_size
-    assert first.images + second.images <= whole.images + generation
+    whole = read_record(searched)["queries"]["images"]
+    assert first.images + second.images <= whole + generation
     rows = [
-        [json.loads(line)["scores"] for line in (tmp_path / one / "steps.jsonl").open()]
-        for one in ("straight", "stopped")
+        [json.loads(line)["scores"] for line in (folder / "steps.jsonl").open()]
+        for folder in (searched, tmp_path / "stopped")
     ]
     assert rows[0] == rows[1]
 
 
-def test_copies_are_kept_on_the_way(tmp_path: Path, world: AttackWorld) -> None:
-    settings = replace(FEW, keep_at=(60, 250))
-    query_attack(finished("T-Pix"), judge(Answering()), world, settings, tmp_path)
-    kept = sorted((tmp_path / "snapshots").iterdir())
+def test_copies_are_kept_on_the_way(searched: Path, world: AttackWorld) -> None:
+    kept = sorted((searched / "snapshots").iterdir())
     assert [each.name for each in kept] == ["T-Pix_asked250", "T-Pix_asked60"]
     later, earlier = kept
     assert read_record(earlier)["images"] == 66
@@ -140,14 +149,13 @@ def test_copies_are_kept_on_the_way(tmp_path: Path, world: AttackWorld) -> None:
     assert scores[1] < scores[0]
 
 
-def test_a_finished_search_asks_nothing(tmp_path: Path, world: AttackWorld) -> None:
-    found = query_attack(finished("T-Pix"), judge(Answering()), world, FEW, tmp_path)
+def test_a_finished_search_asks_nothing(searched: Path, world: AttackWorld) -> None:
     silent = Answering(stops_after=0)
-    again = query_attack(finished("T-Pix"), judge(silent), world, FEW, tmp_path)
+    again = query_attack(finished("T-Pix"), judge(silent), world, KEPT, searched)
     assert silent.images == 0
-    assert torch.equal(again.cells, found.cells)
+    assert torch.equal(again.cells, load_camouflage(searched).cells)
     with pytest.raises(RunFolderError, match="a search with other settings"):
-        query_attack(finished("T-Pix"), judge(silent, 0.5), world, FEW, tmp_path)
+        query_attack(finished("T-Pix"), judge(silent, 0.5), world, KEPT, searched)
 
 
 def test_a_detector_that_finds_nothing_cannot_be_attacked(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from detector_images import YOLO_ANCHORS
-from tests.rendered_world import RenderedWorld, make_world
+from tests.rendered_world import make_world
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
@@ -25,25 +25,27 @@ BATCH_SIZE = 4
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> RenderedWorld:
-    return make_world(tmp_path_factory.mktemp("world"))
-
-
-def learnt(
-    name: str,
-    world: RenderedWorld,
-    folder: Path,
-    measure: Callable[[TrainableDetector, Dataset], float],
-) -> tuple[float, float]:
-    """Measures a detector on images that it never sees, before and after its training."""
-    training, validation, test = (
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Dataset]:
+    """What detectors learn from, choose their threshold by, and are measured on."""
+    world = make_world(tmp_path_factory.mktemp("world"))
+    return [
         world.images(split, world.scenes(split, count, least, most))
         for split, count, least, most in (
             ("train", TRAINING_IMAGES, 0, 4),
             ("validation", VALIDATION_IMAGES, 1, 4),
             ("test", TEST_IMAGES, 1, 2),
         )
-    )
+    ]
+
+
+def learnt(
+    name: str,
+    images: list[Dataset],
+    folder: Path,
+    measure: Callable[[TrainableDetector, Dataset], float],
+) -> tuple[float, float]:
+    """Measures a detector on images that it never sees, before and after its training."""
+    training, validation, test = images
     generator = torch.Generator().manual_seed(0)
     detector = build_detector(name, "slim", generator=generator)
     before = measure(detector.eval(), test)
@@ -75,18 +77,18 @@ def mean_loss(detector: TrainableDetector, images: Dataset) -> float:
 
 @pytest.mark.parametrize("name", ["retinanet", "faster_rcnn"])
 def test_a_detector_learns_to_find_vehicles_that_it_never_saw(
-    name: str, world: RenderedWorld, tmp_path: Path
+    name: str, images: list[Dataset], tmp_path: Path
 ) -> None:
-    before, after = learnt(name, world, tmp_path, ap)
+    before, after = learnt(name, images, tmp_path, ap)
     assert after > before + 0.35, (before, after)
 
 
 @pytest.mark.parametrize("name", [YOLO_ANCHORS])
 def test_the_loss_falls_on_vehicles_that_it_never_saw(
-    name: str, world: RenderedWorld, tmp_path: Path
+    name: str, images: list[Dataset], tmp_path: Path
 ) -> None:
     # So short a training leaves its AP to chance, 0.09 to 0.49 by the kind of processor, and its
     # loss in use, too, 0.70 to 1.05 of what it was, where it is normalised by running averages of
     # its batches. Normalised as in training its loss falls to between 0.67 and 0.70 on three.
-    before, after = learnt(name, world, tmp_path, mean_loss)
+    before, after = learnt(name, images, tmp_path, mean_loss)
     assert after < 0.85 * before, (before, after)
