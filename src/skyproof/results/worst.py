@@ -110,7 +110,7 @@ def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list
             sharing = controls.count(control)
             draws.append(str(control.with_repeat(len(sets) * sharing + used[control])))
             used[control] += 1
-        if not scored.issuperset(draws):
+        if not scored >= set(draws):
             return sets
         sets.append(draws)
 

@@ -167,7 +167,7 @@ class _Values:
                 np.concatenate([getattr(values, name) for values in each], axis=1)
                 for name in ("replicates", "tiles", "vehicles", "cells")
             ),
-            np.concatenate([values.telling for values in each]),
+            telling=np.concatenate([values.telling for values in each]),
         )
 
     def interval(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
