@@ -14,7 +14,9 @@ from rasterio.warp import Resampling, reproject
 from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
-from skyproof.errors import ImageryError
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.labels.label import GroundLabels, Label
+from skyproof.imagery.settings import LabelSettings, TilingSettings
 from skyproof.imagery.tiles.georeference import map_tile
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
@@ -311,6 +313,29 @@ def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
     )
     with pytest.raises(ImageryError, match="None of the imagery shows ground"):
         tile([tmp_path / "far.tif"], tmp_path / "third", like=tmp_path / "first")
+
+
+def test_pairing_takes_the_resolution_of_what_it_is_like(tmp_path):
+    path = write_image(
+        tmp_path / "a.tif", smooth_noise(300, 300), crs=NZTM, transform=from_origin(0, 0, 0.1, 0.1)
+    )
+    first, _ = tile([path], tmp_path / "first", gsd_m=0.1)
+    labels = GroundLabels(("vehicle",), (Label("vehicle", ((3.2, -3.2),)),), NZTM)
+    usual = TilingSettings()
+    second, record = tile(
+        [path], tmp_path / "second", gsd_m=usual.gsd_m, size_px=usual.size_px,
+        like=tmp_path / "first", labels=(labels, LabelSettings(Path("labels.geojson"))),
+    )  # fmt: skip
+    assert second.gsd_m == first.gsd_m == 0.1
+    assert (record.settings["gsd_m"], record.settings["size_px"]) == (0.1, 64)
+    for split in SPLITS:
+        document = json.loads((tmp_path / "second" / split / "annotations.json").read_text())
+        assert document["info"]["gsd_m"] == 0.1
+    for asked, option in (({"gsd_m": 0.2}, "gsd-m"), ({"size_px": 80}, "size-px")):
+        with pytest.raises(
+            ConfigurationError, match=rf"^--tiling\.{option} expects .*leave it out"
+        ):
+            tile([path], tmp_path / "third", like=tmp_path / "first", **asked)
 
 
 def test_small_images_shrink_their_tiles_where_that_is_allowed(tmp_path):

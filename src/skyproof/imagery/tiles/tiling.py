@@ -34,7 +34,7 @@ from skyproof.imagery.tiles.sources import (
     inspect_source,
 )
 from skyproof.imagery.tiles.splits import assign_splits
-from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
+from skyproof.imagery.tiles.tile_index import cells_like, settings_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -103,20 +103,23 @@ def tile_imagery(
         paths: images, or folders whose images (not those of their sub-folders) are taken.
         folder: where the set goes; use `finished_folder` around it so that a half-written one does
             not stay.
-        settings: resolution, size, blocks.
+        settings: resolution, size, blocks; with `like` the first two are those of its set.
         generator: shuffles the blocks.
         source_settings: what images do not say themselves.
         labels: as read, and what counts as a vehicle.
         progress: called with (cells done, cells in all).
 
     Raises:
-        ConfigurationError: settings that cannot work.
+        ConfigurationError: settings that cannot work, or another resolution or size than `like`
+            has.
         ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
             cm; images that hold no tile; labels that do not fit the imagery; a time at which the
             sun was down over them, or one for images without georeference.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
+    if settings.like is not None:
+        settings = settings_like(settings, settings.like)
     files = find_images(paths)
     notes = []
     source_settings = source_settings or SourceSettings()
