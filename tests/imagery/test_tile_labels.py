@@ -176,6 +176,19 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
     assert any(note.startswith("b.tif has no labels") for note in record.notes)
 
 
+def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
+    write_image(tmp_path / "a.tif", noise(128, 128), **PLACE)
+    write_image(tmp_path / "b.tif", noise(64, 128))
+    labels = ground((EAST + 5.0, NORTH - 5.0)), LabelSettings(WHERE)
+    backgrounds, record = tile([tmp_path], tmp_path / "set", source_gsd_m=0.125, labels=labels)
+    bare = {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"}
+    ignored = boxes(tmp_path / "set", 1)
+    assert len(bare) == 2
+    assert {name: ignored[name] for name in bare} == dict.fromkeys(bare, [(0, 0, 64, 64)])
+    assert [note for note in record.notes if note.startswith("b.tif has no labels: nothing is")]
+    assert len(boxes(tmp_path / "set", 0)) == 1
+
+
 @pytest.mark.parametrize(
     ("labels", "settings", "message"),
     [

@@ -62,7 +62,8 @@ class PlacedLabels:
     the tiles beside it, and where the source has no data at its centre, it is an ignore region.
     Of an oriented label the corners are kept beside the box.
     Labels in pixels count only where their own source is what the tile shows. What an image without
-    any entry in the labels shows is ignored as a whole: nobody looked for vehicles there.
+    any entry in the labels shows is ignored as a whole: nobody looked for vehicles there. So is an
+    image without georeference where labels lie on the map.
 
     Args:
         labels: as read.
@@ -135,6 +136,9 @@ class PlacedLabels:
         flat = [corner for label in labels.labels for corner in label.corners]
         for plane, (crs, numbers) in planes.items():
             if crs is None:
+                # Labels on the map say nothing of an image that is not on it.
+                for number in sorted(numbers):
+                    self._add_unlabelled(plane, crs, number)
                 continue
             corners = iter(to_reference_system(system, crs, flat))
             moved = [
@@ -185,12 +189,7 @@ class PlacedLabels:
                 source = self._sources[number]
                 stem, size = source.path.stem, (source.width_px, source.height_px)
                 if stem not in labels.images:
-                    self.notes.append(
-                        f"{source.path.name} has no labels: nothing is scored on its tiles"
-                    )
-                    self._add_regions(
-                        plane, crs, number, EVERYTHING, [(0.0, 0.0, float(size[0]), float(size[1]))]
-                    )
+                    self._add_unlabelled(plane, crs, number)
                     continue
                 if labels.sizes_px.get(stem, size) != size:
                     raise ImageryError(
@@ -220,6 +219,13 @@ class PlacedLabels:
         return dataclasses.replace(
             label, corners=tuple(to_reference_system(georeference.crs, crs, corners))
         )
+
+    def _add_unlabelled(self, plane: str, crs: CRS | None, number: int) -> None:
+        """Notes that nobody looked for vehicles on a source: nothing is scored there."""
+        source = self._sources[number]
+        self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
+        whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
+        self._add_regions(plane, crs, number, EVERYTHING, [whole])
 
     def _add_regions(
         self,
