@@ -190,9 +190,7 @@ def test_points_come_back_to_their_pixels(dataset, tmp_path):
             ]
         )
     # 1e-9 degrees are a tenth of a millimetre.
-    np.testing.assert_allclose(
-        pixels[:3], [[(64.6, 31.7)], [(20.0, 17.0)], [(2, 65)]], atol=2e-3
-    )
+    np.testing.assert_allclose(pixels[:3], [[(64.6, 31.7)], [(20.0, 17.0)], [(2, 65)]], atol=2e-3)
     np.testing.assert_allclose(pixels[3], [(80, 96), (120, 96), (120, 50), (80, 50)], atol=2e-3)
 
 

@@ -184,7 +184,7 @@ def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
     bare = {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"}
     ignored = boxes(tmp_path / "set", 1)
     assert len(bare) == 2
-    assert {name: ignored[name] for name in bare} == dict.fromkeys(bare, [(0, 0, 64, 64)])
+    assert {name: ignored[name] for name in bare} == {name: [(0, 0, 64, 64)] for name in bare}
     assert [note for note in record.notes if note.startswith("b.tif has no labels: nothing is")]
     assert len(boxes(tmp_path / "set", 0)) == 1
 
