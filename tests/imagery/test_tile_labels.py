@@ -123,6 +123,46 @@ def test_pixel_labels_follow_a_turned_image(tmp_path):
     assert found == pytest.approx(expected, abs=1.5)
 
 
+TURNED = Affine.translation(EAST, NORTH) * Affine.rotation(30) * Affine.scale(0.125, -0.125)
+
+
+@pytest.mark.parametrize(
+    ("crs", "affine", "border_px"),
+    [
+        (NZTM, TURNED, 32.0),
+        # At the edge of a zone of UTM north is 2 degrees off the grid's.
+        ("EPSG:4326", from_origin(174.01, -43.0, 1.5e-6, 1.12e-6), 8.0),
+    ],
+)
+def test_the_border_band_stays_a_band_where_it_lies_aslant(tmp_path, crs, affine, border_px):
+    size_px = 640
+    write_image(tmp_path / "a.tif", noise(size_px, size_px), crs=crs, transform=affine)
+    labels = pixels(), LabelSettings(WHERE, ("car",), border_px=border_px)
+    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
+    index = json.loads((tmp_path / "set" / "index.geojson").read_text())["features"]
+    places = {one["properties"]["id"]: one["properties"] for one in index}
+    ignored = boxes(tmp_path / "set", 1)
+    wrong = 0
+    for one in all_tiles(backgrounds):
+        covered = np.zeros((64, 64), bool)
+        for left, top, right, bottom in ignored.get(one.id, []):
+            covered[round(top) : round(bottom), round(left) : round(right)] = True
+        # Where each pixel of the tile lies in the image.
+        rows, columns = np.indices((64, 64)) + 0.5
+        left, _, _, top = places[one.id]["bounds"]
+        xs, ys = left + columns * 0.125, top - rows * 0.125
+        if places[one.id]["crs"] != crs:
+            moved = transform_places(places[one.id]["crs"], crs, xs.ravel(), ys.ravel())
+            xs, ys = (np.reshape(values, (64, 64)) for values in moved)
+        u, v = ~affine * (xs, ys)
+        depth = np.minimum.reduce([u, v, size_px - u, size_px - v])
+        assert covered[(depth > 1) & (depth < border_px - 1)].all()
+        # A piece and the upright box around it differ by less than its own size.
+        assert not covered[depth > 2.5 * border_px].any()
+        wrong += int((covered & (depth > border_px)).sum())
+    assert wrong < 0.1 * size_px**2
+
+
 @pytest.mark.parametrize("crs", [NZTM, "EPSG:4326"])
 def test_ground_points_of_two_systems(tmp_path, crs):
     write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)

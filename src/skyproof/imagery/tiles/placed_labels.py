@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -37,6 +38,7 @@ __all__ = ["PlacedLabels"]
 BIN_M = 64.0
 FARTHEST_PX = 1e6
 _NAMED = 3
+_MOST_PIECES = 2_000
 EVERYTHING, BORDER = "image without labels", "border of an image"
 
 
@@ -115,10 +117,7 @@ class PlacedLabels:
         if settings.border_px:
             for plane, (crs, numbers) in planes.items():
                 for number in numbers:
-                    size_px = sources[number].width_px, sources[number].height_px
-                    self._add_regions(
-                        plane, crs, number, BORDER, border_strips(size_px, settings.border_px)
-                    )
+                    self._add_border(plane, crs, number)
 
     def _place_ground(
         self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]
@@ -226,6 +225,19 @@ class PlacedLabels:
         self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
         whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
         self._add_regions(plane, crs, number, EVERYTHING, [whole])
+
+    def _add_border(self, plane: str, crs: CRS | None, number: int) -> None:
+        """Adds the band along the border of a source, in pieces where it does not stay upright.
+
+        On a tile a region is the upright box around it: of a strip that lies aslant it would cover
+        much of the source.
+        """
+        source, border_px = self._sources[number], self._settings.border_px
+        strips = border_strips((source.width_px, source.height_px), border_px)
+        transform = source.georeference.transform
+        if source.georeference.crs != crs or transform.b or transform.d:
+            strips = [piece for strip in strips for piece in _pieces(strip, border_px)]
+        self._add_regions(plane, crs, number, BORDER, strips)
 
     def _add_regions(
         self,
@@ -337,6 +349,21 @@ class PlacedLabels:
         return not (
             border <= x <= source.width_px - border and border <= y <= source.height_px - border
         )
+
+
+def _pieces(
+    box: tuple[float, float, float, float], side_px: float
+) -> list[tuple[float, float, float, float]]:
+    """Cuts a box along its longer side into pieces of about a given length."""
+    left, top, right, bottom = box
+    across = right - left >= bottom - top
+    count = round(max(right - left, bottom - top) / side_px)
+    count = min(max(count, 1), _MOST_PIECES)
+    ends = np.linspace(*((left, right) if across else (top, bottom)), count + 1).tolist()
+    return [
+        (low, top, high, bottom) if across else (left, low, right, high)
+        for low, high in itertools.pairwise(ends)
+    ]
 
 
 def _near(corners: Iterable[Point]) -> bool:
