@@ -18,10 +18,9 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.exposure import some_of
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
-from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.sharpness import sensor_of_tiles
 from skyproof.imagery.tiles.covers import cover_of, find_covers
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.lights import lit_tiles, sun_over
@@ -93,7 +92,7 @@ def tile_imagery(
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`measure_sensor`), and the exposure of each source, so that they are as bright
+    (`sensor_of_tiles`), and the exposure of each source, so that they are as bright
     (`measure_exposure`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
@@ -245,7 +244,7 @@ def _sensor(
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     try:
-        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
+        sensor = sensor_of_tiles(backgrounds, tiles)
     except ImageryError:
         notes.append(
             "too few clear edges to measure the blur; vehicles will be drawn with "
