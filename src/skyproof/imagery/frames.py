@@ -16,11 +16,12 @@ from skyproof.datasets.pictures import Window, tensor_of
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
-from skyproof.imagery.labels.text import IMAGE_SUFFIXES
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
 
+# Frames are decoded by Pillow, which reads fewer forms than what cuts tiles.
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _REMEDY = "replace it, leave it out, or cut it into smaller frames"
 
 BORDER_PX = 40.0
@@ -166,7 +167,7 @@ def read_frames_folder(
 
 
 def _image_files(folder: Path, pattern: str) -> list[Path]:
-    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
+    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in _SUFFIXES)
 
 
 def _size_px(path: Path) -> tuple[int, int]:

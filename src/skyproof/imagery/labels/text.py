@@ -10,11 +10,10 @@ from pathlib import Path
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.rasters import open_raster
+from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 
 __all__ = [
     "IMAGE_FOLDER",
-    "IMAGE_SUFFIXES",
     "LABEL_FOLDERS",
     "LARGEST_NUMBER",
     "finite_numbers",
@@ -25,7 +24,6 @@ __all__ = [
     "text_lines",
 ]
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LARGEST_NUMBER = 1e9
 """Pixels, metres or degrees: no label lies farther away."""
 
@@ -86,7 +84,7 @@ def image_of(text: Path) -> Path | None:
             folders.append(Path(*parts[:index], IMAGE_FOLDER, *parts[index + 1 :]))
             break
     for folder in folders:
-        for suffix in IMAGE_SUFFIXES:
+        for suffix in RASTER_SUFFIXES:
             for spelt in (suffix, suffix.upper()):
                 image = folder / f"{text.stem}{spelt}"
                 if image.is_file():

@@ -21,7 +21,7 @@ from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.text import IMAGE_FOLDER
-from skyproof.imagery.rasters import open_raster
+from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import Georeference, map_tile, read_georeference
 
@@ -34,7 +34,6 @@ __all__ = [
     "read_mask",
 ]
 
-SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".vrt")
 GDAL_CACHE_MB = 256
 OPEN_AT_ONCE = 8
 
@@ -105,7 +104,8 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
             images = _images_in(path) or _images_in(path / IMAGE_FOLDER) or _map_tiles_in(path)
             if not images:
                 raise ImageryError(
-                    f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
+                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give another folder "
+                    "or a file."
                 )
             files += images
         elif path.is_file():
@@ -127,7 +127,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
 def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTER_SUFFIXES)
 
 
 def _map_tiles_in(folder: Path) -> list[Path]:
