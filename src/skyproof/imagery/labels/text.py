@@ -19,8 +19,8 @@ __all__ = [
     "finite_numbers",
     "image_of",
     "image_size_px",
+    "name_once",
     "read_text",
-    "stem_once",
     "text_lines",
 ]
 
@@ -109,13 +109,13 @@ def image_size_px(path: Path) -> tuple[int, int]:
         ) from error
 
 
-def stem_once(stem: str, known: Collection[str], where: Path) -> None:
-    """Labels go by image file stem: two images of one stem would be mixed up.
+def name_once(name: str, known: Collection[str], where: Path) -> None:
+    """Labels go by the name of their image: two images of one name would be mixed up.
 
     Raises:
-        ImageryError: the stem is known already.
+        ImageryError: the name is known already.
     """
-    if stem in known:
+    if name in known:
         raise ImageryError(
-            f"{where} labels two images called {stem!r}; rename one of them, or split the labels."
+            f"{where} labels two images called {name!r}; rename one of them, or split the labels."
         )

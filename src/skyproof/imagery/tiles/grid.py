@@ -13,7 +13,12 @@ from rasterio.crs import CRS
 from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.tiles.georeference import (
+    image_name,
+    is_true_to_scale,
+    outline,
+    to_reference_system,
+)
 from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import is_name
 from skyproof.scenes.splits import Split
@@ -247,7 +252,7 @@ def _layout(
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
-        return first.path.stem, None, {group[0]: extent_of(first, None)}
+        return image_name(first.path).replace("/", "-"), None, {group[0]: extent_of(first, None)}
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:

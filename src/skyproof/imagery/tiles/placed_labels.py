@@ -29,7 +29,7 @@ from skyproof.imagery.labels.label import (
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
-from skyproof.imagery.tiles.georeference import Point, to_reference_system
+from skyproof.imagery.tiles.georeference import Point, image_name, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
@@ -174,10 +174,10 @@ class PlacedLabels:
         self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]
     ) -> int:
         path = self._settings.path
-        number_of = {source.path.stem: i for i, source in enumerate(self._sources)}
-        unknown = [stem for stem in labels.images if stem not in number_of]
+        known = {image_name(source.path) for source in self._sources}
+        unknown = [name for name in labels.images if name not in known]
         total = sum(map(len, labels.images.values()))
-        outside = sum(len(labels.images[stem]) for stem in unknown)
+        outside = sum(len(labels.images[name]) for name in unknown)
         if labels.images and len(unknown) == len(labels.images):
             raise ImageryError(
                 f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
@@ -186,16 +186,16 @@ class PlacedLabels:
         for plane, (crs, numbers) in planes.items():
             for number in sorted(numbers):
                 source = self._sources[number]
-                stem, size = source.path.stem, (source.width_px, source.height_px)
-                if stem not in labels.images:
+                name, size = image_name(source.path), (source.width_px, source.height_px)
+                if name not in labels.images:
                     self._add_unlabelled(plane, crs, number)
                     continue
-                if labels.sizes_px.get(stem, size) != size:
+                if labels.sizes_px.get(name, size) != size:
                     raise ImageryError(
-                        f"{path} was made for {stem} of {labels.sizes_px[stem]} px but "
+                        f"{path} was made for {name} of {labels.sizes_px[name]} px but "
                         f"{source.path} has {size} px; give the image the labels were made on."
                     )
-                labels_here = labels.images[stem]
+                labels_here = labels.images[name]
                 kept = [label for label in labels_here if _inside_picture(_middle(label), size)]
                 outside += len(labels_here) - len(kept)
                 self._add(

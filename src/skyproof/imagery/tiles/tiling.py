@@ -288,16 +288,20 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
 
 
 def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
-    """Names what a tile shows: its images, or of map tiles, smaller than itself, their folder."""
+    """Names what a tile shows: its images, or of map tiles and others so small their folder."""
     side_m = cell.size_px * cell.gsd_m
     small = all(
         min(source.width_px * gsd[0], source.height_px * gsd[1]) < side_m
         for source in shown
         for gsd in [source.georeference.gsd_m]
     )
-    if small and len(shown) > 1:
-        return list(dict.fromkeys(source.collection for source in shown))
-    return [source.path.name for source in shown]
+    folders = small and len(shown) > 1
+    return list(
+        dict.fromkeys(
+            source.collection if folders or source.is_map_tile else source.path.name
+            for source in shown
+        )
+    )
 
 
 def _notes(sources: Sequence[Source]) -> list[str]:
