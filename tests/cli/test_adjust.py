@@ -2,14 +2,18 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy import ndimage
 
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.main import run
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
+from tests.imagery.made import tile as cut
+from tests.imagery.made import write_image
 
 
 @pytest.fixture
@@ -34,6 +38,22 @@ def test_measures_and_keeps_the_rest(folder):
         for place in (index, *index["tiles"]):
             del place["sensor"]
     assert after == before
+
+
+def test_the_sensor_is_measured_on_tiles_of_every_split_as_when_they_were_cut(tmp_path):
+    checks = np.kron(np.indices((20, 20)).sum(0) % 2, np.ones((32, 32)))
+    light = ndimage.gaussian_filter(np.where(checks > 0, 0.5, 0.1), 1.0)
+    srgb = ((1.055 * light ** (1 / 2.4) - 0.055) * 255).round().astype(np.uint8)
+    write_image(tmp_path / "a.tif", np.repeat(srgb[None], 3, 0))
+    backgrounds, _ = cut([tmp_path / "a.tif"], tmp_path / "set", source_gsd_m=0.125)
+    assert backgrounds.sensor.blur_sigma_px == pytest.approx(1.0, rel=0.1)
+    assert run(["adjust", str(tmp_path / "set"), "--measure-sensor"]) == 0
+    assert BackgroundSet.open(tmp_path / "set").sensor == backgrounds.sensor
+    for tile in backgrounds.tiles("train"):
+        Image.new("RGB", (64, 64)).save(tmp_path / "set" / tile.file)
+    assert run(["adjust", str(tmp_path / "set"), "--measure-sensor"]) == 0
+    blur_sigma_px = BackgroundSet.open(tmp_path / "set").sensor.blur_sigma_px
+    assert blur_sigma_px == pytest.approx(1.0, rel=0.1)
 
 
 def test_what_is_given_is_taken(folder, capsys):

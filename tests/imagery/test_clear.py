@@ -473,3 +473,18 @@ def test_rejected_tiles_are_dropped(tmp_path):
         drop_tiles(folder, ["a"])
     with pytest.raises(ConfigurationError, match="Every tile"):
         drop_tiles(folder, ["b", "d", "e"])
+
+
+def test_dropped_tiles_leave_the_annotations_too(tmp_path):
+    folder = tiled(tmp_path / "tiled", labelled="abcde")
+    before = {
+        split: json.loads((folder / split / "annotations.json").read_text()) for split in SPLITS
+    }
+    assert drop_tiles(folder, ["a", "e"]) == ["test"]
+    assert [row["scene_id"] for row in before["train"]["images"]] == ["a", "b"]
+    for split in SPLITS:
+        kept = [row for row in before[split]["images"] if row["scene_id"] not in ("a", "e")]
+        ids = {row["id"] for row in kept}
+        rows = [row for row in before[split]["annotations"] if row["image_id"] in ids]
+        after = json.loads((folder / split / "annotations.json").read_text())
+        assert after == before[split] | {"images": kept, "annotations": rows}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from rasterio.crs import CRS
 from rasterio.transform import Affine
 
@@ -67,6 +68,28 @@ def test_one_mask_of_one_photograph_may_have_any_name(photos):
     (photos / "photos" / "b.tif").unlink()
     backgrounds, _ = cut(photos, cover=photos / "masks" / "b.tif")
     assert any(one.cover for one in all_tiles(backgrounds))
+
+
+def test_masks_of_map_tiles_are_told_apart_by_their_column(tmp_path):
+    # 26 m at zoom 20, white in the eastern column.
+    for across in (0, 1):
+        place = f"20/{558_060 + across}/364070.png"
+        for folder, pixels in (
+            ("town", noise(256, 256)),
+            ("masks", np.full((3, 256, 256), 255 * across, np.uint8)),
+        ):
+            (tmp_path / folder / place).parent.mkdir(parents=True)
+            Image.fromarray(pixels.transpose(1, 2, 0)).save(tmp_path / folder / place)
+    backgrounds, _ = tile([tmp_path / "town"], tmp_path / "set", cover=tmp_path / "masks")
+    tiles = all_tiles(backgrounds)
+    assert {one.source for one in tiles} == {"town"}
+    middle = np.mean([one.offset_px[0] for one in tiles])
+    for one in tiles:
+        cover = backgrounds.cover(one.id)
+        if one.offset_px[0] < middle - 64:
+            assert cover is None
+        if one.offset_px[0] > middle + 64:
+            assert cover.numpy().mean() > 250
 
 
 def test_without_masks_nothing_is_covered(photos):

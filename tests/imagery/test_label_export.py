@@ -190,10 +190,25 @@ def test_points_come_back_to_their_pixels(dataset, tmp_path):
             ]
         )
     # 1e-9 degrees are a tenth of a millimetre.
-    np.testing.assert_allclose(
-        pixels[:3], [[(64.625, 31.75)], [(20.35, 17.1)], [(2, 65)]], atol=2e-3
-    )
+    np.testing.assert_allclose(pixels[:3], [[(64.6, 31.7)], [(20.0, 17.0)], [(2, 65)]], atol=2e-3)
     np.testing.assert_allclose(pixels[3], [(80, 96), (120, 96), (120, 50), (80, 50)], atol=2e-3)
+
+
+def test_the_point_of_a_cut_vehicle_is_its_own_middle(tmp_path):
+    with CocoWriter(tmp_path / "set" / "test", gsd_m=0.125) as writer:
+        image = torch.zeros(3, 96, 120, dtype=torch.uint8)
+        writer.add(image, "tile-a", [Annotation((0.0, 60.0, 14.0, 70.0), (3.0, 65.0), 0.7)])
+    document = json.loads((tmp_path / "set/test/annotations.json").read_text())
+    write_index(tmp_path / "set" / "test", ["tile-a"])
+    for known, middle in ((True, 3.0), (False, 7.0)):
+        if not known:
+            del document["annotations"][0]["centre_px"]
+            write_json(tmp_path / "set/test/annotations.json", document)
+        export_labels(tmp_path / "set" / "test", "geojson", tmp_path / f"{known}.geojson")
+        ((place,),) = [one.corners for one in read_labels(tmp_path / f"{known}.geojson").labels]
+        (east,), (north,) = transform("EPSG:4326", "EPSG:2193", [place[0]], [place[1]])
+        found = (east - 1570000) / 0.125, (5180012 - north) / 0.125
+        assert found == pytest.approx((middle, 65.0), abs=2e-3)
 
 
 def test_images_without_a_place_have_no_geojson(dataset, tmp_path):

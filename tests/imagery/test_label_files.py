@@ -5,6 +5,7 @@ import json
 import geopandas
 import numpy as np
 import pytest
+import rasterio
 import shapely
 from PIL import Image
 
@@ -12,6 +13,7 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.tiles.sources import find_images
+from tests.imagery.made import noise
 
 UPRIGHT = ((30.0, 15.0), (50.0, 15.0), (50.0, 25.0), (30.0, 25.0))
 
@@ -134,6 +136,33 @@ def test_of_images_and_labels_beside_each_other_either_may_be_named(tmp_path, na
     assert [*read_labels(tmp_path / named).images] == ["one"]
     if named != "labels":
         assert find_images([tmp_path / named]) == [tmp_path / "images" / "one.tif"]
+
+
+@pytest.mark.parametrize("form", ["yolo", "dota"])
+def test_labels_lie_beside_every_form_of_image_that_is_cut(tmp_path, form):
+    folder = tmp_path / form
+    (folder / "images").mkdir(parents=True)
+    picture(folder / "images" / "sheet.bin.png")
+    (folder / "images" / "one.vrt").write_text(
+        '<VRTDataset rasterXSize="200" rasterYSize="100"><VRTRasterBand dataType="Byte" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">sheet.bin.png</SourceFilename>'
+        "<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    with rasterio.open(
+        folder / "images" / "two.jp2", "w", driver="JP2OpenJPEG", width=200, height=100, count=3,
+        dtype="uint8",
+    ) as dataset:  # fmt: skip
+        dataset.write(noise(100, 200))
+    if form == "yolo":
+        written(folder / "data.yaml", "names: [car]\n")
+    for name in ("one", "two"):
+        line = "0 0.2 0.2 0.1 0.1" if form == "yolo" else "30 15 50 15 50 25 30 25 car 0"
+        written(folder / ("labels" if form == "yolo" else "labelTxt") / f"{name}.txt", line)
+    labels = read_labels(folder)
+    assert labels.sizes_px == {"one": (200, 100), "two": (200, 100)}
+    for name in ("one", "two"):
+        corners = labels.images[name][0].corners
+        assert np.asarray(corners) == pytest.approx(np.asarray(UPRIGHT))
 
 
 def test_yolo_in_a_folder_of_labels(tmp_path):

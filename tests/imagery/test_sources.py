@@ -146,6 +146,44 @@ def test_a_few_empty_pixels_take_their_neighbours_colour(tmp_path):
             backgrounds.pixels(one.id).flatten(1).T.tolist()} == {(80, 90, 100)}  # fmt: skip
 
 
+@pytest.mark.parametrize("nodata", [0, 255])
+@pytest.mark.parametrize(("source_gsd_m", "size_px"), [(0.05, 45), (0.125, 90)])
+def test_the_edge_of_what_is_empty_looks_as_beside_it(tmp_path, nodata, source_gsd_m, size_px):
+    array = bands(80, 90, 100)
+    # A straight edge, and a speck in the middle; neither on the grid of the tiles.
+    array[:, :, :1] = array[:, 103:106, 91:94] = nodata
+    place = UTM | {"transform": from_origin(500_000, 5_300_000, source_gsd_m, source_gsd_m)}
+    write_image(tmp_path / "a.tif", array, nodata=nodata, **place)
+    # Averaged, and by cubic convolution.
+    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", gsd_m=0.11, size_px=size_px)
+    assert len(all_tiles(backgrounds)) == 4
+    colours = {
+        tuple(colour)
+        for one in all_tiles(backgrounds)
+        for colour in backgrounds.pixels(one.id).flatten(1).T.tolist()
+    }
+    assert colours == {(80, 90, 100)}
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_empty(tmp_path, wrong):
+    ramp = np.tile(np.linspace(1000, 3000, 200, dtype=np.float32), (200, 1))
+    array = np.stack([ramp] * 3)
+    # A whole corner, one band of a speck, and nothing that says that it is no data.
+    array[:, :64, :64] = wrong
+    array[1, 100:102, 100:102] = wrong
+    write_image(tmp_path / "a.tif", array, **UTM)
+    backgrounds, record = tile([tmp_path / "a.tif"], tmp_path / "set")
+    assert record.empty == 1
+    assert (0, 0) not in {one.offset_px for one in all_tiles(backgrounds)}
+    low, high = record.sources[0]["value_range"]
+    for one in all_tiles(backgrounds):
+        columns = one.offset_px[0] + np.arange(64)
+        expected = np.clip((1000 + columns * 2000 / 199 - low) / (high - low), 0, 1) * 255
+        pixels = backgrounds.pixels(one.id).numpy().astype(float)
+        assert np.abs(pixels - expected).max() < 4
+
+
 @pytest.mark.parametrize(
     ("suffix", "world"), [(".jpg", ".jgw"), (".png", ".pgw"), (".png", ".wld"), (".tif", ".tfw")]
 )

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.settings import LabelSettings
 from tests.imagery.made import all_tiles, noise, tile, write_image
@@ -123,6 +125,46 @@ def test_pixel_labels_follow_a_turned_image(tmp_path):
     assert found == pytest.approx(expected, abs=1.5)
 
 
+TURNED = Affine.translation(EAST, NORTH) * Affine.rotation(30) * Affine.scale(0.125, -0.125)
+
+
+@pytest.mark.parametrize(
+    ("crs", "affine", "border_px"),
+    [
+        (NZTM, TURNED, 32.0),
+        # At the edge of a zone of UTM north is 2 degrees off the grid's.
+        ("EPSG:4326", from_origin(174.01, -43.0, 1.5e-6, 1.12e-6), 8.0),
+    ],
+)
+def test_the_border_band_stays_a_band_where_it_lies_aslant(tmp_path, crs, affine, border_px):
+    size_px = 640
+    write_image(tmp_path / "a.tif", noise(size_px, size_px), crs=crs, transform=affine)
+    labels = pixels(), LabelSettings(WHERE, ("car",), border_px=border_px)
+    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
+    index = json.loads((tmp_path / "set" / "index.geojson").read_text())["features"]
+    places = {one["properties"]["id"]: one["properties"] for one in index}
+    ignored = boxes(tmp_path / "set", 1)
+    wrong = 0
+    for one in all_tiles(backgrounds):
+        covered = np.zeros((64, 64), bool)
+        for left, top, right, bottom in ignored.get(one.id, []):
+            covered[round(top) : round(bottom), round(left) : round(right)] = True
+        # Where each pixel of the tile lies in the image.
+        rows, columns = np.indices((64, 64)) + 0.5
+        left, _, _, top = places[one.id]["bounds"]
+        xs, ys = left + columns * 0.125, top - rows * 0.125
+        if places[one.id]["crs"] != crs:
+            moved = transform_places(places[one.id]["crs"], crs, xs.ravel(), ys.ravel())
+            xs, ys = (np.reshape(values, (64, 64)) for values in moved)
+        u, v = ~affine * (xs, ys)
+        depth = np.minimum.reduce([u, v, size_px - u, size_px - v])
+        assert covered[(depth > 1) & (depth < border_px - 1)].all()
+        # A piece and the upright box around it differ by less than its own size.
+        assert not covered[depth > 2.5 * border_px].any()
+        wrong += int((covered & (depth > border_px)).sum())
+    assert wrong < 0.1 * size_px**2
+
+
 @pytest.mark.parametrize("crs", [NZTM, "EPSG:4326"])
 def test_ground_points_of_two_systems(tmp_path, crs):
     write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
@@ -174,6 +216,50 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
     assert {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"} == {*ignored}
     assert {tuple(*found) for found in ignored.values()} == {(0, 0, 64, 64)}
     assert any(note.startswith("b.tif has no labels") for note in record.notes)
+
+
+@pytest.mark.parametrize("form", ["coco", "yolo"])
+def test_labels_of_map_tiles_are_told_apart_by_their_column(tmp_path, form):
+    # 26 m at zoom 20; the western column has one vehicle, the eastern one none.
+    names = [f"20/{558_060 + across}/364070" for across in (0, 1)]
+    for name in names:
+        file = tmp_path / "town" / "images" / f"{name}.png"
+        file.parent.mkdir(parents=True)
+        Image.fromarray(noise(256, 256).transpose(1, 2, 0)).save(file)
+    place = tmp_path / "town"
+    if form == "coco":
+        row = {"image_id": 0, "category_id": 1, "bbox": [100, 100, 20, 20]}
+        images = [{"id": number, "file_name": f"{name}.png"} for number, name in enumerate(names)]
+        categories = [{"id": 1, "name": "car"}]
+        place = tmp_path / "labels.json"
+        place.write_text(
+            json.dumps({"categories": categories, "images": images, "annotations": [row]})
+        )
+    else:
+        (place / "data.yaml").write_text("names: [car]")
+        for name, text in zip(names, ("0 0.43 0.43 0.08 0.08", ""), strict=True):
+            (place / "labels" / name).parent.mkdir(parents=True)
+            (place / "labels" / f"{name}.txt").write_text(text)
+    backgrounds, record = tile(
+        [tmp_path / "town" / "images"], tmp_path / "set",
+        labels=(read_labels(place), LabelSettings(place)),
+    )  # fmt: skip
+    assert {one.source for one in all_tiles(backgrounds)} == {"images"}
+    assert sum(count["vehicles"] for count in record.counts.values()) == 1
+    assert not any("has no labels" in note for note in record.notes)
+
+
+def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
+    write_image(tmp_path / "a.tif", noise(128, 128), **PLACE)
+    write_image(tmp_path / "b.tif", noise(64, 128))
+    labels = ground((EAST + 5.0, NORTH - 5.0)), LabelSettings(WHERE)
+    backgrounds, record = tile([tmp_path], tmp_path / "set", source_gsd_m=0.125, labels=labels)
+    bare = {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"}
+    ignored = boxes(tmp_path / "set", 1)
+    assert len(bare) == 2
+    assert {name: ignored[name] for name in bare} == {name: [(0, 0, 64, 64)] for name in bare}
+    assert [note for note in record.notes if note.startswith("b.tif has no labels: nothing is")]
+    assert len(boxes(tmp_path / "set", 0)) == 1
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,9 @@ from rasterio.warp import Resampling, reproject
 from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
-from skyproof.errors import ImageryError
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.labels.label import GroundLabels, Label
+from skyproof.imagery.settings import LabelSettings, TilingSettings
 from skyproof.imagery.tiles.georeference import map_tile
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
@@ -277,6 +279,27 @@ def test_images_without_georeference_have_frames_of_their_own(tmp_path):
     assert bounds_of(tmp_path / "set") == {}
 
 
+@pytest.mark.parametrize("stem", ["2024-06-20T13:00:00", "a\\b", "a\nb", "a" * 140])
+def test_a_name_that_no_tile_can_bear_is_refused(tmp_path, stem):
+    path = write_image(tmp_path / "a.tif", noise(64, 64)).rename(tmp_path / f"{stem}.tif")
+    with pytest.raises(ImageryError, match=r"bear its name, .*; rename the image") as caught:
+        tile([path], tmp_path / "set", source_gsd_m=0.125)
+    assert "\n" not in str(caught.value)
+    # Tiles of georeferenced images are called by their place.
+    path = write_image(
+        tmp_path / "a.tif", noise(64, 64), crs=NZTM,
+        transform=from_origin(1_550_000, 5_190_000, 0.125, 0.125),
+    ).rename(tmp_path / f"{stem}.tif")  # fmt: skip
+    tile([path], tmp_path / "placed")
+
+
+def test_the_longest_names_are_read_again(tmp_path):
+    stem = "a" * 134
+    path = write_image(tmp_path / "a.tif", noise(64, 64)).rename(tmp_path / f"{stem}.tif")
+    backgrounds, _ = tile([path], tmp_path / "set", source_gsd_m=0.125)
+    assert [one.id for one in all_tiles(backgrounds)] == [f"{stem}-00000-00000"]
+
+
 def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
     scene = smooth_noise(800, 800)
     write_image(
@@ -311,6 +334,28 @@ def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
     )
     with pytest.raises(ImageryError, match="None of the imagery shows ground"):
         tile([tmp_path / "far.tif"], tmp_path / "third", like=tmp_path / "first")
+
+
+def test_pairing_takes_the_resolution_of_what_it_is_like(tmp_path):
+    corner = from_origin(1_550_000, 5_190_000, 0.1, 0.1)
+    path = write_image(tmp_path / "a.tif", smooth_noise(300, 300), crs=NZTM, transform=corner)
+    first, _ = tile([path], tmp_path / "first", gsd_m=0.1)
+    labels = GroundLabels(("vehicle",), (Label("vehicle", ((1_550_003.2, 5_189_996.8),)),), NZTM)
+    usual = TilingSettings()
+    second, record = tile(
+        [path], tmp_path / "second", gsd_m=usual.gsd_m, size_px=usual.size_px,
+        like=tmp_path / "first", labels=(labels, LabelSettings(Path("labels.geojson"))),
+    )  # fmt: skip
+    assert second.gsd_m == first.gsd_m == 0.1
+    assert (record.settings["gsd_m"], record.settings["size_px"]) == (0.1, 64)
+    for split in SPLITS:
+        document = json.loads((tmp_path / "second" / split / "annotations.json").read_text())
+        assert document["info"]["gsd_m"] == 0.1
+    for asked, option in (({"gsd_m": 0.2}, "gsd-m"), ({"size_px": 80}, "size-px")):
+        with pytest.raises(
+            ConfigurationError, match=rf"^--tiling\.{option} expects .*leave it out"
+        ):
+            tile([path], tmp_path / "third", like=tmp_path / "first", **asked)
 
 
 def test_small_images_shrink_their_tiles_where_that_is_allowed(tmp_path):

@@ -25,8 +25,8 @@ class Adjust:
 
     Attributes:
         folder: background set, as `skyproof ground` or `skyproof clear` wrote it.
-        drop: ids of the tiles to take out, as on the sheets of `skyproof clear`; their pictures
-            stay on disk.
+        drop: ids of the tiles to take out, as on the sheets of `skyproof clear`, with their
+            annotations; their pictures stay on disk.
         measure_sensor: measure blur and noise of the imagery anew, but for what is given.
         blur_sigma_px: standard deviation of the Gaussian blur in pixels, or "paper" for the paper's
             2.4.
@@ -47,7 +47,7 @@ class Adjust:
             )
 
     def run(self) -> None:
-        """Rewrites the set's index."""
+        """Rewrites the set's index, and without dropped tiles its annotations."""
         from skyproof.scenes.backgrounds import BackgroundSet
 
         # What is no background set is said before anything is written.
@@ -76,8 +76,8 @@ class Adjust:
             )
 
     def _set_sensor(self) -> None:
-        from skyproof.imagery.sharpness import measure_sensor
-        from skyproof.scenes.background_index import change_sensors
+        from skyproof.imagery.sharpness import sensor_of_tiles
+        from skyproof.scenes.background_index import change_sensors, read_index
         from skyproof.scenes.backgrounds import BackgroundSet
 
         backgrounds = BackgroundSet.open(self.folder)
@@ -85,9 +85,7 @@ class Adjust:
         if not self.measure_sensor:
             change_sensors(self.folder, lambda its: replace(its, **given))
         else:
-            measured = measure_sensor(
-                backgrounds.pixels(tile.id) for tile in backgrounds.tiles("train")
-            )
+            measured = sensor_of_tiles(backgrounds, read_index(self.folder).tiles)
             change_sensors(self.folder, lambda _: replace(measured, **given))
         backgrounds = BackgroundSet.open(self.folder)
         tiles = backgrounds.all_tiles()

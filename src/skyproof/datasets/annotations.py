@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
-from skyproof.files import inside
+from skyproof.files import inside, write_json
 from skyproof.ranges import (
     Coordinate,
     FileReference,
@@ -30,6 +30,7 @@ __all__ = [
     "CategoryRow",
     "ImageRow",
     "Information",
+    "drop_images",
     "read_annotations",
 ]
 
@@ -131,3 +132,27 @@ def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
                 f"not listed; {REMEDY}."
             )
     return document, [inside(folder, row.file_name, path) for row in document.images]
+
+
+def drop_images(folder: Path, names: Collection[str]) -> None:
+    """Takes images and what is annotated in them out of `annotations.json`; all else stays.
+
+    Args:
+        folder: of the dataset.
+        names: what the images show (`scene_id`); those that it has not are passed over.
+
+    Raises:
+        StoredFileError: the file is missing, damaged or of another form.
+    """
+    known, _ = read_annotations(folder, AnnotationFile)
+    dropped = {row.id for row in known.images if row.scene_id in names}
+    if not dropped:
+        return
+    path = Path(folder) / ANNOTATIONS
+    # Read once more with all that others may have added.
+    document: dict[str, Any] = read_document(path, dict[str, Any], REMEDY)
+    document["images"] = [row for row in document["images"] if row["id"] not in dropped]
+    document["annotations"] = [
+        row for row in document["annotations"] if row["image_id"] not in dropped
+    ]
+    write_json(path, document)

@@ -16,11 +16,13 @@ from skyproof.datasets.pictures import Window, tensor_of
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
-from skyproof.imagery.labels.text import IMAGE_SUFFIXES
+from skyproof.imagery.tiles.georeference import image_name
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
 __all__ = ["BORDER_PX", "read_frames_folder"]
 
+# Frames are decoded by Pillow, which reads fewer forms than what cuts tiles.
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _REMEDY = "replace it, leave it out, or cut it into smaller frames"
 
 BORDER_PX = 40.0
@@ -121,22 +123,25 @@ def read_frames_folder(
     boxes: list[Tensor] = []
     ignore: list[Tensor] = []
     for file in files:
-        if file.stem not in annotations.images:
+        # What lies in folders of numbers, as map tiles do, may be labelled by its stem alone.
+        name = image_name(file)
+        name = name if name in annotations.images else file.stem
+        if name not in annotations.images:
             raise ImageryError(
                 f"{file} has no labels in {place}; an image without vehicles needs an empty text "
                 "file or an entry."
             )
         source_size = _size_px(file)
         width, height = source_size
-        stated = annotations.sizes_px.get(file.stem, source_size)
+        stated = annotations.sizes_px.get(name, source_size)
         if stated != source_size:
             raise ImageryError(
                 f"{file} has {width} x {height} px but {place} says {stated[0]} x {stated[1]}; "
                 "give the images that were labelled."
             )
-        of_image = annotations.images[file.stem]
+        of_image = annotations.images[name]
         for number, label in enumerate(of_image, 1):
-            require_inside(label, source_size, f"{place}, label {number} of {file.stem},")
+            require_inside(label, source_size, f"{place}, label {number} of {name},")
         # Labels in pixels have corners, never a point alone.
         truths, ignored = sort_labels(
             of_image, classes=classes, size_px=source_size, border_px=border_px, point_box_px=0.0
@@ -166,7 +171,7 @@ def read_frames_folder(
 
 
 def _image_files(folder: Path, pattern: str) -> list[Path]:
-    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in IMAGE_SUFFIXES)
+    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in _SUFFIXES)
 
 
 def _size_px(path: Path) -> tuple[int, int]:

@@ -35,7 +35,7 @@ class TilingSettings:
         block_m: width in metres of the blocks of tiles that go to one split; about 400 where it is
             not given, less for little imagery.
         like: a tiled folder; the same ground is cut into the same tiles and splits from these
-            sources.
+            sources, in its resolution and sizes.
         shares: of the tiles that go to train, validation, attack and test; a split whose share is
             0 gets none.
     """

@@ -5,7 +5,7 @@ The paper blurs by one value for all imagery (section S2.1).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import UInt8
@@ -15,9 +15,12 @@ from torch import Tensor
 
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.imagery.exposure import some_of
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["measure_sensor"]
+__all__ = ["measure_sensor", "sensor_of_tiles"]
 
 EDGES_PER_IMAGE = 400
 LEAST_EDGES = 100
@@ -28,6 +31,20 @@ REACH_PX = 12
 LARGEST_PX = 768
 """Of an image no more than its middle is looked at: memory must not grow with it."""
 STEP_PX = 0.25
+
+
+def sensor_of_tiles(backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile]) -> Sensor:
+    """Measures blur and noise of a background set, on some of its tiles (`measure_sensor`).
+
+    Args:
+        backgrounds: the set.
+        tiles: all its tiles, of whatever split, in the order of its index.
+
+    Raises:
+        ImageryError: too few edges to tell.
+        StoredFileError: a tile's picture is missing or damaged.
+    """
+    return measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
 
 
 def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:

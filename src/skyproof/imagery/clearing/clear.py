@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.datasets.annotations import ANNOTATIONS, drop_images
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import write_json
@@ -197,14 +198,16 @@ def clear_backgrounds(
 
 
 def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Takes tiles a person rejected out of the index; their pictures stay where they are.
+    """Takes tiles a person rejected out of the index and out of the annotations of their splits.
+
+    Their pictures stay where they are.
 
     Returns:
         Splits that have no tile any more.
 
     Raises:
         ConfigurationError: an id is not in the index, or none would stay.
-        StoredFileError: the folder is not a background set.
+        StoredFileError: the folder is not a background set, or an annotation file is damaged.
     """
     backgrounds = BackgroundSet.open(folder)
     tiles = backgrounds.all_tiles()
@@ -223,6 +226,9 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         if not isinstance(before, list) or not all(isinstance(name, str) for name in before):
             raise StoredFileError(f"{path}, rejected: expected a list of tiles; {_REMEDY}.")
         write_json(path, {**record, "rejected": sorted({*before, *ids})})
+    for split in SPLITS:
+        if (folder / split / ANNOTATIONS).is_file():
+            drop_images(folder / split, ids)
     copy_ground_index(folder, folder, {tile.id for tile in kept})
     write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return [

@@ -11,7 +11,8 @@ from msgspec import Meta
 from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import ImageLabels, Label, require_inside
-from skyproof.imagery.labels.text import stem_once
+from skyproof.imagery.labels.text import name_once
+from skyproof.imagery.tiles.georeference import image_name
 from skyproof.ranges import Coordinate
 
 __all__ = ["read_coco_labels"]
@@ -60,21 +61,21 @@ def read_coco_labels(path: Path) -> ImageLabels:
     """
     document: _Document = read_document(path, _Document, "correct it", error=ImageryError)
     categories = {row.id: row.name for row in document.categories}
-    stems: dict[int | str, str] = {}
+    names: dict[int | str, str] = {}
     images: dict[str, list[Label]] = {}
     sizes_px: dict[str, tuple[int, int]] = {}
     for image in document.images:
-        # Of the name only the last part counts: no file is opened by it.
-        stem = Path(image.file_name).stem
-        stem_once(stem, images, path)
-        stems[image.id], images[stem] = stem, []
+        # Of a path only the name counts: no file is opened by it.
+        name = image_name(Path(image.file_name))
+        name_once(name, images, path)
+        names[image.id], images[name] = name, []
         if image.width and image.height:
-            sizes_px[stem] = int(image.width), int(image.height)
-    if not stems:
+            sizes_px[name] = int(image.width), int(image.height)
+    if not names:
         raise ImageryError(f"{path} lists no images; give another file.")
     for number, row in enumerate(document.annotations, 1):
         where = f"{path} annotation {number if row.id is None else row.id}"
-        if row.image_id not in stems:
+        if row.image_id not in names:
             raise ImageryError(
                 f"{where} belongs to image {row.image_id}, which is not listed; correct it."
             )
@@ -90,9 +91,9 @@ def read_coco_labels(path: Path) -> ImageLabels:
         right, bottom = left + width, top + height
         corners = (left, top), (right, top), (right, bottom), (left, bottom)
         label = Label(categories[row.category_id], corners, bool(row.iscrowd))
-        stem = stems[row.image_id]
-        if stem in sizes_px:
-            require_inside(label, sizes_px[stem], where)
-        images[stem].append(label)
+        name = names[row.image_id]
+        if name in sizes_px:
+            require_inside(label, sizes_px[name], where)
+        images[name].append(label)
     classes = tuple(dict.fromkeys(categories.values()))
-    return ImageLabels(classes, {stem: tuple(labels) for stem, labels in images.items()}, sizes_px)
+    return ImageLabels(classes, {name: tuple(labels) for name, labels in images.items()}, sizes_px)

@@ -7,6 +7,7 @@ from pathlib import Path
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import ImageLabels, Label, bounds, require_inside
 from skyproof.imagery.labels.text import finite_numbers, image_of, image_size_px, text_lines
+from skyproof.imagery.tiles.georeference import image_name
 
 __all__ = ["is_dota_line", "read_dota_labels"]
 
@@ -45,18 +46,19 @@ def read_dota_labels(folder: Path) -> ImageLabels:
     sizes_px: dict[str, tuple[int, int]] = {}
     for text in sorted(Path(folder).glob("*.txt")):
         image = image_of(text)
+        name = text.stem if image is None else image_name(image)
         if image is not None:
-            sizes_px[text.stem] = image_size_px(image)
+            sizes_px[name] = image_size_px(image)
         labels = []
         for number, words in text_lines(text):
             if words[0].lower().startswith(_HEADERS):
                 continue
             where = f"{text} line {number}"
             label = _label(where, words)
-            if text.stem in sizes_px:
-                require_inside(label, sizes_px[text.stem], where)
+            if name in sizes_px:
+                require_inside(label, sizes_px[name], where)
             labels.append(label)
-        images[text.stem] = tuple(labels)
+        images[name] = tuple(labels)
     classes = sorted({label.class_name for labels in images.values() for label in labels})
     return ImageLabels(tuple(classes), images, sizes_px)
 

@@ -45,6 +45,7 @@ class _Row(AnnotationRow, kw_only=True, frozen=True):
     """An annotation with what other tools want to know of it."""
 
     category_id: Seed
+    centre_px: tuple[Coordinate, Coordinate] | None = None
     corners_px: tuple[tuple[Coordinate, Coordinate], ...] | None = None
     area: Annotated[float, Meta(ge=0, le=1e18)] | None = None
     segmentation: _Outline | None = None
@@ -75,6 +76,11 @@ class _Object:
     @property
     def centre(self) -> Point:
         return self.box[0] + self.box[2] / 2, self.box[1] + self.box[3] / 2
+
+    @property
+    def middle(self) -> Point:
+        """The vehicle's own middle: where the border cuts it, that of its box is another."""
+        return self.row.centre_px or self.centre
 
 
 @dataclass(frozen=True)
@@ -313,7 +319,7 @@ def _write_geojson(data: _Dataset, out: Path, progress: Progress) -> Exported:
         step_x, step_y = (right - left) / image.width, (top - bottom) / image.height
         for item in image.objects:
             # Rings of a polygon end where they began, and run anticlockwise with north up.
-            pixels = [*reversed(item.upright), item.upright[-1]] if item.ignore else [item.centre]
+            pixels = [*reversed(item.upright), item.upright[-1]] if item.ignore else [item.middle]
             ground = [(left + x * step_x, top - y * step_y) for x, y in pixels]
             degrees = to_reference_system(crs, CRS.from_epsg(4326), ground)
             places = [[round(x, 9), round(y, 9)] for x, y in degrees]

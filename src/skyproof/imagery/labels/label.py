@@ -55,10 +55,9 @@ class ImageLabels:
 
     Attributes:
         classes: every class name the file knows, also those without an object.
-        images: per image file stem its labels, none for an image without objects; one not named was
-            not labelled.
-        sizes_px: per image file stem its width and height, where the file or the image beside it
-            states them.
+        images: per image, called as `image_name` says, its labels, none for an image without
+            objects; one not named was not labelled.
+        sizes_px: per image its width and height, where the file or the image beside it states them.
     """
 
     classes: tuple[str, ...]

@@ -10,22 +10,20 @@ from pathlib import Path
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.rasters import open_raster
+from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 
 __all__ = [
     "IMAGE_FOLDER",
-    "IMAGE_SUFFIXES",
     "LABEL_FOLDERS",
     "LARGEST_NUMBER",
     "finite_numbers",
     "image_of",
     "image_size_px",
+    "name_once",
     "read_text",
-    "stem_once",
     "text_lines",
 ]
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LARGEST_NUMBER = 1e9
 """Pixels, metres or degrees: no label lies farther away."""
 
@@ -86,7 +84,7 @@ def image_of(text: Path) -> Path | None:
             folders.append(Path(*parts[:index], IMAGE_FOLDER, *parts[index + 1 :]))
             break
     for folder in folders:
-        for suffix in IMAGE_SUFFIXES:
+        for suffix in RASTER_SUFFIXES:
             for spelt in (suffix, suffix.upper()):
                 image = folder / f"{text.stem}{spelt}"
                 if image.is_file():
@@ -111,13 +109,13 @@ def image_size_px(path: Path) -> tuple[int, int]:
         ) from error
 
 
-def stem_once(stem: str, known: Collection[str], where: Path) -> None:
-    """Labels go by image file stem: two images of one stem would be mixed up.
+def name_once(name: str, known: Collection[str], where: Path) -> None:
+    """Labels go by the name of their image: two images of one name would be mixed up.
 
     Raises:
-        ImageryError: the stem is known already.
+        ImageryError: the name is known already.
     """
-    if stem in known:
+    if name in known:
         raise ImageryError(
-            f"{where} labels two images called {stem!r}; rename one of them, or split the labels."
+            f"{where} labels two images called {name!r}; rename one of them, or split the labels."
         )

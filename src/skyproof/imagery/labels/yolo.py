@@ -14,10 +14,11 @@ from skyproof.imagery.labels.text import (
     finite_numbers,
     image_of,
     image_size_px,
+    name_once,
     read_text,
-    stem_once,
     text_lines,
 )
+from skyproof.imagery.tiles.georeference import image_name
 
 __all__ = ["class_file", "read_yolo_labels"]
 
@@ -69,10 +70,11 @@ def read_yolo_labels(folder: Path) -> ImageLabels:
         image = image_of(text)
         if image is None:
             continue
-        stem_once(text.stem, images, folder)
-        sizes_px[text.stem] = image_size_px(image)
-        images[text.stem] = tuple(
-            _label(f"{text} line {number}", words, classes, sizes_px[text.stem])
+        name = image_name(image)
+        name_once(name, images, folder)
+        sizes_px[name] = image_size_px(image)
+        images[name] = tuple(
+            _label(f"{text} line {number}", words, classes, sizes_px[name])
             for number, words in text_lines(text)
         )
     if not images:

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.georeference import image_name
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
 from skyproof.imagery.tiles.warp import CellImage, read_source
@@ -21,7 +22,7 @@ __all__ = ["cover_of", "find_covers"]
 def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> list[Source]:
     """Finds the mask of each source: an image of its name and its size, lying where it lies.
 
-    One mask of one source may have another name.
+    One mask of one source may have another name. Masks of map tiles lie in folders z/x/y as these.
 
     Args:
         path: one mask, or the folder of them.
@@ -32,12 +33,12 @@ def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> 
         ImageryError: a source has no mask, or one of another size, or it cannot be read.
     """
     found = find_images([path])
-    files = {file.stem: file for file in found}
+    files = {image_name(file): file for file in found}
     if len(found) == len(sources) == 1:
-        files = {sources[0].path.stem: found[0]}
+        files = {image_name(sources[0].path): found[0]}
     masks = []
     for source in sources:
-        file = files.get(source.path.stem)
+        file = files.get(image_name(source.path))
         if file is None:
             raise ImageryError(
                 f"{path} holds no mask for {source.path.name}; add an image of the same name, "

@@ -18,6 +18,7 @@ from skyproof.errors import ImageryError
 
 __all__ = [
     "Georeference",
+    "image_name",
     "is_true_to_scale",
     "map_tile",
     "outline",
@@ -102,6 +103,15 @@ def map_tile(path: Path) -> tuple[int, int, int] | None:
         return None
     zoom, column, row = map(int, parts)
     return (zoom, column, row) if zoom <= _DEEPEST_ZOOM and max(column, row) < 2**zoom else None
+
+
+def image_name(path: Path) -> str:
+    """Names an image among others: z/x/y of a map tile, whose file is called by its row alone.
+
+    Of any other it is the file's name without its ending.
+    """
+    place = map_tile(path)
+    return path.stem if place is None else "/".join(map(str, place))
 
 
 def _of_map_tile(path: Path, width_px: int, height_px: int) -> Affine | None:

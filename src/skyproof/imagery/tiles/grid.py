@@ -13,8 +13,14 @@ from rasterio.crs import CRS
 from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.tiles.georeference import (
+    image_name,
+    is_true_to_scale,
+    outline,
+    to_reference_system,
+)
 from skyproof.imagery.tiles.sources import Source
+from skyproof.ranges import is_name
 from skyproof.scenes.splits import Split
 
 __all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
@@ -246,7 +252,7 @@ def _layout(
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
-        return first.path.stem, None, {group[0]: extent_of(first, None)}
+        return image_name(first.path).replace("/", "-"), None, {group[0]: extent_of(first, None)}
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:
@@ -278,7 +284,7 @@ def cells_of(grid: Grid) -> list[Cell]:
     """Lists the cells that the sources of a grid may fill, row by row, each a block of its own.
 
     Raises:
-        ImageryError: they are more than `MOST_CELLS`.
+        ImageryError: they are more than `MOST_CELLS`, or no files can be called as they are.
     """
     side_m = grid.size_px * grid.gsd_m
     cells = []
@@ -289,6 +295,13 @@ def cells_of(grid: Grid) -> list[Cell]:
             tile_id = f"{grid.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
         else:
             tile_id = f"{grid.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
+        # A tile becomes a file of this name, which all commands read after this one.
+        if not is_name(f"{tile_id}.png"):
+            raise ImageryError(
+                "Tiles of an image without georeference bear its name, which expects at most 130 "
+                f"characters, no ':', no backslash and no line break, got {grid.name!r}; rename "
+                "the image."
+            )
         sources = tuple(sorted(numbers))
         block = (grid.name, row, column)
         cells.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -28,7 +29,7 @@ from skyproof.imagery.labels.label import (
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
-from skyproof.imagery.tiles.georeference import Point, to_reference_system
+from skyproof.imagery.tiles.georeference import Point, image_name, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
@@ -37,6 +38,7 @@ __all__ = ["PlacedLabels"]
 BIN_M = 64.0
 FARTHEST_PX = 1e6
 _NAMED = 3
+_MOST_PIECES = 2_000
 EVERYTHING, BORDER = "image without labels", "border of an image"
 
 
@@ -62,7 +64,8 @@ class PlacedLabels:
     the tiles beside it, and where the source has no data at its centre, it is an ignore region.
     Of an oriented label the corners are kept beside the box.
     Labels in pixels count only where their own source is what the tile shows. What an image without
-    any entry in the labels shows is ignored as a whole: nobody looked for vehicles there.
+    any entry in the labels shows is ignored as a whole: nobody looked for vehicles there. So is an
+    image without georeference where labels lie on the map.
 
     Args:
         labels: as read.
@@ -114,10 +117,7 @@ class PlacedLabels:
         if settings.border_px:
             for plane, (crs, numbers) in planes.items():
                 for number in numbers:
-                    size_px = sources[number].width_px, sources[number].height_px
-                    self._add_regions(
-                        plane, crs, number, BORDER, border_strips(size_px, settings.border_px)
-                    )
+                    self._add_border(plane, crs, number)
 
     def _place_ground(
         self, labels: GroundLabels, planes: dict[str, tuple[CRS | None, set[int]]]
@@ -135,6 +135,9 @@ class PlacedLabels:
         flat = [corner for label in labels.labels for corner in label.corners]
         for plane, (crs, numbers) in planes.items():
             if crs is None:
+                # Labels on the map say nothing of an image that is not on it.
+                for number in sorted(numbers):
+                    self._add_unlabelled(plane, crs, number)
                 continue
             corners = iter(to_reference_system(system, crs, flat))
             moved = [
@@ -171,10 +174,10 @@ class PlacedLabels:
         self, labels: ImageLabels, planes: dict[str, tuple[CRS | None, set[int]]]
     ) -> int:
         path = self._settings.path
-        number_of = {source.path.stem: i for i, source in enumerate(self._sources)}
-        unknown = [stem for stem in labels.images if stem not in number_of]
+        known = {image_name(source.path) for source in self._sources}
+        unknown = [name for name in labels.images if name not in known]
         total = sum(map(len, labels.images.values()))
-        outside = sum(len(labels.images[stem]) for stem in unknown)
+        outside = sum(len(labels.images[name]) for name in unknown)
         if labels.images and len(unknown) == len(labels.images):
             raise ImageryError(
                 f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
@@ -183,21 +186,16 @@ class PlacedLabels:
         for plane, (crs, numbers) in planes.items():
             for number in sorted(numbers):
                 source = self._sources[number]
-                stem, size = source.path.stem, (source.width_px, source.height_px)
-                if stem not in labels.images:
-                    self.notes.append(
-                        f"{source.path.name} has no labels: nothing is scored on its tiles"
-                    )
-                    self._add_regions(
-                        plane, crs, number, EVERYTHING, [(0.0, 0.0, float(size[0]), float(size[1]))]
-                    )
+                name, size = image_name(source.path), (source.width_px, source.height_px)
+                if name not in labels.images:
+                    self._add_unlabelled(plane, crs, number)
                     continue
-                if labels.sizes_px.get(stem, size) != size:
+                if labels.sizes_px.get(name, size) != size:
                     raise ImageryError(
-                        f"{path} was made for {stem} of {labels.sizes_px[stem]} px but "
+                        f"{path} was made for {name} of {labels.sizes_px[name]} px but "
                         f"{source.path} has {size} px; give the image the labels were made on."
                     )
-                labels_here = labels.images[stem]
+                labels_here = labels.images[name]
                 kept = [label for label in labels_here if _inside_picture(_middle(label), size)]
                 outside += len(labels_here) - len(kept)
                 self._add(
@@ -220,6 +218,26 @@ class PlacedLabels:
         return dataclasses.replace(
             label, corners=tuple(to_reference_system(georeference.crs, crs, corners))
         )
+
+    def _add_unlabelled(self, plane: str, crs: CRS | None, number: int) -> None:
+        """Notes that nobody looked for vehicles on a source: nothing is scored there."""
+        source = self._sources[number]
+        self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
+        whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
+        self._add_regions(plane, crs, number, EVERYTHING, [whole])
+
+    def _add_border(self, plane: str, crs: CRS | None, number: int) -> None:
+        """Adds the band along the border of a source, in pieces where it does not stay upright.
+
+        On a tile a region is the upright box around it: of a strip that lies aslant it would cover
+        much of the source.
+        """
+        source, border_px = self._sources[number], self._settings.border_px
+        strips = border_strips((source.width_px, source.height_px), border_px)
+        transform = source.georeference.transform
+        if source.georeference.crs != crs or transform.b or transform.d:
+            strips = [piece for strip in strips for piece in _pieces(strip, border_px)]
+        self._add_regions(plane, crs, number, BORDER, strips)
 
     def _add_regions(
         self,
@@ -331,6 +349,21 @@ class PlacedLabels:
         return not (
             border <= x <= source.width_px - border and border <= y <= source.height_px - border
         )
+
+
+def _pieces(
+    box: tuple[float, float, float, float], side_px: float
+) -> list[tuple[float, float, float, float]]:
+    """Cuts a box along its longer side into pieces of about a given length."""
+    left, top, right, bottom = box
+    across = right - left >= bottom - top
+    count = round(max(right - left, bottom - top) / side_px)
+    count = min(max(count, 1), _MOST_PIECES)
+    ends = np.linspace(*((left, right) if across else (top, bottom)), count + 1).tolist()
+    return [
+        (low, top, high, bottom) if across else (left, low, right, high)
+        for low, high in itertools.pairwise(ends)
+    ]
 
 
 def _near(corners: Iterable[Point]) -> bool:

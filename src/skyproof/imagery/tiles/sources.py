@@ -21,9 +21,14 @@ from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.text import IMAGE_FOLDER
-from skyproof.imagery.rasters import open_raster
+from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.georeference import Georeference, map_tile, read_georeference
+from skyproof.imagery.tiles.georeference import (
+    Georeference,
+    image_name,
+    map_tile,
+    read_georeference,
+)
 
 __all__ = [
     "Source",
@@ -34,7 +39,6 @@ __all__ = [
     "read_mask",
 ]
 
-SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".vrt")
 GDAL_CACHE_MB = 256
 OPEN_AT_ONCE = 8
 
@@ -77,10 +81,14 @@ class Source:
     notes: tuple[str, ...]
 
     @property
+    def is_map_tile(self) -> bool:
+        """Whether its place in folders is that of a map tile."""
+        return map_tile(self.path.resolve()) is not None
+
+    @property
     def collection(self) -> str:
         """Names the folder that holds it and its neighbours; of a map tile the one above z/x/y."""
-        place = self.path.resolve()
-        return place.parents[0 if map_tile(place) is None else 2].name
+        return self.path.resolve().parents[2 if self.is_map_tile else 0].name
 
 
 def gdal_limits() -> rasterio.Env:
@@ -105,7 +113,8 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
             images = _images_in(path) or _images_in(path / IMAGE_FOLDER) or _map_tiles_in(path)
             if not images:
                 raise ImageryError(
-                    f"{path} holds no image ({', '.join(SUFFIXES)}); give another folder or a file."
+                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give another folder "
+                    "or a file."
                 )
             files += images
         elif path.is_file():
@@ -116,8 +125,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
         raise ImageryError("No imagery was given; name images or folders of them.")
     seen: set[str] = set()
     for file in files:
-        # Map tiles are told apart by their place.
-        name = "/".join(file.parts[-3:]) if map_tile(file) is not None else file.stem
+        name = image_name(file)
         if name in seen:
             raise ImageryError(f"{file} shares its name with another image; rename one of them.")
         seen.add(name)
@@ -127,7 +135,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
 def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTER_SUFFIXES)
 
 
 def _map_tiles_in(folder: Path) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,8 +13,9 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from skyproof.documents import read_document
-from skyproof.errors import ImageryError, StoredFileError
+from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import write_json
+from skyproof.imagery.settings import TilingSettings
 from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of
 from skyproof.imagery.tiles.sources import Source
@@ -22,7 +24,14 @@ from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import Split
 
-__all__ = ["GROUND_INDEX", "cells_like", "copy_ground_index", "read_places", "write_ground_index"]
+__all__ = [
+    "GROUND_INDEX",
+    "cells_like",
+    "copy_ground_index",
+    "read_places",
+    "settings_like",
+    "write_ground_index",
+]
 
 GROUND_INDEX = "index.geojson"
 
@@ -141,6 +150,33 @@ def _read(folder: Path) -> list[_Feature]:
 def _write(folder: Path, features: Sequence[_Feature]) -> None:
     index = _Features("FeatureCollection", list(features))
     write_json(Path(folder) / GROUND_INDEX, msgspec.to_builtins(index))
+
+
+def settings_like(settings: TilingSettings, folder: Path) -> TilingSettings:
+    """Takes resolution and size from the tiled folder whose tiles are cut once more.
+
+    Nobody can say whether the usual values were asked for, so that only others are compared. Where
+    the tiles have several sizes the largest is taken; each is cut in its own.
+
+    Raises:
+        ConfigurationError: another resolution or size was asked for.
+        StoredFileError: `folder` is not a tiled folder.
+    """
+    background_set = BackgroundSet.open(folder)
+    usual = TilingSettings()
+    gsd_m = background_set.gsd_m
+    if settings.gsd_m not in (usual.gsd_m, gsd_m):
+        raise ConfigurationError(
+            f"--tiling.gsd-m expects the {gsd_m:g} m per pixel of {folder}, whose tiles "
+            f"--tiling.like cuts again, got {settings.gsd_m:g}; leave it out."
+        )
+    sizes_px = sorted({tile.width_px for tile in background_set.all_tiles()})
+    if settings.size_px not in (usual.size_px, *sizes_px):
+        raise ConfigurationError(
+            f"--tiling.size-px expects the {' or '.join(map(str, sizes_px))} px of the tiles of "
+            f"{folder}, which --tiling.like cuts again, got {settings.size_px}; leave it out."
+        )
+    return dataclasses.replace(settings, gsd_m=gsd_m, size_px=max(sizes_px))
 
 
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:

@@ -18,10 +18,9 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.exposure import some_of
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
-from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.sharpness import sensor_of_tiles
 from skyproof.imagery.tiles.covers import cover_of, find_covers
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.lights import lit_tiles, sun_over
@@ -34,7 +33,7 @@ from skyproof.imagery.tiles.sources import (
     inspect_source,
 )
 from skyproof.imagery.tiles.splits import assign_splits
-from skyproof.imagery.tiles.tile_index import cells_like, write_ground_index
+from skyproof.imagery.tiles.tile_index import cells_like, settings_like, write_ground_index
 from skyproof.imagery.tiles.warp import read_cell
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -93,7 +92,7 @@ def tile_imagery(
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`measure_sensor`), and the exposure of each source, so that they are as bright
+    (`sensor_of_tiles`), and the exposure of each source, so that they are as bright
     (`measure_exposure`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
@@ -103,20 +102,23 @@ def tile_imagery(
         paths: images, or folders whose images (not those of their sub-folders) are taken.
         folder: where the set goes; use `finished_folder` around it so that a half-written one does
             not stay.
-        settings: resolution, size, blocks.
+        settings: resolution, size, blocks; with `like` the first two are those of its set.
         generator: shuffles the blocks.
         source_settings: what images do not say themselves.
         labels: as read, and what counts as a vehicle.
         progress: called with (cells done, cells in all).
 
     Raises:
-        ConfigurationError: settings that cannot work.
+        ConfigurationError: settings that cannot work, or another resolution or size than `like`
+            has.
         ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
             cm; images that hold no tile; labels that do not fit the imagery; a time at which the
             sun was down over them, or one for images without georeference.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
+    if settings.like is not None:
+        settings = settings_like(settings, settings.like)
     files = find_images(paths)
     notes = []
     source_settings = source_settings or SourceSettings()
@@ -242,7 +244,7 @@ def _sensor(
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     try:
-        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
+        sensor = sensor_of_tiles(backgrounds, tiles)
     except ImageryError:
         notes.append(
             "too few clear edges to measure the blur; vehicles will be drawn with "
@@ -286,16 +288,20 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
 
 
 def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
-    """Names what a tile shows: its images, or of map tiles, smaller than itself, their folder."""
+    """Names what a tile shows: its images, or of map tiles and others so small their folder."""
     side_m = cell.size_px * cell.gsd_m
     small = all(
         min(source.width_px * gsd[0], source.height_px * gsd[1]) < side_m
         for source in shown
         for gsd in [source.georeference.gsd_m]
     )
-    if small and len(shown) > 1:
-        return list(dict.fromkeys(source.collection for source in shown))
-    return [source.path.name for source in shown]
+    folders = small and len(shown) > 1
+    return list(
+        dict.fromkeys(
+            source.collection if folders or source.is_map_tile else source.path.name
+            for source in shown
+        )
+    )
 
 
 def _notes(sources: Sequence[Source]) -> list[str]:

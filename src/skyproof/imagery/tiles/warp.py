@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from affine import Affine
@@ -24,6 +25,8 @@ __all__ = ["CellImage", "read_cell", "read_source"]
 
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 # Two sides in the same system: which one does not matter.
 _NO_SYSTEM = CRS.from_epsg(32631)
@@ -48,7 +51,8 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of
     two sheets, each source fills what those before it left empty. Where even all together do not,
     there is no tile. The 2 % that may be empty take the colour of the nearest pixel that is not: a
-    black edge would be learnt as a sign.
+    black edge would be learnt as a sign. So do empty pixels of a source before it is resampled: the
+    values there mean nothing.
 
     Shrinking averages over the area of a pixel, because point sampling would alias fine structure
     into coarse patterns; otherwise pixels are interpolated by cubic convolution, which copies them
@@ -73,11 +77,17 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     return CellImage(_filled(pixels, valid), owner) if valid.mean() >= FULL_SHARE else None
 
 
-def _filled(pixels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    if valid.all():
-        return pixels
-    rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    return pixels[:, rows, columns]
+def _filled(values: NDArray[_Value], valid: NDArray[np.bool_]) -> NDArray[_Value]:
+    """Gives every pixel that is not valid the values of the nearest one that is."""
+    if valid.all() or not valid.any():
+        return values
+    # Around what is to be filled one ring of pixels is enough: none beyond it is nearer.
+    rows, columns = (np.flatnonzero(~valid.all(axis)) for axis in (1, 0))
+    part = np.s_[max(0, rows[0] - 1) : rows[-1] + 2, max(0, columns[0] - 1) : columns[-1] + 2]
+    nearest = distance_transform_edt(~valid[part], return_distances=False, return_indices=True)
+    filled = values.copy()
+    filled[:, part[0], part[1]] = values[:, part[0], part[1]][:, nearest[0], nearest[1]]
+    return filled
 
 
 def read_source(
@@ -132,14 +142,13 @@ def _fill_piece(
     mask = read_mask(dataset, source, window)
     if not mask.any():
         return
-    # The values as bytes, or as numbers on their scale.
+    # The values as bytes, or as numbers on their scale; what is no number is no data.
     values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
-        values = np.nan_to_num(
-            (values.astype(np.float32) - low) * (255 / (high - low)), posinf=255, neginf=0
-        )
-    # The colours, taken to the ground.
+        values = values.astype(np.float32)
+        mask = np.where(np.isfinite(values).all(0), mask, 0).astype(np.uint8)
+        values = np.clip((values - low) * (255 / (high - low)), 0, 255)
     placement = {
         "src_transform": source.georeference.transform
         * Affine.translation(window.col_off, window.row_off),
@@ -148,6 +157,22 @@ def _fill_piece(
         "dst_crs": cell.crs or _NO_SYSTEM,
     }
     shrinking = shrink > SHRINKING_FROM
+    # Where they are valid, taken to the ground.
+    if inside and mask.all():
+        valid[:] = True
+    else:
+        shares = np.zeros(valid.shape, np.uint8)
+        reproject(
+            mask,
+            shares,
+            resampling=Resampling.average if shrinking else Resampling.nearest,
+            **placement,
+        )
+        valid[:] = shares >= 128
+        if not valid.any():
+            return
+    # The colours, by the same way; at the edge of what is empty its values would be mixed in.
+    values = _filled(values, mask > 0)
     warped = np.zeros((len(bands), *pixels.shape[1:]), values.dtype)
     reproject(
         values,
@@ -158,18 +183,6 @@ def _fill_piece(
     if warped.dtype != np.uint8:
         warped = (np.clip(warped, 0, 255) + 0.5).astype(np.uint8)
     pixels[:] = warped[[bands.index(band) for band in source.bands]]
-    # Where they are valid, by the same way.
-    if inside and mask.all():
-        valid[:] = True
-        return
-    shares = np.zeros(valid.shape, np.uint8)
-    reproject(
-        mask,
-        shares,
-        resampling=Resampling.average if shrinking else Resampling.nearest,
-        **placement,
-    )
-    valid[:] = shares >= 128
 
 
 def _window(

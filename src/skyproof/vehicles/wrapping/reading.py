@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+import torch
 import trimesh
 from jaxtyping import Float, UInt8
 from msgspec import Meta
@@ -18,6 +19,7 @@ from trimesh.resolvers import Resolver
 
 from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
+from skyproof.geometry.colour import linear_to_srgb
 from skyproof.vehicles.wrapping.collada import read_collada
 from skyproof.vehicles.wrapping.meshes import (
     GREY,
@@ -119,7 +121,8 @@ def read_mesh(path: Path) -> SourceMesh:
 
 
 def _read_with_trimesh(path: Path) -> SourceMesh:
-    if path.suffix.lower() in (".glb", ".gltf"):
+    gltf = path.suffix.lower() in (".glb", ".gltf")
+    if gltf:
         _refuse_unreadable(path)
     resolver = _Neighbours(path)
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
@@ -141,7 +144,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
         corners = trimesh.transform_points(geometry.vertices, transform)[geometry.faces]
         if np.linalg.det(transform[:3, :3]) < 0:
             notes.append(f"{node} is mirrored in the file; its triangles were turned round.")
-        material, uvs, colours = _look_of(geometry, f"{node} {name}", pictures, size)
+        material, uvs, colours = _look_of(geometry, f"{node} {name}", pictures, size, linear=gltf)
         materials.append(material)
         pieces.append((corners, uvs, colours, np.full(len(corners), len(materials) - 1)))
     if not pieces:
@@ -151,7 +154,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
         notes.append(f"texture {name} was not found beside {path}; a plain colour was taken.")
     if len(pieces) > 1:
         notes.append(f"{len(pieces)} objects were joined.")
-    up = "y" if path.suffix.lower() in (".glb", ".gltf") else None
+    up = "y" if gltf else None
     unit_m = 1.0 if up else None
     triangles, uvs, colours, material_of = (
         np.concatenate(parts) for parts in zip(*pieces, strict=True)
@@ -166,6 +169,8 @@ def _look_of(
     name: str,
     pictures: dict[int, UInt8[np.ndarray, "H W C"]],
     size: Size,
+    *,
+    linear: bool,
 ) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
     """Returns material, UVs and corner colours of one trimesh object.
 
@@ -174,6 +179,8 @@ def _look_of(
         name: of the material.
         pictures: that were decoded already, by the identity of what trimesh opened.
         size: counts their texels.
+        linear: colours of vertices and materials are linear, as glTF says; its pictures are sRGB
+            like all others.
     """
     count = len(geometry.faces)
     uvs = np.zeros((count, 3, 2))
@@ -183,10 +190,12 @@ def _look_of(
         colours = np.asarray(visual.vertex_colors, float)[geometry.faces][..., :3] / 255
     elif visual.kind == "face":
         colours = np.repeat(np.asarray(visual.face_colors, float)[:, None, :3] / 255, 3, axis=1)
+    if linear:
+        colours = _srgb(colours)
     material = getattr(visual, "material", None)
     if material is None:
         return Material(name, plain=visual.kind is None), uvs, colours
-    opened, opacity, colour = _picture_and_colour(material)
+    opened, opacity, colour = _picture_and_colour(material, linear=linear)
     image = None
     if getattr(visual, "uv", None) is not None:
         uvs = np.asarray(visual.uv, float)[geometry.faces][..., :2]
@@ -203,8 +212,12 @@ def _look_of(
     )
 
 
+def _srgb(linear: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S"]:
+    return linear_to_srgb(torch.from_numpy(linear)).numpy()
+
+
 def _picture_and_colour(
-    material: Any,
+    material: Any, *, linear: bool
 ) -> tuple[Image.Image | None, float, tuple[float, float, float] | None]:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
@@ -218,7 +231,8 @@ def _picture_and_colour(
         opacity = float(np.asarray(raw, float)[-1] / 255)
     colour = None
     if raw is not None:
-        r, g, b = (np.asarray(raw, float)[:3] / 255).tolist()
+        values = np.asarray(raw, float)[:3] / 255
+        r, g, b = (_srgb(values) if linear else values).tolist()
         colour = (r, g, b)
     return image, opacity, colour
 
