@@ -17,7 +17,8 @@ from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
-from skyproof.imagery.clearing.clear import clear_backgrounds, drop_tiles
+from skyproof.imagery.clearing.clear import clear_backgrounds
+from skyproof.imagery.clearing.dropping import drop_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, grown_to_what_is_seen
 from skyproof.imagery.settings import ClearSettings

@@ -65,7 +65,7 @@ class Adjust:
         return values
 
     def _drop_tiles(self) -> None:
-        from skyproof.imagery.clearing.clear import drop_tiles
+        from skyproof.imagery.clearing.dropping import drop_tiles
 
         emptied = drop_tiles(self.folder, self.drop)
         say(f"Dropped {len(set(self.drop))} tiles from {self.folder.resolve()}")

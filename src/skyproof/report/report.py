@@ -5,9 +5,8 @@ The paper's tables are written beside it where they apply.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer, worst_case
+from skyproof.report.appendix import flat_settings, full_tables
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, many_figure
@@ -38,7 +38,7 @@ from skyproof.report.turnable import PLACE_OF_MODEL, model, viewer
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Results
-from skyproof.results.rows import MAIN_MATCH, Headline, Row
+from skyproof.results.rows import Headline
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.worst import worst_cases
 
@@ -191,7 +191,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             gate=read_gate(results),
             standing=standing(results),
             checked=checked_sets(results),
-            tables=_tables(results),
+            tables=full_tables(results),
             errors=error_rows(results),
             paper=paper,
             training=training_loss(results),
@@ -203,7 +203,7 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
                 several_trainings=_several_trainings(paper),
                 asked=asked is not None,
             ),
-            settings=list(_flat(results.config.every)),
+            settings=flat_settings(results.config.every),
         )
     )
     write_bytes(layout.report, page.encode())
@@ -368,35 +368,3 @@ def _pairs(results: Results, headline: Headline, count: int | None = None) -> li
         adversarial = embedded_jpeg(inside(folder, pair.adversarial, document))
         pictures.append(_Picture(pair.scene, original, adversarial, caption))
     return pictures
-
-
-def _tables(results: Results) -> list[tuple[str, list[Row]]]:
-    """Groups the rows by match criterion and renderer, with headings; the main criterion first."""
-    criteria = {
-        MAIN_MATCH: "found = centre within 1.0 m",
-        "iou_50": "found = boxes overlap by IoU ≥ 0.5",
-    }
-    tables = []
-    for match, meaning in criteria.items():
-        for renderer in results.renderers:
-            name = words.renderer_name(renderer)
-            alone = len(results.renderers) == 1
-            whose = f"Renderer {renderer}" if alone else name[0].upper() + name[1:]
-            rows = [row for row in results.rows if (row.match, row.renderer) == (match, renderer)]
-            if rows:
-                tables.append((f"{whose}, {meaning}", rows))
-    return tables
-
-
-def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
-    """Settings as dotted names and values."""
-    if isinstance(value, Mapping):
-        return [
-            pair
-            for key, inner in value.items()
-            for pair in _flat(inner, f"{prefix}.{key}" if prefix else str(key))
-        ]
-    if isinstance(value, list):
-        plain = all(not isinstance(item, list | dict) for item in value)
-        return [(prefix, ", ".join(map(str, value)) if plain else json.dumps(value))]
-    return [(prefix, str(value))]

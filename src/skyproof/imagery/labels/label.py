@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ __all__ = [
     "bounds",
     "corners_lengthwise",
     "is_oriented",
+    "pieces_of",
     "require_classes",
     "require_inside",
     "sort_labels",
@@ -29,6 +31,7 @@ __all__ = [
 
 Point = tuple[float, float]
 
+_MOST_PIECES = 2_000
 _SLACK = 0.005
 """Label tools round, and may let a box reach over the image's edge by a pixel."""
 
@@ -185,6 +188,22 @@ def border_strips(
         (0.0, height - y, width, height),
         (0.0, 0.0, x, height),
         (width - x, 0.0, width, height),
+    ]
+
+
+def pieces_of(
+    box: tuple[float, float, float, float], side_px: float
+) -> list[tuple[float, float, float, float]]:
+    """Cuts a box along its longer side into pieces of about a given length."""
+    left, top, right, bottom = box
+    across = right - left >= bottom - top
+    count = round(max(right - left, bottom - top) / side_px)
+    count = min(max(count, 1), _MOST_PIECES)
+    first, last = (left, right) if across else (top, bottom)
+    ends = [first + (last - first) * number / count for number in range(count + 1)]
+    return [
+        (low, top, high, bottom) if across else (left, low, right, high)
+        for low, high in itertools.pairwise(ends)
     ]
 
 

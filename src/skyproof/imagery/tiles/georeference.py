@@ -10,7 +10,7 @@ from pathlib import Path
 from affine import Affine
 from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
-from rasterio.errors import RasterioError
+from rasterio.errors import CRSError, RasterioError
 from rasterio.io import DatasetReader
 from rasterio.warp import transform as transform_places
 
@@ -23,6 +23,7 @@ __all__ = [
     "map_tile",
     "outline",
     "read_georeference",
+    "system_of",
     "to_reference_system",
 ]
 
@@ -250,3 +251,22 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
     return lengths_m is not None and all(
         abs(length / step - 1) < TRUE_TO_SCALE for length in lengths_m
     )
+
+
+def system_of(name: str, path: object) -> CRS:
+    """Finds the reference system of a name.
+
+    Args:
+        name: as the file says it.
+        path: of the file, for the message.
+
+    Raises:
+        ImageryError: nobody knows it here.
+    """
+    try:
+        return CRS.from_user_input(name)
+    except CRSError as error:
+        raise ImageryError(
+            f"{path} has a reference system that is not known here ({name[:100]}); convert it "
+            "(ogr2ogr -t_srs EPSG:4326)."
+        ) from error

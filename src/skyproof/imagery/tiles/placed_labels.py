@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -13,7 +12,6 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import NDArray
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from skyproof.datasets.coco import Annotation
 from skyproof.errors import ImageryError
@@ -25,11 +23,17 @@ from skyproof.imagery.labels.label import (
     border_strips,
     corners_lengthwise,
     is_oriented,
+    pieces_of,
     require_classes,
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
-from skyproof.imagery.tiles.georeference import Point, image_name, to_reference_system
+from skyproof.imagery.tiles.georeference import (
+    Point,
+    image_name,
+    system_of,
+    to_reference_system,
+)
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
@@ -38,7 +42,6 @@ __all__ = ["PlacedLabels"]
 BIN_M = 64.0
 FARTHEST_PX = 1e6
 _NAMED = 3
-_MOST_PIECES = 2_000
 EVERYTHING, BORDER = "image without labels", "border of an image"
 
 
@@ -129,7 +132,7 @@ class PlacedLabels:
                 f"{path} gives labels in map coordinates but no image says where it lies; give "
                 "georeferenced imagery."
             )
-        system = _system(labels.crs, path)
+        system = system_of(labels.crs, path)
         inside = np.zeros(count, bool)
         bare: list[str] = []
         flat = [corner for label in labels.labels for corner in label.corners]
@@ -236,7 +239,7 @@ class PlacedLabels:
         strips = border_strips((source.width_px, source.height_px), border_px)
         transform = source.georeference.transform
         if source.georeference.crs != crs or transform.b or transform.d:
-            strips = [piece for strip in strips for piece in _pieces(strip, border_px)]
+            strips = [piece for strip in strips for piece in pieces_of(strip, border_px)]
         self._add_regions(plane, crs, number, BORDER, strips)
 
     def _add_regions(
@@ -351,21 +354,6 @@ class PlacedLabels:
         )
 
 
-def _pieces(
-    box: tuple[float, float, float, float], side_px: float
-) -> list[tuple[float, float, float, float]]:
-    """Cuts a box along its longer side into pieces of about a given length."""
-    left, top, right, bottom = box
-    across = right - left >= bottom - top
-    count = round(max(right - left, bottom - top) / side_px)
-    count = min(max(count, 1), _MOST_PIECES)
-    ends = np.linspace(*((left, right) if across else (top, bottom)), count + 1).tolist()
-    return [
-        (low, top, high, bottom) if across else (left, low, right, high)
-        for low, high in itertools.pairwise(ends)
-    ]
-
-
 def _near(corners: Iterable[Point]) -> bool:
     """Tells corners of a vehicle from numbers that nothing could be drawn with."""
     return all(abs(value) <= FARTHEST_PX for corner in corners for value in corner)
@@ -374,16 +362,6 @@ def _near(corners: Iterable[Point]) -> bool:
 def _bins(low_m: float, high_m: float) -> range:
     """Numbers the bins from one place to another; none where the second comes first."""
     return range(math.floor(low_m / BIN_M), math.floor(high_m / BIN_M) + 1)
-
-
-def _system(name: str, path: object) -> CRS:
-    try:
-        return CRS.from_user_input(name)
-    except CRSError as error:
-        raise ImageryError(
-            f"{path} has a reference system that is not known here ({name[:100]}); convert it "
-            "(ogr2ogr -t_srs EPSG:4326)."
-        ) from error
 
 
 def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
