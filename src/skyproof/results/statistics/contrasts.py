@@ -161,14 +161,11 @@ class _Values:
     @classmethod
     def joined(cls, each: Sequence[_Values]) -> _Values:
         """The series of all of them."""
-        return cls(
-            np.concatenate([values.points for values in each]),
-            *(
-                np.concatenate([getattr(values, name) for values in each], axis=1)
-                for name in ("replicates", "tiles", "vehicles", "cells")
-            ),
-            telling=np.concatenate([values.telling for values in each]),
-        )
+
+        def beside(name: str) -> np.ndarray:
+            return np.concatenate([getattr(values, name) for values in each], axis=-1)
+
+        return cls(*map(beside, ("points", "replicates", "tiles", "vehicles", "cells", "telling")))
 
     def interval(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
         """Gives the interval of the sum of the rates, each multiplied by its factor."""
