@@ -32,8 +32,8 @@ def find_doubts(
     found = []
     if ap_centre_1m is not None and ap_centre_1m < LEAST_AP:
         remedy = (
-            "check that the checkpoint was trained, its vehicle classes, and the metres per pixel "
-            "that it was made for"
+            "check that the checkpoint was trained, and check --vehicle-classes and the metres per "
+            "pixel that it was made for"
             if imported
             else "train it longer or on more images"
         )

@@ -204,8 +204,10 @@ def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
 
     def enough(tiles: int) -> bool:
         accepted, _ = _chances(requirement, assumptions, tiles, requirement.accept)
+        if accepted < _DECIDED:
+            return False
         _, rejected = _chances(requirement, assumptions, tiles, requirement.reject)
-        return min(accepted, rejected) >= _DECIDED
+        return rejected >= _DECIDED
 
     many = 4
     while not enough(many):
