@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ __all__ = [
     "Hold",
     "alone",
     "drop_empty_folder",
+    "file_digest",
     "finished_folder",
     "inside",
     "is_leftover",
@@ -244,6 +246,12 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
     )
     if foreign:
         raise RunFolderError(f"{folder} holds something else ({foreign[0]}); choose another --out.")
+
+
+def file_digest(path: Path) -> str:
+    """Computes the SHA-256 of a file, however large it is."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:

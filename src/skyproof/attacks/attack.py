@@ -104,7 +104,7 @@ def attack(
         "scenes": asdict(world.scenes),
         "objective": OBJECTIVE,
         "start": _start(camouflage),
-        "world_sha256": world.digest(),
+        "world_sha256": world.digest,
     }
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)

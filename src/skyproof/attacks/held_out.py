@@ -66,7 +66,7 @@ class HeldOut:
         self._seed = seed
         self._batch_size = batch_size
 
-    @property
+    @cached_property
     def identity(self) -> dict[str, Any]:
         """Which detectors judge: by name the digest of their weights, if known, and threshold."""
         return {

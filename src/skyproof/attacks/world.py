@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import msgspec
@@ -82,9 +83,11 @@ class AttackWorld:
         photographs = BackgroundSet.open(Path(backgrounds))
         return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
 
+    @cached_property
     def digest(self) -> str:
-        """Computes the SHA-256 of the ground's tiles, as their index has them, and the vehicles'
-        sizes: what tells this world from another of the same settings.
+        """The SHA-256 of the ground's tiles, as their index has them, and of the vehicles' sizes.
+
+        It tells this world from another of the same settings.
         """
         told = [self.backgrounds.gsd_m, self.backgrounds.tiles("attack"), self.fleet.sizes_m]
         return hashlib.sha256(msgspec.json.encode(told)).hexdigest()

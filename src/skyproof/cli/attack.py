@@ -227,7 +227,7 @@ class Attack:
         by = {
             "detectors": held_out.identity,
             "scenes": asdict(world.scenes),
-            "world_sha256": world.digest(),
+            "world_sha256": world.digest,
             "seed": self.settings.seed,
             "draws": self.draws if name.choice == "best" else None,
             **self._decisive(name, palette),

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from skyproof.files import file_digest
 from skyproof.plans.plan import Plan
 
 __all__ = ["SOURCES", "read_otherwise", "source_digests"]
@@ -47,9 +48,7 @@ def read_otherwise(stored: dict[str, Any], config: dict[str, Any], plan: Plan) -
 def _digest(path: Path) -> str:
     total = hashlib.sha256()
     for file in _files(path):
-        total.update(file.name.encode() + b"\0")
-        with file.open("rb") as opened:
-            total.update(hashlib.file_digest(opened, "sha256").digest())
+        total.update(f"{file.name} {file_digest(file)}\n".encode())
     return total.hexdigest()
 
 

@@ -5,7 +5,6 @@ No option changes it: a verdict that names the version says how strong the attac
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ from msgspec import Meta
 from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
+from skyproof.files import file_digest
 from skyproof.plans.attack_job import AttackJob
 from skyproof.plans.preset import AttackSteps
 from skyproof.plans.world import WorldSizes
@@ -172,7 +172,7 @@ def read_suite() -> Suite:
 
 def suite_digest() -> str:
     """Returns the SHA-256 of the suite's file."""
-    return hashlib.sha256(SUITE.read_bytes()).hexdigest()
+    return file_digest(SUITE)
 
 
 def texture_under(name: CamouflageName) -> str:

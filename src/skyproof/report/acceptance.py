@@ -17,7 +17,7 @@ import skyproof
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
-from skyproof.files import write_json
+from skyproof.files import file_digest, write_json
 from skyproof.gate.record import read_records
 from skyproof.gate.verdict import findings, worst
 from skyproof.layout import Layout
@@ -301,7 +301,7 @@ def _resolution(scenes: Sequence[Scene]) -> str:
 def _digest(path: Path) -> str:
     """Gives the SHA-256 of a file, or of a folder's files and their names; empty where missing."""
     if path.is_file():
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_digest(path)
     total = hashlib.sha256()
     # Logs of a learning hold times, and previews are pictures of what is there already.
     files = [each for each in sorted(path.rglob("*")) if each.is_file() and each.suffix != ".jsonl"]
