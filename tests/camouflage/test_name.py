@@ -66,11 +66,26 @@ def test_foreign_names_come_back_too(text):
     assert str(name) == text
 
 
-def test_a_foreign_name_has_variant_and_repeat():
-    name = CamouflageName.read("mine_on_retinanet-2")
-    assert (name.label, name.variant, name.repeat) == ("mine", "on_retinanet", "2")
-    assert str(name.pooled) == "mine_on_retinanet"
-    assert str(name.base) == "mine"
+@pytest.mark.parametrize(
+    ("text", "label", "variant", "repeat"),
+    [
+        # A user's words are no variants, or the camouflage would be missing beside the learnt ones.
+        ("winter_white-2", "winter_white", "", "2"),
+        ("FCA_repainted", "FCA_repainted", "", ""),
+        ("mine_on_retinanet-2", "mine_on_retinanet", "", "2"),
+        ("winter_best", "winter_best", "", ""),
+        ("winter_white_step10-2", "winter_white", "step10", "2"),
+        ("winter_white_asked1500", "winter_white", "asked1500", ""),
+        ("R-winter_white_best", "R-winter_white", "best", ""),
+        ("R-winter_white-3", "R-winter_white", "", "3"),
+    ],
+)
+def test_a_foreign_name_has_only_the_variants_that_skyproof_adds(text, label, variant, repeat):
+    name = CamouflageName.read(text)
+    assert (name.label, name.variant, name.repeat) == (label, variant, repeat)
+    assert str(name) == text
+    assert str(name.base) == label
+    assert name.kept_copy == (variant not in ("", "best"))
 
 
 @pytest.mark.parametrize(

@@ -26,13 +26,21 @@ TRANSFER = "transfer"
 ASKED = "asked"
 """The variant that was sought by answers on a detector that has gradients: "T-U_asked"."""
 
-_KEPT = re.compile(rf"(?:.*_)?(?:step\d+|relaxed|{ASKED}\d+)")
+_COPY = rf"(?:step\d+|relaxed|{ASKED}\d+)"
+_KEPT = re.compile(rf"(?:.*_)?{_COPY}")
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
 
 _PLAIN = (None, TextureConstraints(), TextureConstraints(masked=True))
 _WHOLE = re.compile(r"(?P<base>[^_]*?)(?:_(?P<variant>.*?))?(?:-(?P<repeat>\d+))?", re.DOTALL)
+# A user may join words with "_"; only what skyproof itself adds to a foreign name is its variant.
+_FOREIGN = re.compile(
+    rf"(?P<base>.*?)(?:_(?P<variant>{_COPY}(?:_{_COPY})*))?(?:-(?P<repeat>\d+))?", re.DOTALL
+)
+_FOREIGN_CONTROL = re.compile(
+    rf"(?P<base>R-.*?)(?:_(?P<variant>{'|'.join(CHOICES)}))?(?:-(?P<repeat>\d+))?", re.DOTALL
+)
 _TEXTURE = re.compile(r"(?P<kind>[TR])-(?P<constraints>[A-Za-z]+)")
 _SHAPE = re.compile(r"(?P<random>R-)?S-O@(?P<magnitude>[-+.\w]+)")
 _LEARNT = re.compile(r"C-(?P<constraints>[A-Za-z]+)-(?P<order>seq|par)@(?P<magnitude>[-+.\w]+)")
@@ -46,7 +54,9 @@ class CamouflageName:
     """What a name such as "C-PixFc-seq@0.2_on_retinanet-1" says.
 
     `str` gives the name back. Names that skyproof did not give (a user's "mine-2") are of kind
-    "other": they have a label, and like all names a variant and a repeat.
+    "other": they have a label, which may hold any "_" ("winter_white"), and like all names a
+    repeat; their only variants are the copies that an attack keeps on its way, and of a control how
+    it was chosen.
 
     Attributes:
         kind: texture ("T-U"), shape ("S-O@0.4"), combination ("C-Fc-par@0.2"), or other.
@@ -56,8 +66,8 @@ class CamouflageName:
             control, unless that is the attack's own texture under a random shape
             ("R-C-Fc-seq@0.2").
         random: whether it is a random control, drawn and not learnt.
-        variant: what stands after the first "_": "on_retinanet", "step10", "relaxed", "weather";
-            empty for none.
+        variant: what stands after the first "_" of a name that skyproof gave: "on_retinanet",
+            "step10", "relaxed", "weather"; empty for none.
         repeat: digits that number the attack's seed or the random draw; empty where the name has
             none.
         label: the base of a name of kind "other".
@@ -86,7 +96,7 @@ class CamouflageName:
         Raises:
             ConfigurationError: no such camouflage, contradictory constraints, or PM outside [0, 1].
         """
-        base, variant, repeat = _parts(text)
+        base, variant, repeat = _parts(_WHOLE, text)
         if match := _TEXTURE.fullmatch(base):
             constraints = TextureConstraints.parse(match["constraints"])
             name = cls("texture", constraints, random=match["kind"] == "R")
@@ -133,13 +143,13 @@ class CamouflageName:
 
         One that `parse` refuses, or would write otherwise, is of kind "other".
         """
-        base, variant, repeat = _parts(text)
         try:
             name = cls.parse(text)
         except ConfigurationError:
             name = None
         if name is None or str(name) != text:
-            random = base.startswith("R-")
+            random = text.startswith("R-")
+            base, variant, repeat = _parts(_FOREIGN_CONTROL if random else _FOREIGN, text)
             name = cls("other", random=random, variant=variant, repeat=repeat, label=base)
         # A name that cannot be put together again ("T-U_") is all label.
         return name if str(name) == text else cls("other", random=name.random, label=text)
@@ -261,9 +271,9 @@ class CamouflageName:
         return replace(self.base, random=True)
 
 
-def _parts(text: str) -> tuple[str, str, str]:
+def _parts(pattern: re.Pattern[str], text: str) -> tuple[str, str, str]:
     """Base, variant and repeat."""
-    match = _WHOLE.fullmatch(text)
+    match = pattern.fullmatch(text)
     assert match is not None
     return match["base"], match["variant"] or "", match["repeat"] or ""
 
