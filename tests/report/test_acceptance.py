@@ -1,6 +1,7 @@
 """A report that was asked whether detectors are accepted, and its `verdict.json`."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -8,12 +9,16 @@ import pytest
 from markupsafe import Markup
 
 from skyproof.errors import ConfigurationError
+from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
 from skyproof.report.queries import ByAnswers
 from skyproof.report.report import write_report
 from skyproof.results.pairs.tiles import TileCounts, read_tiles, write_tiles
+from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.planning import tiles_to_show
+from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
 from tests.report.fabricate import fabricate
 from tests.report.test_gate import checked
 from tests.report.test_queries import missed
@@ -89,6 +94,27 @@ def test_in_between_it_says_how_many_more_vehicles_decide(run_folder):
     assert first["answer"] == "undecided"
     assert first["more_vehicles"] > 0
     assert f"About {first['more_vehicles']:,} more test vehicles on" in page
+
+
+def test_it_says_what_imagery_would_decide_or_that_none_would(run_folder):
+    share = asked(run_folder, STRICT)[1]["detectors"][0]["attacks"]["T-U"]["share"]
+
+    def said(scenes):
+        window, camera = BackgroundWindow("tile", 96.0, 96.0, 0.0), Camera(0.1, 0.2, 0.125, 96)
+        write_scenes(
+            Layout(run_folder).scenes("test"),
+            [Scene(f"test-{one}", window, camera, Sun(0.3, 0.8), (), one) for one in range(scenes)],
+        )
+        _, verdict = asked(run_folder, Requirement(share - 0.03, share + 0.03))
+        return " ".join(verdict["detectors"][0]["sentences"])
+
+    Layout(run_folder).scenes("test").parent.mkdir(exist_ok=True)
+    more = int(re.search(r"on ([\d,]+) more tiles", said(60))[1].replace(",", ""))
+    tiles = len({tile for tile, _ in Results.open(run_folder).tiles.cells})
+    assert f" {tiles + more} test scenes do not stand on so many" in said(tiles + more)
+    enough = tiles_to_show(tiles + more, tiles + more + 100)
+    assert enough > tiles + more
+    assert f"Imagery with about {enough:,} test tiles" in said(tiles + more + 100)
 
 
 def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):

@@ -14,6 +14,7 @@ from skyproof.results.statistics.planning import (
     assume_from_pilot,
     expected_half_width,
     parts_of_width,
+    tiles_to_show,
     vehicles_needed,
 )
 from skyproof.results.statistics.rates import overall_attack_success_rate
@@ -121,6 +122,13 @@ def test_the_planned_test_with_a_fleet_gives_the_wanted_half_width():
     world = World((Side(0.7),), tiles=60, tile_sd=0.2, vehicle_sd=0.15)
     _, width = coverage(world, runs=60, seed=1)
     assert width / 2 == pytest.approx(expected_half_width(60, assumed), rel=0.15)
+
+
+@pytest.mark.parametrize("tiles", [40, 75, 110])
+def test_so_many_tiles_as_it_says_are_shown_by_the_scenes(tiles, rng):
+    enough = tiles_to_show(tiles, 120)
+    seen = [len(np.unique(rng.integers(enough, size=120))) for _ in range(400)]
+    assert tiles - 0.5 < np.mean(seen) < tiles + 1.5
 
 
 def test_gained_vehicles_count():

@@ -37,6 +37,7 @@ class Enough:
             ImageryError: they are too few, whatever the detector does on them.
         """
         from skyproof.results.statistics.acceptance import fewest_tiles
+        from skyproof.results.statistics.planning import tiles_to_show
         from skyproof.scenes.scene import read_scenes
 
         scenes = read_scenes(self.scenes)
@@ -47,7 +48,7 @@ class Enough:
                 f"The {len(scenes)} scenes of {self.scenes} stand on {tiles} test tiles, and on "
                 f"fewer than {needed} no detector can be accepted at {percent(self.reject)} with "
                 "these risks, not even one that loses nothing; give imagery with about "
-                f"{_tiles_for(needed, len(scenes)):,} test tiles that have drivable ground, or "
+                f"{tiles_to_show(needed, len(scenes)):,} test tiles that have drivable ground, or "
                 "leave out --accept and --reject."
             )
         say(f"Test tiles: {tiles}; no verdict is possible on fewer than {needed}.")
@@ -69,11 +70,3 @@ def refuse_what_scenes_cannot_show(reject: float, consumer_risk: float, scenes: 
             f"takes {needed} test tiles at least, and the suite has {scenes} scenes, which do not "
             "all stand on tiles of their own; ask for a larger share or a larger risk."
         )
-
-
-def _tiles_for(needed: int, scenes: int) -> int:
-    """Counts the tiles of which so many scenes, drawn with replacement, see enough."""
-    tiles = needed
-    while tiles * (1 - (1 - 1 / tiles) ** scenes) < needed:
-        tiles += 1
-    return tiles

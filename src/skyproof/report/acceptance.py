@@ -27,7 +27,7 @@ from skyproof.results.results import RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.compliance import chances_on_tiles
-from skyproof.results.statistics.planning import assume_from_pilot
+from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_show
 from skyproof.scenes.scene import Scene, read_scenes, scenes_digest
 from skyproof.words import body_name, detector_name, percent, renderer_name
 
@@ -221,7 +221,7 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
             "No number of vehicles would decide while it stays like that."
             if more is None
             else f"About {more:,} more test vehicles on {decision.more_tiles:,} more tiles would "
-            "decide, if they fare alike."
+            f"decide, if they fare alike.{_how(decision.more_tiles or 0, results)}"
         )
         said = [f"{shown} is UNDECIDED: {lost}.", enough]
     return Ruling(name, decision.answer, said, more, attacks)
@@ -247,6 +247,21 @@ def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
     shown = next(iter(results.tiles.series.values()))[:, 0]
     per_tile = shown.sum() / len({tile for tile, _ in results.tiles.cells})
     return math.ceil(more_tiles * per_tile)
+
+
+def _how(more_tiles: int, results: Results) -> str:
+    """Says what shows so many more tiles, or that no imagery does."""
+    place = Layout(results.folder).scenes("test")
+    if not place.exists():
+        return ""
+    scenes = len(read_scenes(place))
+    needed = len({tile for tile, _ in results.tiles.cells}) + more_tiles
+    if needed >= scenes:
+        return (
+            f" {scenes} test scenes do not stand on so many; ask for a wider gap between the two "
+            "shares, or allow larger risks."
+        )
+    return f" Imagery with about {tiles_to_show(needed, scenes):,} test tiles shows so many."
 
 
 def _asked(requirement: Requirement) -> str:

@@ -29,6 +29,7 @@ __all__ = [
     "assume_from_pilot",
     "expected_half_width",
     "parts_of_width",
+    "tiles_to_show",
     "vehicles_needed",
 ]
 
@@ -141,6 +142,19 @@ def vehicles_needed(half_width: float, assumptions: Assumptions) -> Need:
         else:
             few = middle
     return Need(half_width, enough, math.ceil(enough * assumptions.vehicles_per_tile))
+
+
+def tiles_to_show(needed: int, scenes: int) -> int:
+    """Gives the tiles of which so many scenes, each on a tile drawn with replacement, show enough.
+
+    Args:
+        needed: tiles to be shown, on average; fewer than there are scenes.
+        scenes: how many are drawn.
+    """
+    tiles = needed
+    while tiles * (1 - (1 - 1 / tiles) ** scenes) < needed:
+        tiles += 1
+    return tiles
 
 
 def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
