@@ -2,8 +2,8 @@
 
     python tools/say_results.py runs/quick/tables
 
-It prints the statements of docs/results/README.md, section "What it says", with the numbers of
-these tables. The words around them are those of the runs so far: whether they still hold, a reader
+It prints the statements of docs/results/README.md, sections "What it says" and "On Cycles", with
+the numbers of these tables. The words around them are those of the runs so far: whether they still hold, a reader
 has to judge. What stands in brackets [so] is for that reader, and is no part of a statement.
 """
 
@@ -272,10 +272,81 @@ def of_learning(tables: Tables) -> Iterator[str]:
     yield f"[Half-widths: {half_widths}]"
 
 
+def of_cycles(tables: Tables) -> Iterator[str]:
+    """Says what a path tracer leaves of it, where the run was given --cycles."""
+    if not (tables.folder / "cycles.csv").exists():
+        return
+    moves = {row["kind"]: row for row in tables.rows("cycles")}
+    rows, curves = tables.textures, tables.curves
+    learnt = [f"T-{name}" for name in (*TEXTURES, *MASKED)]
+    first = moves["textures"]
+    headlines = ("T-U", "T-Ma", "T-PixFcMa")
+    hide = ", ".join(
+        f"{name} {number(rows[name]['cycles_easr'])} {span(rows[name], 'cycles_easr')}"
+        for name in headlines
+    )
+    yield (
+        f"**Textures:** twelve hide {number(first['cycles_easr'], 1)} % on the average instead of "
+        f"{number(first['easr'], 1)}, {number(first['change'], 1)} points {span(first, 'change')}; "
+        f"in the paper they fall from {number(first['paper_easr'], 1)} to "
+        f"{number(first['paper_easr_blender'], 1)} % {cited('moves', ['textures'], 'cycles')}. "
+        f"There hide {hide} % {cited('textures', headlines)}."
+    )
+    moved = sorted(learnt, key=lambda name: float(rows[name]["cycles_change"]))
+    said = ", ".join(
+        f"{name} {number(rows[name]['cycles_change'], 1)} {span(rows[name], 'cycles_change')}"
+        for name in (moved[0], moved[1], moved[-2], moved[-1])
+    )
+    yield f"[Lose and gain most: {said}]"
+    alone = {pm: row for (name, pm), row in curves.items() if name == "S-O" and pm}
+    hide = ", ".join(
+        f"{number(row['cycles_easr'])} instead of {number(row['easr'])} at `PM {pm:g}`, "
+        f"{number(row['cycles_change'], 1)} points {span(row, 'cycles_change')}"
+        for pm, row in alone.items()
+    )
+    yield f"**Shapes:** S-O hides {hide} {cited('curves', ['S-O'])}."
+    combined, sequential = moves["combinations"], curves["C-PixFc-seq", 0.2]
+    yield (
+        f"**Shapes under a texture:** [{combined['camouflages']}] combinations hide "
+        f"{number(combined['cycles_easr'], 1)} % instead of {number(combined['easr'], 1)} "
+        f"{cited('moves', ['combinations'], 'cycles')}, C-PixFc-seq at `PM 0.2` "
+        f"{number(sequential['cycles_easr'])} {span(sequential, 'cycles_easr')} "
+        f"{cited('curves', ['C-PixFc-seq'])}."
+    )
+    drawn, bodies = moves["random textures"], moves["random shapes and combinations"]
+    yield (
+        f"**Random patterns:** textures hide {number(drawn['cycles_easr'], 1)} % on Cycles and "
+        f"{number(drawn['easr'], 1)} on the renderer, where the paper's rise from "
+        f"{number(drawn['paper_easr'], 1)} to {number(drawn['paper_easr_blender'], 1)} %; shapes "
+        f"and combinations {number(bodies['cycles_easr'], 1)} and {number(bodies['easr'], 1)} "
+        f"{cited('moves', ['random textures', 'random shapes and combinations'], 'cycles')}."
+    )
+    left = "cycles_net_unlearnt_easr"
+    net = ", ".join(
+        f"{name} {number(rows[name][left])} {span(rows[name], left)}" for name in headlines
+    )
+    bodies = {name: curves[name, pm] for name, pm in (("S-O", 0.4), ("C-PixFc-seq", 0.2))}
+    also = ", ".join(
+        f"{name} at `PM {row['pm']}` {number(row[left])} {span(row, left)}"
+        for name, row in bodies.items()
+    )
+    yield (
+        f"**Against the best that nobody learnt** stay, in points, {net} "
+        f"{cited('textures', headlines)}, {also} {cited('curves', list(bodies))}."
+    )
+    agreement = {
+        (row["compared"], row["attacks"]): number(row["spearman"], 2)
+        for name in ("cycles_agreement", "agreement")
+        for row in tables.rows(name)
+    }
+    told = "; ".join(f"{compared}, {n}: {rho}" for (compared, n), rho in agreement.items())
+    yield f"**The order:** [{told}]"
+
+
 def main(folder: Path) -> None:
     """Prints the statements as items of a list."""
     tables = Tables(folder)
-    for part in (of_textures, of_shapes, of_analyses, of_learning):
+    for part in (of_textures, of_shapes, of_analyses, of_learning, of_cycles):
         for statement in part(tables):
             print(
                 textwrap.fill(
