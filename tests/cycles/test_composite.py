@@ -71,6 +71,21 @@ def test_the_ratio_fades_out_towards_the_crops_edge():
     assert float(light(image)[0, 12, 8]) == pytest.approx(0.5 * (1 - 0.8 / 64), abs=1e-5)
 
 
+def test_the_ratio_stays_whole_where_the_image_cuts_the_crop():
+    blurred = Sensor(blur_sigma_px=0.5, noise=0.0)
+    radius = blurred.blur_radius_px
+    shade = (0.2, 0.2, 0.2)
+    # From beyond the left border to the middle, and from there to beyond the lower right corner.
+    left = ((-radius, 8, 20 + radius, 20), layers(20 + radius, 20, ratio=shade))
+    corner = ((24, 24, 16 + radius, 16 + radius), layers(16 + radius, 16 + radius, ratio=shade))
+    row = light(composite_crops(plain(), [left], 0, 4, blurred))[0, 18]
+    torch.testing.assert_close(row[:14], torch.full((14,), 0.1), atol=1e-5, rtol=0)
+    assert float(row[17]) > 0.15
+    image = light(composite_crops(plain(), [corner], 0, 4, blurred))[0]
+    torch.testing.assert_close(image[30:, 30:], torch.full((10, 10), 0.1), atol=1e-5, rtol=0)
+    assert float(image[30, 25]) > 0.15
+
+
 def test_a_body_hides_the_ground_by_its_coverage_up_to_the_crops_edge():
     colour = (0.3, 0.1, 0.7)
     crop = layers(10, 10, colour, alpha=1.0, ratio=(0.0, 0.0, 0.0))

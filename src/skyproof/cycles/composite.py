@@ -41,7 +41,8 @@ def composite_crops(
             coverage (1), ratio (3). Each shows all that is to be seen in its window, so that where
             two overlap either is right.
         seed: of the noise.
-        margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels.
+        margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels; not
+            where the image cut the crop, whose shadow goes on there.
         sensor: blur and noise.
         lights: how this one photograph shows light.
     """
@@ -55,7 +56,12 @@ def composite_crops(
     for (left, top, width, height), layers in crops:
         rows = slice(top + radius, top + radius + height)
         columns = slice(left + radius, left + radius + width)
-        inside = _inwards(height, margin_px, layers)[:, None] * _inwards(width, margin_px, layers)
+        ends = [
+            (first <= -radius, first + length >= size + radius)
+            for first, length in ((top, height), (left, width))
+        ]
+        vertical = _inwards(height, margin_px, ends[0], layers)
+        inside = vertical[:, None] * _inwards(width, margin_px, ends[1], layers)
         trust = inside + _LEAST_WEIGHT
         total[:, rows, columns] += layers * trust
         weight[rows, columns] += trust
@@ -78,7 +84,16 @@ def composite_crops(
     return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)
 
 
-def _inwards(length: int, margin: int, like: Tensor) -> Float[Tensor, " length"]:
-    """From 0 outside the first pixel to 1 beyond the margin, and back at the other end."""
+def _inwards(
+    length: int, margin: int, cut: tuple[bool, bool], like: Tensor
+) -> Float[Tensor, " length"]:
+    """From 0 outside the first pixel to 1 beyond the margin, and back at the other end.
+
+    An end that is cut has 1 up to its last pixel.
+    """
     step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
-    return (torch.minimum(step, length - step) / max(margin, 1)).clamp(max=1.0)
+    from_first, from_last = (
+        torch.full_like(step, torch.inf) if end else way
+        for end, way in zip(cut, (step, length - step), strict=True)
+    )
+    return (torch.minimum(from_first, from_last) / max(margin, 1)).clamp(max=1.0)
