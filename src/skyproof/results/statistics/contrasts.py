@@ -91,10 +91,11 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: S
 
     Series of the same repeat in several groups are paired by it, too.
 
-    Resampling sees no spread in a series where every tile agrees, such as an attack that hides
-    every vehicle. Where a group has such a series, the groups' own exact limits enter by the
-    square-and-add rule for differences of independent rates (MOVER; Zou and Donner 2008), and the
-    farther limits count.
+    Either limit is the farther of two: BCa's of the difference, and the one that the groups' own
+    limits make by the square-and-add rule with their correlation over resampled tiles (MOVER; Zou
+    and Donner 2008), which is how the exact limits of rates near 0 and 1 enter. Resampling sees no
+    spread in a series where every tile agrees, such as an attack that hides every vehicle: its
+    group counts as correlated with none.
 
     Args:
         plus, minus: groups of series; a group's EASR is the unweighted mean over its series.
@@ -110,17 +111,14 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: S
     )
     limits = (-math.inf, math.inf)
     together = _Values.joined(each)
-    whole = together.interval(factors, limits)
+    whole = together.interval(factors, limits, exact=False)
     parts = [values.mean((-math.inf, 1.0)) for values in each]
-    below = [part.estimate - part.low for part in parts]
-    above = [part.high - part.estimate for part in parts]
-    count = len(plus)
-    lower = math.hypot(*below[:count], *above[count:])
-    upper = math.hypot(*above[:count], *below[count:])
-    if any(part.unanimous for part in parts) and not math.isnan(lower + upper):
+    lower, upper = _square_and_add(each, parts, len(plus))
+    if not math.isnan(lower + upper):
         low = min(whole.low, whole.estimate - lower)
         high = max(whole.high, whole.estimate + upper)
-        whole = replace(whole, low=low, high=high, unanimous=True)
+        agreed = whole.unanimous or any(part.unanimous for part in parts)
+        whole = replace(whole, low=low, high=high, unanimous=agreed)
     repeats = [own for group in groups for own in group.repeats or [()] * len(group.counts)]
     return _with_repeats(whole, together.points, factors, repeats, limits)
 
@@ -167,7 +165,13 @@ class _Values:
 
         return cls(*map(beside, ("points", "replicates", "tiles", "vehicles", "cells", "telling")))
 
-    def interval(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
+    def interval(
+        self,
+        factors: Float[np.ndarray, " S"],
+        limits: tuple[float, float],
+        *,
+        exact: bool = True,
+    ) -> Interval:
         """Gives the interval of the sum of the rates, each multiplied by its factor."""
         return bootstrap_interval(
             float(self.points @ factors),
@@ -176,6 +180,7 @@ class _Values:
             limits,
             LeftOut(self.vehicles @ factors, self.cells @ factors),
             int(self.telling[factors != 0].min()),
+            exact=exact,
         )
 
     def mean(self, limits: tuple[float, float]) -> Interval:
@@ -195,6 +200,37 @@ class _Values:
         low = max(min(whole.low, whole.estimate - below), limits[0])
         high = min(max(whole.high, whole.estimate + above), limits[1])
         return replace(whole, low=low, high=high, unanimous=True)
+
+
+def _square_and_add(
+    each: Sequence[_Values], parts: Sequence[Interval], count: int
+) -> tuple[float, float]:
+    """Says how far the limits of `count` groups' sum minus the others' lie from it on either side.
+
+    Args:
+        each: the groups' values.
+        parts: the interval of each group's mean.
+        count: how many groups are added; the others are subtracted.
+    """
+    signs = np.where(np.arange(len(parts)) < count, 1.0, -1.0)
+    below = np.array([part.estimate - part.low for part in parts])
+    above = np.array([part.high - part.estimate for part in parts])
+    means = np.stack([values.replicates.mean(axis=1) for values in each])
+    means = means[:, ~np.isnan(means).any(axis=0)]
+    if not means.shape[1]:
+        return math.nan, math.nan
+    centred = means - means.mean(axis=1, keepdims=True)
+    spread = np.sqrt((centred**2).mean(axis=1))
+    varies = np.array([not is_unanimous(own) for own in means])
+    scaled = np.where(varies, 1 / np.where(varies, spread, 1.0), 0.0)[:, None] * centred
+    correlation = scaled @ scaled.T / means.shape[1]
+    np.fill_diagonal(correlation, 1.0)
+
+    def margin(added: Float[np.ndarray, " G"], taken: Float[np.ndarray, " G"]) -> float:
+        moved = signs * np.where(signs > 0, added, taken)
+        return math.sqrt(max(float(moved @ correlation @ moved), 0.0))
+
+    return margin(below, above), margin(above, below)
 
 
 def _with_repeats(

@@ -151,6 +151,8 @@ def bootstrap_interval(
     limits: tuple[float, float],
     crossed: LeftOut | None = None,
     telling: int | None = None,
+    *,
+    exact: bool = True,
 ) -> Interval:
     """Does what `cluster_interval` does, from a statistic's values.
 
@@ -168,6 +170,8 @@ def bootstrap_interval(
         crossed: its values with vehicles and with cells left out; None where nothing is crossed.
         telling: how many clusters, or vehicles where these are fewer, it is defined on; all where
             not given. One on which no vehicle was found before agrees with nobody.
+        exact: whether the effective number of vehicles sets limits, too. It does so for one rate; a
+            difference of two may lie near 1, where a rate is nearly certain, and vary as before.
     """
     clusters = len(left_one_out)
     replicates = replicates[~np.isnan(replicates)]
@@ -194,7 +198,7 @@ def bootstrap_interval(
         wider = math.sqrt(added) * float(special.stdtrit(degrees, 1 - _TAIL))
         low = estimate - math.hypot(max(estimate - low, 0.0), wider)
         high = estimate + math.hypot(max(high - estimate, 0.0), wider)
-    if not unanimous and variance + added > 0:
+    if exact and not unanimous and variance + added > 0:
         span = (max(limits[0], -1.0), 1.0)
         lowest, highest = effective_limits(estimate, variance + added, degrees, span)
         low = min(low, lowest)
