@@ -3,8 +3,9 @@
     python tools/say_results.py runs/quick/tables
 
 It prints the statements of docs/results/README.md, sections "What it says" and "On Cycles", with
-the numbers of these tables. The words around them are those of the runs so far: whether they still hold, a reader
-has to judge. What stands in brackets [so] is for that reader, and is no part of a statement.
+the numbers of these tables. The words around them are those of the runs so far: whether they still
+hold, a reader has to judge. What stands in brackets [so] is for that reader, and is no part of a
+statement.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from skyproof.render.placed import place
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images
+from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.weather import Weather
@@ -114,6 +115,11 @@ def test_it_is_a_renderer_that_says_what_its_images_depend_on():
         name: other.record([scene()])[name] for name in shared
     }
     assert "gloss" not in record
+    assert "light" not in record
+    dim = CyclesRenderer(
+        PlainGround(), Shadows(), shared=RenderSettings(light=Light(white=(0.5, 0.5, 0.5)))
+    )
+    assert dim.record([scene()])["light"]["white"] == (0.5, 0.5, 0.5)
     assert json.loads(json.dumps(record)) == record
     assert json.loads(json.dumps(other.record([scene()]))) == other.record([scene()])
 

@@ -55,6 +55,9 @@ def test_correlations_are_those_of_scipy(rng):
     )
     # Tiles that are all alike leave the order as it is.
     assert found.spearman.low == pytest.approx(found.spearman.high)
+    # A combination without a shape is its texture, and counts as that alone.
+    best = {"S-O": "S-O@0.4", "C-Fc-seq": "T-Fc", "C-Fc-par": "T-Fc"}
+    assert rank_agreement(counted(OURS), PAPER, rows=best, generator=rng).attacks == found.attacks
 
 
 def test_many_orders_at_once_are_each_that_of_scipy(rng):

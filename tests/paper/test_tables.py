@@ -314,6 +314,9 @@ def test_cycles_beside_the_renderer(folder):
 
 def test_how_far_success_moves_to_cycles(folder):
     add_cycles(folder)
+    # What was chosen is no random draw.
+    chosen = {"R-U_plain": 1.0, "R-S-O@0.4_plain": 1.0}
+    write_scores(folder / "scores" / "chosen", chosen, found=0.8, renderer="cycles")
     write_reproduction(folder)
     with open(folder / "tables" / "cycles.csv", newline="", encoding="utf-8") as file:
         rows = {row["kind"]: row for row in csv.DictReader(file)}
@@ -333,13 +336,14 @@ def test_how_far_success_moves_to_cycles(folder):
     # T-Fc (30, 10), each halved before it is squared.
     margin = (2 * (100 * (1 - 0.025**0.05)) ** 2 + 4.302653**2 * (61.5 + 249) / 16) ** 0.5
     close(rows["textures"]["change_low"], -3.75 - margin)
-    # 10, 30 and 10 became 12.5, 37.5 and 25.
-    close(rows["random textures"]["change"], 25 - 50 / 3)
+    # 10, 30 and 10 became 12.5, 37.5 and 25; R-U counts as much as R-Fc, which has one draw.
+    close(rows["random textures"]["change"], 25 - 15)
     assert (rows["random textures"]["camouflages"], rows["random textures"]["paper_number"]) == (
         "2",
         "4",
     )
     close(rows["random textures"]["paper_easr_blender"], (16.31 + 18.95 + 18.95 + 20.24) / 4)
+    assert rows["random shapes and combinations"]["camouflages"] == "1"
     close(rows["shapes"]["change"], 37.5 - 80)  # S-O@0.2 and S-O@1 were not scored on Cycles
 
 

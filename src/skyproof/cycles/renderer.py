@@ -65,8 +65,11 @@ class CyclesRenderer:
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
         """Its settings, with blur and noise as these scenes have them, and Blender's version."""
-        # What only the differentiable renderer is told makes no difference here.
+        # What only the differentiable renderer is told makes no difference here, and the ground's
+        # own light is the ground's.
+        given = {} if self.shared.light is None else {"light": asdict(self.shared.light)}
         return {
+            **given,
             **asdict(self.settings),
             **sensor_record(self.backgrounds, scenes, self.shared),
             "blender": self.workers.blender.version,

@@ -168,6 +168,7 @@ def _photographed(
         window,
         {name: (length_m, width_m, 1.5)},
         shadows=light.sun is not None,
+        on_top_from=math.inf,
     )
     scene = Scene(
         id=name,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from skyproof.results.statistics.sample import Sample
 
 __all__ = [
     "Agreement",
+    "is_copy",
     "percentile_interval",
     "rank_agreement",
     "rank_correlations",
@@ -61,9 +62,10 @@ def rank_agreement(
 ) -> Agreement:
     """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
 
-    Ours are means over repeats and detectors. The interval says how far the test scenes alone could
-    move the correlation: ours vary over resampled tiles; vehicles, seeds and draws, and the paper's
-    numbers, which come without intervals, stay fixed.
+    An attack whose row is another one's, such as a combination whose best magnitude is 0 and that
+    is its texture, counts once, as that. Ours are means over repeats and detectors. The interval
+    says how far the test scenes alone could move the correlation: ours vary over resampled tiles;
+    vehicles, seeds and draws, and the paper's numbers, which come without intervals, stay fixed.
 
     Args:
         tiles: our counts.
@@ -82,7 +84,7 @@ def rank_agreement(
     shared = [
         name
         for name in sorted(paper, key=lambda name: -paper[name])
-        if rows.get(name, name) in series
+        if rows.get(name, name) in series and not is_copy(name, rows, paper)
     ]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
@@ -95,6 +97,12 @@ def rank_agreement(
     ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, sample)
     theirs = np.array([paper[name] for name in shared])
     return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
+
+
+def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
+    """Says whether an attack's row is that of another of these attacks."""
+    row = rows.get(name, name)
+    return row != name and row in names
 
 
 def renderer_agreement(

@@ -19,8 +19,8 @@ __all__ = ["CHANNELS", "colour_histograms", "colour_tables", "colours_section"]
 CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
 _MISSING = (
-    "The textures’ colours were not measured in this run; `skyproof score` without `--detectors` "
-    "does that."
+    "The textures’ colours were not measured in this run; skyproof score without --detectors does "
+    "that."
 )
 
 

@@ -117,6 +117,11 @@ def _names(run: Reproduction) -> list[str]:
     return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
 
 
+def _plain_names(run: Reproduction) -> list[str]:
+    """Lists those of them that the paper has, too: no variants, no controls that were chosen."""
+    return [name for name in _names(run) if not CamouflageName.read(name).variant]
+
+
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
     """Gives mean EASR under either renderer and their difference, in percent.
 
@@ -132,7 +137,7 @@ def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
 def _changes(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for kind, belongs in _KINDS.items():
-        names = [name for name in _names(run) if belongs(name)]
+        names = [name for name in _plain_names(run) if belongs(name)]
         paper = [result for name, result in PAPER_RESULTS.items() if belongs(name)]
         known = [
             (result.easr, result.easr_blender)
@@ -160,7 +165,7 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
         for name, result in PAPER_RESULTS.items()
         if result.easr_blender is not None
     }
-    attacks = [name for name in _names(run) if not name.startswith("R-")]
+    attacks = [name for name in _plain_names(run) if not name.startswith("R-")]
 
     def with_paper(names: Collection[str]) -> Agreement:
         paper = {name: blender[name] for name in names}
@@ -192,7 +197,7 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
         (paper, with_paper, "all, with random controls", list(blender)),
         (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
         (renderer, with_renderer, "all attacks, at every magnitude", attacks),
-        (renderer, with_renderer, "all, with random controls", _names(run)),
+        (renderer, with_renderer, "all, with random controls", _plain_names(run)),
     ]
     rows = []
     for compared, correlate, label, names in sets:
@@ -264,9 +269,10 @@ def _moves(table: Table) -> list[Block]:
     if not rows:
         return []
     text = (
-        "How far EASR moves from the renderer to Cycles: means over camouflages, their repeats and "
-        "the detectors, in percent and points, paired by camouflage and tile. Beside them the "
-        "paper’s means, over the attacks for which it has both."
+        "How far EASR moves from the renderer to Cycles: means over camouflages, each the mean of "
+        "its repeats and the detectors, in percent and points, paired by camouflage and tile; "
+        "without controls that were chosen. Beside them the paper’s means, over the attacks for "
+        "which it has both."
     )
     header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
     return [text, Grid([*header, "in the paper", "paper EASR", "paper Blender"], rows)]

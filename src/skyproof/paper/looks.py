@@ -35,6 +35,7 @@ def looks_section() -> list[Block]:
             "displacement",
             "A learnt displacement map and its axes of symmetry (dashed): the middle of the roof "
             "and of the underside, where the left border is the right one. Both lie in the plane "
-            "that halves the vehicle lengthwise",
+            "that halves the vehicle lengthwise. Underside and wheels stay where they are, and "
+            "what lies between vertices is not read: there the map holds what it began with",
         ),
     ]

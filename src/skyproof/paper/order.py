@@ -9,9 +9,10 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from skyproof.errors import ConfigurationError
-from skyproof.paper.agreement import rank_agreement, rank_correlations
+from skyproof.paper.agreement import is_copy, rank_agreement, rank_correlations
 from skyproof.paper.cells import Block, Grid, Table, bracket, interval_cells, number
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction, point_name
@@ -101,7 +102,8 @@ def order_section(run: Reproduction, table: Table) -> list[Block]:
     ]
     text = (
         "Rank correlations of EASR, shapes and combinations each at their own PM* unless it says "
-        "otherwise. The intervals say how far the test scenes alone could move them. The paper "
+        "otherwise; at PM* = 0 a combination is its texture, and counts as that alone. The "
+        "intervals say how far the test scenes alone could move them. The paper "
         "scored its attacks on images of its own renderer and of Blender; how alike these two "
         "columns are says what agreement can be expected."
     )
@@ -126,14 +128,14 @@ def comparison(run: Reproduction) -> dict[str, float]:
 def _ranks(run: Reproduction) -> list[Block]:
     """Ranks of ours and the paper's, where they differ most on top."""
     ours = comparison(run)
-    names = [name for name in ours if not name.startswith("R-")]
-    ranks = {}
-    for name in names:
-        own = 1 + sum(ours[other] > ours[name] for other in names)
-        theirs = 1 + sum(PAPER_RESULTS[other].easr > PAPER_RESULTS[name].easr for other in names)
-        ranks[name] = (own, theirs)
+    names = [
+        name for name in ours if not name.startswith("R-") and not is_copy(name, run.best, ours)
+    ]
+    own_ranks = stats.rankdata([-ours[name] for name in names])
+    paper_ranks = stats.rankdata([-PAPER_RESULTS[name].easr for name in names])
+    ranks = dict(zip(names, zip(own_ranks, paper_ranks, strict=True), strict=True))
     rows = [
-        [name, str(own), str(theirs), number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
+        [name, f"{own:g}", f"{theirs:g}", number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
         for name, (own, theirs) in sorted(
             ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1])
         )

@@ -32,8 +32,8 @@ __all__ = ["most_starts", "variability_section", "variability_tables"]
 
 _LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
 _MISSING = (
-    "How alike repeats of an attack are was not measured in this run; `skyproof score` without "
-    "`--detectors` does that."
+    "How alike repeats of an attack are was not measured in this run; skyproof score without "
+    "--detectors does that."
 )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
+from skyproof.layout import Layout
 from skyproof.results.results import Results
 from skyproof.results.rows import MEAN, Headline
 
@@ -28,7 +29,6 @@ def advice(headline: Headline) -> list[str]:
         ranked = sorted(single, key=lambda row: row.easr.estimate)
         best = ranked[0]
         worst = ranked[-1]
-        # False where an interval is undefined.
         if best.easr.high < worst.easr.low:
             sentences.append(
                 f"{words.detector_name(best.detector)} withstands {headline.camouflage} better "
@@ -36,7 +36,8 @@ def advice(headline: Headline) -> list[str]:
                 f"({words.percent(best.easr.estimate)} against "
                 f"{words.percent(worst.easr.estimate)} hidden): harden the weaker one first."
             )
-        else:
+        # Neither holds where an interval is undefined.
+        elif best.easr.high >= worst.easr.low:
             sentences.append(
                 "The detectors' intervals overlap: this result gives no ground to prefer one of "
                 "them."
@@ -120,10 +121,13 @@ def limits(
         )
         attacked = _attacked(results, every[0][0])
         if attacked:
+            others = any(name.variant.startswith(("on_", "without_")) for name in results.names)
+            judged = Layout(results.folder).judges.is_dir()
             sentences.append(
                 f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst "
                 "case for them. Detectors that the pattern was not optimised against may lose "
-                "fewer vehicles; that is not measured here."
+                "fewer vehicles; "
+                + ("the tables show some." if others or judged else "that is not measured here.")
             )
         if attacked and not asked:
             sentences.append(

@@ -56,6 +56,9 @@ def colour_figure(run: Reproduction) -> dict[str, bytes]:
             axes.set_axisbelow(True)
         for axes in list(grid.flat)[len(learnt) :]:
             axes.set_visible(False)
+        # The lowest that is drawn in its column has the values below it.
+        for axes in list(grid.flat)[max(len(learnt) - columns, 0) : len(learnt)]:
+            axes.tick_params(labelbottom=True)
         figure.supylabel("% of the painted surface", fontsize=10)
         figure.supxlabel("value of the channel (8 bits)", fontsize=10)
         handles: list[Any] = [

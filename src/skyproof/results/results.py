@@ -282,7 +282,8 @@ class Results:
     ) -> Change | None:
         """Says how far the mean EASR of some camouflages moves from one renderer to another.
 
-        Only repeats that were scored under both count, each paired with itself.
+        Only repeats that were scored under both count, each paired with itself. The mean is over
+        camouflages, each of which is the mean of its repeats.
 
         Args:
             names: of the camouflages, without repeats.
@@ -370,7 +371,11 @@ class Results:
             return None, None
         before = [self.tiles.series[key][:, 1:] for key in after]
         repeats = [[repeat_of(key.camouflage)] for key in after]
-        return Group(np.stack(before), repeats), Group(np.stack(list(after.values())), repeats)
+        of = [str(CamouflageName.read(key.camouflage).pooled) for key in after]
+        return (
+            Group(np.stack(before), repeats, of),
+            Group(np.stack(list(after.values())), repeats, of),
+        )
 
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.judges]

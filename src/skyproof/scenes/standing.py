@@ -29,13 +29,14 @@ def standing(
     vehicle_sizes_m: Sizes,
     *,
     shadows: bool,
+    on_top_from: float = _ON_TOP_FROM,
 ) -> tuple[Placement, ...]:
     """Returns vehicles with what the ground says of the places where they stand.
 
     In shadow the whole vehicle gets the mean over its footprint, although its roof may reach out of
     a shadow, and though a shadow's edge may cross it. Where crowns and roofs cover less than half
     of the footprint the vehicle stands beneath them; where they cover more, it stands on top, as
-    uniform places put vehicles on anything.
+    uniform places put vehicles on anything (photographed vehicles chose their places, and do not).
 
     Args:
         placements: where they stand.
@@ -43,6 +44,7 @@ def standing(
         window: of the ground, that the scene shows.
         vehicle_sizes_m: per vehicle id its length, width and height.
         shadows: also take the sun from those that stand in shadow.
+        on_top_from: share of the footprint, from which on crowns and roofs are stood upon.
 
     Raises:
         StoredFileError: a map of the tile is missing or damaged.
@@ -67,7 +69,7 @@ def standing(
             replace(
                 placement,
                 shade=_mean(shade, row, column),
-                covered=covered if covered < _ON_TOP_FROM else 0.0,
+                covered=covered if covered < on_top_from else 0.0,
             )
         )
     return tuple(found)

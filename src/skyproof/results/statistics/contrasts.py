@@ -8,8 +8,10 @@ of an attack against an earlier one.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -37,18 +39,28 @@ class Group:
     Attributes:
         counts: `[S, N, 3]` (both, lost, gained) per series and cell of the sample.
         repeats: what each series is one of several of; empty where they are taken as given.
+        of: what the mean is over, each of which is the mean of its own series; empty where it is
+            over the series. So a camouflage counts once, however often it was repeated.
     """
 
     counts: Int[np.ndarray, "S N 3"]
     repeats: Sequence[Sequence[Repeat]] = ()
+    of: Sequence[str] = ()
     _known: list[tuple[Sample, _Values]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
+    @cached_property
+    def factors(self) -> Float[np.ndarray, " S"]:
+        """What each series counts in the mean."""
+        of = self.of or range(len(self.counts))
+        series = Counter(of)
+        return np.array([1 / (len(series) * series[each]) for each in of])
+
     @property
     def rate(self) -> float:
-        """The EASR, mean over the series."""
-        return float(overall_attack_success_rate(self.counts.sum(axis=1)).mean())
+        """The mean EASR."""
+        return float(overall_attack_success_rate(self.counts.sum(axis=1)) @ self.factors)
 
     def easr(self, sample: Sample) -> _Values:
         """Gives every series' EASR on a sample, worked out once: it stands in many contrasts."""
@@ -80,10 +92,8 @@ def mean_interval(
     """
     shared = rate is overall_attack_success_rate
     values = group.easr(sample) if shared else _Values.of(group.counts, sample, rate)
-    series = len(group.counts)
-    return _with_repeats(
-        values.mean(limits), values.points, np.full(series, 1 / series), group.repeats, limits
-    )
+    mean = values.mean(group.factors, limits)
+    return _with_repeats(mean, values.points, group.factors, group.repeats, limits)
 
 
 def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: Sample) -> Interval:
@@ -98,22 +108,25 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: S
     group counts as correlated with none.
 
     Args:
-        plus, minus: groups of series; a group's EASR is the unweighted mean over its series.
+        plus, minus: groups of series, each with its mean EASR.
         sample: what their counts are crossed by.
     """
     groups = [*plus, *minus]
     each = [group.easr(sample) for group in groups]
     factors = np.concatenate(
-        [
-            np.full(len(values.points), (1 if place < len(plus) else -1) / len(values.points))
-            for place, values in enumerate(each)
-        ]
+        [*(group.factors for group in plus), *(-group.factors for group in minus)]
     )
     limits = (-math.inf, math.inf)
     together = _Values.joined(each)
     whole = together.interval(factors, limits, exact=False)
-    parts = [values.mean((-math.inf, 1.0)) for values in each]
-    lower, upper = _square_and_add(each, parts, len(plus))
+    parts = [
+        values.mean(group.factors, (-math.inf, 1.0))
+        for group, values in zip(groups, each, strict=True)
+    ]
+    replicates = [
+        values.replicates @ group.factors for group, values in zip(groups, each, strict=True)
+    ]
+    lower, upper = _square_and_add(np.stack(replicates), parts, len(plus))
     if not math.isnan(lower + upper):
         low = min(whole.low, whole.estimate - lower)
         high = max(whole.high, whole.estimate + upper)
@@ -183,39 +196,37 @@ class _Values:
             exact=exact,
         )
 
-    def mean(self, limits: tuple[float, float]) -> Interval:
+    def mean(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
         """Gives the interval of the mean, no surer than the series are.
 
         Where every tile agrees in some series but not in all, resampling sees only the others'
         spread. Then the mean of the series' own margins counts, as if they all erred together: they
         stand on the same tiles.
         """
-        series = len(self.points)
-        whole = self.interval(np.full(series, 1 / series), limits)
+        whole = self.interval(factors, limits)
         if whole.unanimous or not any(is_unanimous(column) for column in self.replicates.T):
             return whole
-        parts = [self.interval(own, limits) for own in np.eye(series)]
-        below = float(np.mean([part.estimate - part.low for part in parts]))
-        above = float(np.mean([part.high - part.estimate for part in parts]))
+        parts = [self.interval(own, limits) for own in np.eye(len(factors))]
+        below = float(factors @ [part.estimate - part.low for part in parts])
+        above = float(factors @ [part.high - part.estimate for part in parts])
         low = max(min(whole.low, whole.estimate - below), limits[0])
         high = min(max(whole.high, whole.estimate + above), limits[1])
         return replace(whole, low=low, high=high, unanimous=True)
 
 
 def _square_and_add(
-    each: Sequence[_Values], parts: Sequence[Interval], count: int
+    means: Float[np.ndarray, "G R"], parts: Sequence[Interval], count: int
 ) -> tuple[float, float]:
     """Says how far the limits of `count` groups' sum minus the others' lie from it on either side.
 
     Args:
-        each: the groups' values.
+        means: of the groups in the replicates.
         parts: the interval of each group's mean.
         count: how many groups are added; the others are subtracted.
     """
     signs = np.where(np.arange(len(parts)) < count, 1.0, -1.0)
     below = np.array([part.estimate - part.low for part in parts])
     above = np.array([part.high - part.estimate for part in parts])
-    means = np.stack([values.replicates.mean(axis=1) for values in each])
     means = means[:, ~np.isnan(means).any(axis=0)]
     if not means.shape[1]:
         return math.nan, math.nan
