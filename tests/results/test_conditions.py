@@ -51,3 +51,10 @@ def test_weather_has_none_where_all_scenes_have_the_same(condition):
     drawn = panels([condition] * 4)
     assert "Weather and light" not in drawn
     assert len(drawn) == 4
+
+
+def test_values_that_are_all_alike_make_one_bin():
+    # Every vehicle of these is 30 degrees off, and the sun as high.
+    for title in ("Sun above the horizon", "Camera off the vertical"):
+        (alone,) = panels(["clear"] * 4)[title].bins
+        assert (alone.label, alone.vehicles) == ("30°", 4)

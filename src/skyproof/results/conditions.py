@@ -6,6 +6,7 @@ Each rate is the mean over detectors and repeats, with its interval.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -91,9 +92,13 @@ def _numeric(
     title: str, values: Sequence[float], read: Callable[[Outcome], float]
 ) -> tuple[str, Callable[[Outcome], str], list[str]]:
     """Cuts three bins of about equally many vehicles, at whole degrees so that labels are exact."""
-    cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])})
-    edges = [float(np.floor(min(values))), *map(float, cuts), float(np.ceil(max(values)))]
-    labels = [f"{low:.0f}–{high:.0f}°" for low, high in itertools.pairwise(edges)]
+    ends = (math.floor(min(values)), math.ceil(max(values)))
+    # Where values are alike a cut may lie on an end, beyond which there is nothing.
+    cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])} - {*ends})
+    edges = [ends[0], *cuts, ends[1]]
+    labels = [
+        f"{low}–{high}°" if low < high else f"{low}°" for low, high in itertools.pairwise(edges)
+    ]
     return (
         title,
         lambda outcome: labels[int(np.searchsorted(cuts, read(outcome), side="right"))],
