@@ -106,7 +106,7 @@ def of_textures(tables: Tables) -> Iterator[str]:
     )
     masked = [number(rows[f"T-{name}"]["easr"]) for name in MASKED]
     yield (
-        f"**A mask costs a quarter to a half.** T-Ma {masked[0]} and T-PixMa {masked[1]} %, with "
+        f"**A mask costs a fifth to two fifths.** T-Ma {masked[0]} and T-PixMa {masked[1]} %, with "
         f"few learnt colours {masked[2]} and {masked[3]}, with five colours of the ground "
         f"{masked[4]} and {masked[5]} % {cited('textures', [f'T-{name}' for name in MASKED])}."
     )
@@ -234,7 +234,7 @@ def of_analyses(tables: Tables) -> Iterator[str]:
     yield (
         f"**The rule of matching hardly matters:** by overlap T-U hides {overlap[0]} %, T-PixFcMa "
         f"{overlap[1]} and S-O {overlap[2]} % at `PM 0.4`. False alarms are {alarms[0]} a square "
-        f"kilometre without camouflage, and {alarms[1]} beside the shapes "
+        f"kilometre without camouflage, and {alarms[1]} beside these shapes "
         f"{cited('criteria', names)}: thresholds are frozen on validation images, and too low here "
         "for all three detectors."
     )
