@@ -1,8 +1,8 @@
 """Draws a town as one photograph with labels, to time an assessment on.
 
-    python tools/make_town.py runs/town
-    time skyproof assess detectors/retinanet --imagery runs/town/town.tif \\
-        --labels runs/town/town.geojson --out runs/town/assessed
+    python tools/make_town.py runs/drawn_town
+    time skyproof assess detectors/retinanet --imagery runs/drawn_town/town.tif \\
+        --labels runs/drawn_town/town.geojson --out runs/drawn_town/assessed
 
 Drawn scenes of 48 m, each on ground of its own, lie side by side in a GeoTIFF of 12.5 cm per pixel;
 21 by 21 of them are one square kilometre. The labels are the boxes of their vehicles.

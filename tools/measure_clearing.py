@@ -2,7 +2,7 @@
 
 It makes the table of docs/imagery.md.
 
-    python tools/measure_clearing.py --run-folder runs/demo
+    python tools/measure_clearing.py --run-folder runs/trained
 
 Vehicles are rendered onto the run's test tiles, so that the ground under them is known.
 """

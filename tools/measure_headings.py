@@ -2,7 +2,7 @@
 
 It makes the table of docs/imagery.md.
 
-    python tools/measure_headings.py runs/demo/datasets/test runs/demo/datasets/validation
+    python tools/measure_headings.py runs/trained/datasets/test runs/trained/datasets/validation
 
 Rendered datasets know the ground that every vehicle stands on, and so its heading.
 """

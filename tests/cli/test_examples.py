@@ -4,6 +4,7 @@ They are what the README or a page of the docs shows.
 """
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -84,3 +85,21 @@ def test_an_example_is_short_and_stands_in_the_docs(example: Path):
     lines = [line for line in code(example).splitlines() if line.strip()]
     assert len(lines) < (15 if page == "README.md" else 30)
     assert code(example) in (ROOT / page).read_text(encoding="utf-8")
+
+
+def test_the_walkthrough_runs_after_the_demo(
+    finished: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "demo").symlink_to(finished)
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "walkthrough.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    exec(compile("\n".join(snippets), "walkthrough.md", "exec"), {})
+    said = capsys.readouterr().out
+    # Each image is drawn as the demo stored it, and stands in its scores.
+    assert "largest difference 0" in said
+    assert f"vehicles; ours: ['{said.partition(' at ')[0].split()[-1]}'" in said
