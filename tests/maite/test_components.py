@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -15,12 +16,23 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
-from skyproof.maite import DetectorModel, HiddenVehicles, ModelDetector, Target, VehicleDataset
+from skyproof.maite import (
+    CamouflageAugmentation,
+    DetectorModel,
+    HiddenVehicles,
+    ModelDetector,
+    Target,
+    VehicleDataset,
+)
 from skyproof.plans.assess import Assess
+from skyproof.render.settings import RenderSettings
 from skyproof.results.pairs.tiles import read_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.scenes.light import Light
+from skyproof.vehicles.fleet import Fleet
 from tests.maite.conftest import Folders
 
 
@@ -141,6 +153,40 @@ def test_a_camouflage_is_no_patch_for_anybodys_images(folders: Folders) -> None:
     ):
         with pytest.raises(ConfigurationError, match="none of them"):
             augmentation(batch)
+
+
+def test_a_camouflage_is_drawn_as_its_dataset_was(
+    folders: Folders, model: DetectorModel, tmp_path: Path
+) -> None:
+    original = Dataset.open(folders.original)
+    fleet, ground = Fleet.load(folders.fleet), sp.BackgroundSet.open(folders.ground)
+    light = Light(white=(0.9, 0.9, 0.8))
+    renderer = sp.TorchRenderer(ground, RenderSettings(blur_sigma_px=2.4, light=light))
+    scenes = original.scenes[:1]
+    camouflage = sp.load_camouflage(folders.camouflage)
+    sp.render_dataset(tmp_path / "blurred", scenes, fleet, renderer)
+    sp.render_dataset(tmp_path / "hidden", scenes, fleet, renderer, camouflage=camouflage)
+    blurred, hidden = VehicleDataset(tmp_path / "blurred"), VehicleDataset(tmp_path / "hidden")
+
+    def augmentation() -> CamouflageAugmentation:
+        return CamouflageAugmentation(
+            camouflage, tmp_path / "blurred", folders.ground, folders.fleet
+        )
+
+    images, targets, metadata = ([each] for each in blurred[0])
+    drawn, _, told = augmentation()((images, targets, metadata))
+    assert np.array_equal(drawn[0], hidden.get_input(0))
+    assert told[0]["rendering"] == hidden.get_metadata(0)["rendering"]
+    # Without the same settings, images differ in more than camouflage.
+    metric = HiddenVehicles(model, VehicleDataset(folders.original))
+    with pytest.raises(ConfigurationError, match="or with other settings than the unchanged"):
+        metric.update(model(drawn), targets, told)
+    path = tmp_path / "blurred" / "annotations.json"
+    document = json.loads(path.read_text())
+    document["info"]["rendering"]["supersampling"] = 99
+    path.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match=r"not known here \(.*supersampling\)"):
+        augmentation()
 
 
 def test_the_metric_refuses_what_it_cannot_pair(folders: Folders, model: DetectorModel) -> None:

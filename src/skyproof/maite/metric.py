@@ -91,10 +91,12 @@ class HiddenVehicles:
         self._gsd_m = gsd_m
         self._match: Criterion = match
         self._unchanged: set[str] = set()
+        self._renderings: dict[str, Any] = {}
         self._before: dict[_Vehicle, _Seen] = {}
         self.reset()
         for images, targets, metadata in batches(dataset, batch_size):
             self._unchanged |= {str(known["id"]) for known in metadata}
+            self._renderings |= {str(known["id"]): known.get("rendering") for known in metadata}
             self._before |= self._seen(model(images), targets, metadata)
 
     def reset(self) -> None:
@@ -112,7 +114,8 @@ class HiddenVehicles:
         """Takes in what the model made of some changed images.
 
         Raises:
-            ConfigurationError: an image was not among the unchanged ones, or came before.
+            ConfigurationError: an image was not among the unchanged ones, was rendered by another
+                renderer or with other settings than there, or came before.
         """
         for known in metadata_batch:
             image = str(known["id"])
@@ -125,6 +128,13 @@ class HiddenVehicles:
                 raise ConfigurationError(
                     f"Image {image[:100]!r} came twice; give each once, and reset the metric "
                     "before another run."
+                )
+            renderings = [known.get("rendering"), self._renderings[image]]
+            if None not in renderings and len(set(renderings)) > 1:
+                raise ConfigurationError(
+                    f"Image {image[:100]!r} was rendered by another renderer or with other "
+                    "settings than the unchanged one, so that they differ in more than the "
+                    "change; render both with the same."
                 )
             self._changed.add(image)
         self._after |= self._seen(pred_batch, target_batch, metadata_batch)
