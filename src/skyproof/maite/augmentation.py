@@ -135,7 +135,7 @@ def _renderer_of(rendered: Dataset, ground: BackgroundSet) -> TorchRenderer:
     if not same:
         raise ConfigurationError(
             f"{rendered.folder} was rendered on other ground, or with settings that are not known "
-            f"here ({', '.join(sorted(other))[:200] or 'none are stored'}); give its own background "
-            "set, or render it anew."
+            f"here ({', '.join(sorted(other))[:200] or 'none are stored'}); give its own "
+            "background set, or render it anew."
         )
     return renderer
