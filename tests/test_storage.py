@@ -81,3 +81,12 @@ def test_numbers_that_are_not_finite_are_not_stored(tmp_path, tensors, record):
     with pytest.raises(NotFiniteError, match=r"x\.safetensors would hold"):
         write_tensors(path, tensors, record)
     assert not path.exists()
+
+
+def test_small_floats_are_read_and_looked_through(tmp_path):
+    path = tmp_path / "x.safetensors"
+    save_file({"a": torch.ones(2).to(torch.float8_e4m3fn)}, path)
+    assert read_tensors(path, "make it again")[0]["a"].float().tolist() == [1, 1]
+    save_file({"a": torch.tensor([math.nan]).to(torch.float8_e4m3fn)}, path)
+    with pytest.raises(StoredFileError, match="not finite"):
+        read_tensors(path, "make it again")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from skyproof.documents import parse_document
 from skyproof.errors import NotFiniteError, StoredFileError
 from skyproof.files import to_json, write_bytes
 
-__all__ = ["read_tensors", "write_tensors"]
+__all__ = ["read_tensors", "tensors_digest", "write_tensors"]
 
 
 def write_tensors(
@@ -78,9 +79,23 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
     return tensors, record
 
 
+def tensors_digest(tensors: Mapping[str, Tensor]) -> str:
+    """Computes the SHA-256 over names, shapes and bytes of tensors."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(
+            tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+        )
+    return digest.hexdigest()
+
+
 def _not_finite(tensors: Mapping[str, Tensor]) -> str | None:
     """Names the first tensor that holds a NaN or an infinity."""
     for name, tensor in tensors.items():
-        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
-            return name
+        if tensor.is_floating_point():
+            # Of kinds with less than 16 bits torch knows little but how to widen them.
+            wide = tensor.float() if tensor.element_size() == 1 else tensor
+            if not torch.isfinite(wide).all():
+                return name
     return None

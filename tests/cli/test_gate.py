@@ -47,7 +47,16 @@ def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: S
     assert again.out in answer.out
     # Another check does not replace it.
     skyproof("check", detector, *world).refused("check.json", "other frames", "move it away")
+    # Nor one of other images under the same name, if it says which they were.
+    images = shutil.copytree(finished / "datasets/test", detector.parent / "validation")
+    others = ["--frames", f"{images}@0.125", *frames[2:]]
+    skyproof("check", detector, *world, *others).refused("images or labels of frames")
     assert bytes_of(detector) == before
+    written = json.loads((detector / "check.json").read_text())
+    for key in ("frames_sha256", "ground_sha256", "fleet_sha256"):
+        del written["measured_on"][key]
+    (detector / "check.json").write_text(json.dumps(written))
+    assert skyproof("check", detector, *world, *others).code == 0
 
 
 def test_what_cannot_be_checked_is_said_in_a_sentence(
@@ -73,7 +82,8 @@ def test_another_threshold_is_frozen_in_a_copy(
     call = ["check", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
-    assert read_card(labels).threshold_from == "the best F1 on labelled images (test)"
+    best = "the lowest within a point of the best F1 on labelled images (test)"
+    assert read_card(labels).threshold_from == best
     assert (labels / "weights.safetensors").read_bytes() == before["weights.safetensors"]
     skyproof(*call).refused("exists already")
     empty = ["--freeze", "alarms", "--empty", finished / "backgrounds"]

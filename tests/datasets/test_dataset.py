@@ -83,6 +83,11 @@ def test_damage_raises(tmp_path):
         ("annotations", {"bbox": [0, 0, 1e300, 1]}, r"annotations\[1\]\.bbox\[2\]: expected"),
         ("annotations", {"bbox": [0, 0, -1, 1]}, r"annotations\[1\]\.bbox\[2\]: expected"),
         ("annotations", {"bbox": [0, 0, 1]}, r"annotations\[1\]\.bbox: expected a list of length"),
+        (
+            "annotations",
+            {"iscrowd": 0, "bbox": [25, 1, 9, 3]},
+            r"has a box \[25.0, 1.0, 9.0, 3.0\] .* outside its image scene-a of 30 x 20 px",
+        ),
         ("annotations", {"image_id": 77}, r"annotations\[1\] belongs to image 77"),
         ("annotations", {"visible_fraction": 2}, r"annotations\[1\]\.visible_fraction: expected"),
     ],

@@ -7,8 +7,12 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.training import validate
 from skyproof.errors import ConfigurationError, DetectorAnswerError
 
 IMAGES = torch.zeros(1, 3, 40, 60)
@@ -83,6 +87,33 @@ def test_what_its_program_raises_is_one_sentence():
         DetectorAnswerError, match=r"ConnectionRefusedError: \[Errno 111\] Connection"
     ):
         CheckedAnswers(Down()).detect(IMAGES)
+
+
+def test_answers_are_checked_wherever_a_bare_object_is_asked():
+    class Bare:
+        name = "theirs"
+
+        def __init__(self, boxes, scores):
+            self.answer = answer(boxes, scores)
+
+        def detect(self, images):
+            return [self.answer] * len(images)
+
+    small = torch.zeros(3, 40, 60, dtype=torch.uint8)
+    large = torch.zeros(3, 40, 1100, dtype=torch.uint8)
+    box = torch.tensor([BOX])
+    dataset = Dataset.of_images([small], [box], gsd_m=0.125)
+    for score in (float("nan"), 92.0):
+        with pytest.raises(DetectorAnswerError, match="The detector theirs"):
+            validate(Bare(box, [score]), dataset)
+    # Boxes of double precision were no boxes to suppression.
+    for image in (small, large):
+        (found,) = detect_all(
+            Bare(box.double(), [0.5]), Dataset.of_images([image], [box], gsd_m=1.0)
+        )
+        assert found.boxes.dtype == torch.float32
+    with pytest.raises(ConfigurationError, match=r"^threshold expects .* got 46"):
+        DetectorCard("theirs", threshold=46.0, gsd_m=0.125)
 
 
 def test_an_error_of_ours_stays_what_it_is():

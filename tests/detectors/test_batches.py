@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from detector_images import bar_images
 
@@ -107,3 +109,15 @@ def test_a_batch_of_all_sizes_shows_windows_hides_cut_vehicles_and_repeats() -> 
             for left, top, right, bottom in boxes.long().tolist():
                 taught[top:bottom, left:right] = True
             assert torch.equal(picture[0] > 0.9, taught)
+
+
+def test_boxes_without_area_are_not_taught() -> None:
+    images = bar_images(2, seed=3)
+    out_of_sight = torch.tensor([[10.0, 10, 10, 20], [96, 0, 96, 0]])
+    with_more = replace(images, boxes=[torch.cat([own, out_of_sight]) for own in images.boxes])
+    for data in (images, with_more):
+        batch, targets = training_batch(data, 0, batch_size=2, jitter_strength=1.0, seed=0)
+        if data is images:
+            wanted = batch, targets
+    assert torch.equal(batch, wanted[0])
+    assert all(map(torch.equal, targets, wanted[1]))

@@ -182,3 +182,27 @@ def test_a_network_that_holds_itself_is_refused() -> None:
         last = above
     with pytest.raises(StoredFileError, match="parts, or holds itself"):
         state_of(last)
+
+
+def test_many_names_of_the_same_bytes_take_no_memory(tmp_path: Path) -> None:
+    half = torch.zeros(200_000, dtype=torch.half)
+    torch.save({f"layer{number}": half for number in range(5)}, tmp_path / "tied.pt")
+    tied = state_of(network_of(read_checkpoint(tmp_path / "tied.pt")))
+    assert len(tied) == 5
+    torch.save({f"layer{number}": half[:] for number in range(500)}, tmp_path / "many.pt")
+    with pytest.raises(StoredFileError, match="500 tensors share 400,000 bytes"):
+        state_of(network_of(read_checkpoint(tmp_path / "many.pt")))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (lambda: torch.eye(3).to_sparse(), "is sparse"),
+        (lambda: torch.zeros(3, device="meta"), "is without its numbers"),
+        (lambda: torch.quantize_per_tensor(torch.zeros(3), 0.1, 0, torch.qint8), "is quantised"),
+    ],
+)
+def test_tensors_of_other_kinds_are_refused(value: Any, words: str, tmp_path: Path) -> None:
+    torch.save({"layer": value()}, tmp_path / "x.pt")
+    with pytest.raises(StoredFileError, match=f"tensor layer {words}"):
+        state_of(network_of(read_checkpoint(tmp_path / "x.pt")))

@@ -160,6 +160,37 @@ def test_loss_is_ultralytics_own_against_an_empty_truth() -> None:
         torch.testing.assert_close(loss, terms.sum() / 10, rtol=1e-4, atol=1e-5)
 
 
+@needs_yolo
+@pytest.mark.parametrize("file", ["yolo26n.yaml", "yolov10n.yaml"])
+def test_a_network_with_two_heads_can_be_attacked(file: str) -> None:
+    """Ultralytics before 8.4.113 cut the gradient of the head that is read."""
+    detector = ImportedDetector("mine", yolo_plan(file, [1])).eval().requires_grad_(False)
+    images = IMAGES[:1].clone().requires_grad_()
+    detector.loss(images, NOTHING[:1]).sum().backward()
+    assert images.grad is not None
+    assert images.grad.abs().sum() > 0
+
+
+@needs_yolo
+def test_a_vehicle_class_that_the_network_does_not_tell_apart_is_refused() -> None:
+    plan = replace(yolo_plan("yolov8n.yaml", [1]), classes=["car"] * 9, vehicle_classes=[7])
+    with pytest.raises(ConfigurationError, match="class 7 is not among the 3 that the network"):
+        ImportedDetector("mine", plan)
+
+
+@pytest.mark.parametrize(
+    ("architecture", "regions"), [(SMALL, 1000), ("fasterrcnn_mobilenet_v3_large_320_fpn", 150)]
+)
+def test_regions_read_the_levels_that_torchvision_reads(architecture: str, regions: int) -> None:
+    detector = ImportedDetector("mine", replace(PLAN, architecture=architecture)).eval()
+    model = detector.network.model
+    assert model.rpn.post_nms_top_n() == regions
+    with torch.no_grad():
+        detector.candidates(IMAGES[:1])
+    # Two levels of one stride; the proposals' pooled third one has half as many rows.
+    assert model.roi_heads.box_roi_pool.scales == [1 / 32, 1 / 32]
+
+
 def test_losses_by_their_formulas() -> None:
     """Focal loss; of Faster R-CNN every region is background and every anchor negative."""
     torch.manual_seed(3)
@@ -180,7 +211,8 @@ def test_losses_by_their_formulas() -> None:
         ImportedDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1]))
     )
     assert isinstance(rcnn.network, ImportedFasterRcnn)
-    features, _ = rcnn.network._features(IMAGES)
+    named, _ = rcnn.network._features(IMAGES)
+    features = list(named.values())
     anchors = torch.cat(
         [level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1
     )

@@ -133,6 +133,48 @@ def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> No
             run(tmp_path / "run", settings, seed=seed)
 
 
+def test_other_images_of_the_same_settings_are_refused(tmp_path: Path) -> None:
+    """Begun or finished; a card of before images belonged to the identity tells them beside it."""
+
+    def train_on(training: Dataset, validation: Dataset, on_step: Any = None) -> None:
+        generator = torch.Generator().manual_seed(0)
+        detector = build_detector("retinanet", "slim", generator=generator)
+        train(
+            detector,
+            training,
+            validation,
+            replace(SETTINGS, steps=1),
+            tmp_path,
+            generator=generator,
+            on_step=on_step,
+        )
+
+    def kill(row: dict[str, Any]) -> None:
+        raise KeyboardInterrupt
+
+    def refused() -> None:
+        for images in ((VALIDATION, VALIDATION), (TRAINING, TRAINING)):
+            with pytest.raises(RunFolderError, match="or other images"):
+                train_on(*images)
+
+    with pytest.raises(KeyboardInterrupt):
+        train_on(TRAINING, VALIDATION, kill)
+    refused()
+    train_on(TRAINING, VALIDATION)
+    refused()
+    path = tmp_path / "detector.json"
+    card = json.loads(path.read_text())
+    for key in ("data_sha256", "validation_sha256"):
+        del card["training"]["identity"][key]
+    path.write_text(json.dumps(card))
+    train_on(TRAINING, VALIDATION)
+    refused()
+    for key in ("data_sha256", "validation_sha256"):
+        del card["training"][key]
+    path.write_text(json.dumps(card))
+    train_on(TRAINING, VALIDATION)
+
+
 def test_damaged_checkpoint_and_other_settings_are_refused(tmp_path: Path) -> None:
     def kill(row: dict[str, Any]) -> None:
         if row["step"] == 2:

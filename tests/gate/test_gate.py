@@ -10,14 +10,15 @@ import torch
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, plain_paint, two_tone_paint
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors import inference
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.gate.check import check_detectors
+from skyproof.gate.check import _Gate, check_detectors
 from skyproof.gate.record import RECORD_FILE, read_record, read_records, write_record
-from skyproof.gate.trials import make_trials
+from skyproof.gate.trials import Trial, make_trials
 from skyproof.gate.verdict import findings, verdict, worst
 from skyproof.results.clean import CleanSet
 from skyproof.vehicles.vehicle import Part
-from tests.gate.world import Toy, judging
+from tests.gate.world import SIZE_PX, Toy, judging
 
 PAINT = {
     "kind": "paint_body",
@@ -178,3 +179,12 @@ def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_
         write_record(tmp_path / name, records[name])
         (tmp_path / name / "detector.json").write_text(json.dumps({"threshold": threshold}))
     assert list(read_records(tmp_path)) == ["good"]
+
+
+def test_large_scenes_are_seen_in_windows(backgrounds, fleet, scenes, monkeypatch):
+    monkeypatch.setattr(inference, "LARGEST_WHOLE_PX", SIZE_PX - 1)
+    toy = Toy("toy", scenes, fleet)
+    gate = _Gate([judging(toy)], backgrounds, fleet, scenes, 0, torch.device("cpu"), 3, None)
+    seen = gate.see(Trial("sun", "unchanged"))
+    # Each large picture is looked at alone.
+    assert len(toy.contrasts) == len(seen.found["toy"]) == 3

@@ -1,5 +1,8 @@
 """Another threshold, from labels or from a wanted number of false alarms."""
 
+import json
+import shutil
+
 import pytest
 import torch
 
@@ -8,6 +11,7 @@ from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 from skyproof.gate.threshold import empty_tiles, threshold_of_alarms, threshold_of_labels
 from skyproof.results.clean import CleanSet
+from skyproof.scenes.backgrounds import BackgroundSet
 from tests.gate.world import judging
 
 SIDE_PX = 800
@@ -75,3 +79,20 @@ def test_empty_ground_is_that_of_the_validation_split(backgrounds):
     assert list(tiles.ids) == ["tile-4"]
     assert not len(tiles.boxes[0])
     assert torch.equal(tiles.image(0), backgrounds.pixels("tile-4"))
+
+
+def test_ground_with_labelled_vehicles_is_not_empty(backgrounds, tmp_path):
+    ground = shutil.copytree(backgrounds.folder, tmp_path / "ground")
+    rows = [
+        {"image_id": 1, "bbox": [0, 0, 9, 9], "iscrowd": iscrowd, "id": iscrowd}
+        for iscrowd in (0, 1)
+    ]
+    image = {"id": 1, "width": 96, "height": 96, "file_name": "a.png", "scene_id": "tile-4"}
+    document = {"info": {"gsd_m": 0.125}, "images": [image], "annotations": rows}
+    (ground / "validation").mkdir()
+    path = ground / "validation" / "annotations.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match="have 1 labelled vehicles"):
+        empty_tiles(BackgroundSet.open(ground))
+    path.write_text(json.dumps({**document, "annotations": rows[1:]}))
+    assert len(empty_tiles(BackgroundSet.open(ground)))

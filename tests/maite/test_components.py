@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -15,12 +17,23 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
-from skyproof.maite import DetectorModel, HiddenVehicles, ModelDetector, Target, VehicleDataset
+from skyproof.maite import (
+    CamouflageAugmentation,
+    DetectorModel,
+    HiddenVehicles,
+    ModelDetector,
+    Target,
+    VehicleDataset,
+)
 from skyproof.plans.assess import Assess
+from skyproof.render.settings import RenderSettings
 from skyproof.results.pairs.tiles import read_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.scenes.light import Light
+from skyproof.vehicles.fleet import Fleet
 from tests.maite.conftest import Folders
 
 
@@ -91,6 +104,7 @@ def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorMod
     assert (told["hidden"], told["found_only_since"]) == (counts[2], counts[3])
     assert told["easr"] == pytest.approx(overall_attack_success_rate(counts[1:]))
     assert told["vehicles"] == counts[0]
+    assert 0 <= told["asr_low"] <= told["asr"] <= told["asr_high"] <= 1
     metric.reset()
     blind = [Target.of(torch.zeros(0, 4)) for _ in data]
     metric.update(blind, [each[1] for each in data], [each[2] for each in data])
@@ -141,6 +155,126 @@ def test_a_camouflage_is_no_patch_for_anybodys_images(folders: Folders) -> None:
     ):
         with pytest.raises(ConfigurationError, match="none of them"):
             augmentation(batch)
+
+
+def answer(boxes: list[list[float]], labels: list[int], scores: list[float]) -> Target:
+    return Target(
+        np.array(boxes, dtype=np.float32).reshape(-1, 4),
+        np.array(labels, dtype=np.int64),
+        np.array(scores, dtype=np.float32),
+    )
+
+
+class OneImage:
+    """A MAITE dataset of an image with a car, a person in it and another car."""
+
+    truth = answer([[10, 10, 40, 24], [24, 14, 30, 20], [60, 60, 90, 74]], [2, 0, 2], [1, 1, 1])
+    known: ClassVar = {"id": "a", "img_gsd": 0.125}
+
+    def __init__(self, classes: dict[int, str]) -> None:
+        self.metadata = {"id": "one image", "index2label": classes}
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, index: int) -> tuple[np.ndarray, Target, dict[str, Any]]:
+        return np.zeros((3, 96, 96), dtype=np.uint8), self.truth, self.known
+
+
+class SaysAlways:
+    """A MAITE model that finds both cars of `OneImage`, one of them as a van, too."""
+
+    found = answer(
+        [[10, 10, 40, 24], [11, 10, 41, 24], [60, 60, 90, 74]], [2, 3, 2], [0.9, 0.8, 0.7]
+    )
+
+    def __init__(self, **more: Any) -> None:
+        self.metadata = {"id": "always", "threshold": 0.5, **more}
+
+    def __call__(self, batch: Any) -> list[Target]:
+        return [self.found] * len(batch)
+
+
+def test_other_labels_than_vehicles_are_no_vehicles() -> None:
+    several = {0: "person", 2: "car", 3: "van"}
+    for classes in (several, {}):
+        metric = HiddenVehicles(SaysAlways(), OneImage(classes), labels=(2, 3))
+        seen = answer([[10, 10, 40, 24]], [2], [0.9])
+        metric.update([seen], [OneImage.truth], [OneImage.known])
+        told = metric.compute()
+        assert (told["vehicles"], told["found_before"], told["hidden"]) == (2, 2, 1)
+        assert told["asr"] == told["easr"] == 0.5
+    # The model's number of a car is not that of a dataset that knows vehicles alone.
+    assert len(HiddenVehicles(SaysAlways(), OneImage({0: "vehicle"}), labels=(2,))._before) == 3
+    with pytest.raises(ConfigurationError, match="the dataset's boxes have 0, 2; give"):
+        HiddenVehicles(SaysAlways(), OneImage(several), labels=(3,))
+
+
+def test_vehicles_that_cannot_be_told_apart_are_refused() -> None:
+    metric = HiddenVehicles(SaysAlways(), OneImage({}), labels=(2,))
+    fewer = answer([[60, 60, 90, 74]], [2], [1])
+    for more in ({}, {"placements": [0, 1, 2]}):
+        metric.reset()
+        with pytest.raises(ConfigurationError, match="1 boxes of 3 vehicles"):
+            metric.update([fewer], [fewer], [{**OneImage.known, **more}])
+
+
+def test_another_resolution_than_the_models_is_refused() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"for 0\.3 m per pixel but the images have 0\.125"
+    ):
+        HiddenVehicles(SaysAlways(gsd_m=0.3), OneImage({}), labels=(2,))
+
+
+def test_two_classes_of_one_vehicle_are_one_detection() -> None:
+    theirs = SaysAlways(index2label={0: "person", 2: "car", 3: "van"})
+    (found,) = ModelDetector(theirs, vehicle_classes=["car", "van"]).detect(
+        torch.zeros(1, 3, 96, 96)
+    )
+    assert found.scores.tolist() == pytest.approx([0.9, 0.7])
+    with pytest.raises(ConfigurationError, match="have no index2label"):
+        ModelDetector(SaysAlways())
+
+
+def test_a_models_id_tells_its_threshold() -> None:
+    loaded = sp.reference_detector("retinanet")
+    other = replace(loaded, card=replace(loaded.card, threshold=0.9))
+    ids = [DetectorModel(each).metadata["id"] for each in (loaded, other, loaded)]
+    assert ids[0] == ids[2] != ids[1]
+
+
+def test_a_camouflage_is_drawn_as_its_dataset_was(
+    folders: Folders, model: DetectorModel, tmp_path: Path
+) -> None:
+    original = Dataset.open(folders.original)
+    fleet, ground = Fleet.load(folders.fleet), sp.BackgroundSet.open(folders.ground)
+    light = Light(white=(0.9, 0.9, 0.8))
+    renderer = sp.TorchRenderer(ground, RenderSettings(blur_sigma_px=2.4, light=light))
+    scenes = original.scenes[:1]
+    camouflage = sp.load_camouflage(folders.camouflage)
+    sp.render_dataset(tmp_path / "blurred", scenes, fleet, renderer)
+    sp.render_dataset(tmp_path / "hidden", scenes, fleet, renderer, camouflage=camouflage)
+    blurred, hidden = VehicleDataset(tmp_path / "blurred"), VehicleDataset(tmp_path / "hidden")
+
+    def augmentation() -> CamouflageAugmentation:
+        return CamouflageAugmentation(
+            camouflage, tmp_path / "blurred", folders.ground, folders.fleet
+        )
+
+    images, targets, metadata = ([each] for each in blurred[0])
+    drawn, _, told = augmentation()((images, targets, metadata))
+    assert np.array_equal(drawn[0], hidden.get_input(0))
+    assert told[0]["rendering"] == hidden.get_metadata(0)["rendering"]
+    # Without the same settings, images differ in more than camouflage.
+    metric = HiddenVehicles(model, VehicleDataset(folders.original))
+    with pytest.raises(ConfigurationError, match="or with other settings than the unchanged"):
+        metric.update(model(drawn), targets, told)
+    path = tmp_path / "blurred" / "annotations.json"
+    document = json.loads(path.read_text())
+    document["info"]["rendering"]["supersampling"] = 99
+    path.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match=r"not known here \(.*supersampling\)"):
+        augmentation()
 
 
 def test_the_metric_refuses_what_it_cannot_pair(folders: Folders, model: DetectorModel) -> None:

@@ -178,7 +178,19 @@ def test_matched_pairs_on_disk_share_annotations_and_scenes(tmp_path, fleet):
     write(tmp_path / "camouflaged", fleet, camouflage=random_colours())
     original, camouflaged = files(tmp_path / "original"), files(tmp_path / "camouflaged")
     same = {name for name in original if original[name] == camouflaged[name]}
-    assert same == {"annotations.json", "scenes.jsonl", "images/scene-2.png"}
+    assert same == {"scenes.jsonl", "images/scene-2.png"}
+    labels = [json.loads(each["annotations.json"]) for each in (original, camouflaged)]
+    assert labels[1]["info"].pop("camouflage")
+    assert labels[0] == labels[1]
+    # Judges that learnt from either learnt from different images.
+    write(tmp_path / "again", fleet, camouflage=random_colours())
+    write(tmp_path / "other", fleet, camouflage=random_colours(1))
+    original, camouflaged, again, other = (
+        Dataset.open(tmp_path / name).digest
+        for name in ("original", "camouflaged", "again", "other")
+    )
+    assert again == camouflaged
+    assert len({original, camouflaged, other}) == 3
 
 
 def test_an_existing_folder_is_refused_and_left_alone(tmp_path, fleet):

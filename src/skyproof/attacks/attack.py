@@ -37,10 +37,11 @@ from skyproof.camouflage.folder import (
 )
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
-from skyproof.detectors.weights import tensors_digest, weights_digest
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, Part, refuse_other
+from skyproof.storage import tensors_digest
 
 __all__ = ["attack", "attack_weights", "descend", "make_optimiser"]
 

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.matching import CENTRE_DISTANCE_M
 from skyproof.detectors.weights import weights_digest
@@ -143,7 +144,7 @@ def _candidates(
 ) -> Candidates:
     if isinstance(detector, TrainableDetector):
         return detector.candidates(images)
-    found = detector.detect(images)
+    found = checked(detector).detect(images)
     # One row of padding at least, for images in which nothing is found.
     rows = 1 + max(len(each.scores) for each in found)
     boxes = images.new_zeros(len(images), rows, 4)

@@ -52,8 +52,8 @@ class Check:
         frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...], as in
             `score`.
         frame_classes: class names that count as vehicles in frames without classes of their own.
-        freeze: labels (the threshold of the best F1 on --frames) or alarms (the lowest with at
-            most --alarms-per-km2 detections on --empty).
+        freeze: labels (the lowest threshold within a point of the best F1 on --frames) or alarms
+            (the lowest with at most --alarms-per-km2 detections on --empty).
         empty: for --freeze alarms: background set folder without vehicles; its validation split.
         alarms_per_km2: for --freeze alarms.
         out: for --freeze: detector folder to write; the old one stays as it is.
@@ -148,7 +148,9 @@ class Check:
         from skyproof.gate.check import check_detectors, measured_on
         from skyproof.gate.record import RECORD_FILE, write_record
 
-        wanted = measured_on(backgrounds, scenes, draws=self.draws, seed=self.seed, frames=frames)
+        wanted = measured_on(
+            backgrounds, fleet, scenes, draws=self.draws, seed=self.seed, frames=frames
+        )
         records = {
             folder: _known(folder, wanted)
             for folder in self.detectors
@@ -217,7 +219,7 @@ class Check:
                 frames = read_frames(self.frames, self.frame_classes, gsd_m)
                 threshold = threshold_of_labels(judge, frames)
                 names = ", ".join(each.name for each in frames)
-                how = f"the best F1 on labelled images ({names})"
+                how = f"the lowest within a point of the best F1 on labelled images ({names})"
             card = replace(judge.card, threshold=threshold, threshold_from=how)
             save_detector(partial, judge.detector, card)
         say(
@@ -237,9 +239,7 @@ def _known(folder: Path, wanted: MeasuredOn) -> GateRecord:
 
     record = read_record(folder)
     card, digest = read_card_and_digest(folder / "detector.json")
-    differing = [
-        name for name, value in vars(wanted).items() if getattr(record.measured_on, name) != value
-    ]
+    differing = wanted.differing(record.measured_on)
     if (record.weights_sha256, record.threshold) != (digest, card.threshold):
         differing = ["weights or threshold"]
     if differing:

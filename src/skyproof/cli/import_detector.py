@@ -32,8 +32,9 @@ class Import:
             its resolution.
         out: detector folder to write.
         architecture: of torchvision: retinanet_resnet50_fpn, retinanet_resnet50_fpn_v2,
-            fasterrcnn_resnet50_fpn, fasterrcnn_resnet50_fpn_v2, fasterrcnn_mobilenet_v3_large_fpn
-            or fcos_resnet50_fpn.
+            fasterrcnn_resnet50_fpn, fasterrcnn_resnet50_fpn_v2, fasterrcnn_mobilenet_v3_large_fpn,
+            fasterrcnn_mobilenet_v3_large_320_fpn (the same weights, 150 regions instead of 1000) or
+            fcos_resnet50_fpn.
         gsd: metres per pixel the detector was made for, where the images have another resolution.
         name: of the detector in tables; the last part of --out where not given.
         device: auto, cpu or cuda.

@@ -48,12 +48,15 @@ class Information(msgspec.Struct, frozen=True):
         description: what the images are.
         renderer: who rendered them; None where it is not said.
         rendering: the settings they were rendered with.
+        camouflage: a digest of what the vehicles wear; empty where they are as they were, and of
+            sets from before it was kept.
     """
 
     gsd_m: GroundResolution
     description: str = ""
     renderer: str | None = None
     rendering: Mapping[str, Any] = {}
+    camouflage: Annotated[str, Meta(max_length=64)] = ""
 
 
 class CategoryRow(msgspec.Struct, frozen=True):

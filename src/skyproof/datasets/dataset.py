@@ -18,8 +18,11 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.datasets.annotations import (
+    ANNOTATIONS,
+    REMEDY,
     AnnotationFile,
     AnnotationRow,
+    ImageRow,
     Information,
     read_annotations,
 )
@@ -30,6 +33,9 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 
 __all__ = ["Dataset"]
+
+# As in labels of imagery: rounding may carry a box over the edge.
+_SLACK = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +73,8 @@ class Dataset:
         Annotations with iscrowd become ignore regions.
 
         Raises:
-            StoredFileError: `annotations.json` is missing, damaged or of another form, or names an
-                image outside the folder.
+            StoredFileError: `annotations.json` is missing, damaged or of another form, names an
+                image outside the folder, or a vehicle outside its image.
         """
         folder = Path(folder)
         document, files = read_annotations(folder, AnnotationFile)
@@ -76,6 +82,8 @@ class Dataset:
         for annotation in document.annotations:
             rows[annotation.image_id].append(annotation)
         vehicles = [[row for row in of_image if not row.iscrowd] for of_image in rows.values()]
+        for image, of_image in zip(document.images, vehicles, strict=True):
+            _refuse_outside(folder, image, of_image)
         crowds = [[row for row in of_image if row.iscrowd] for of_image in rows.values()]
         return cls(
             pictures=[
@@ -198,6 +206,9 @@ class Dataset:
             for name, picture, boxes, ignored in images
         ]
         about = [self.gsd_m, self.renderer, self.rendering, told]
+        if self.info is not None and self.info.camouflage:
+            # Digests of sets without it stay what they were.
+            about.append(self.info.camouflage)
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
     @property
@@ -230,6 +241,29 @@ class Dataset:
 def _decoders() -> ThreadPoolExecutor:
     # Pillow lets go of the interpreter's lock while it decodes.
     return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="decoder")
+
+
+def _refuse_outside(folder: Path, image: ImageRow, rows: Sequence[AnnotationRow]) -> None:
+    """Refuses boxes that reach out of their image; those without area are of what is out of sight.
+
+    Raises:
+        StoredFileError: there is one.
+    """
+    slack_x, slack_y = _SLACK * image.width, _SLACK * image.height
+    for row in rows:
+        left, top, width, height = row.bbox
+        inside = (
+            left >= -slack_x
+            and top >= -slack_y
+            and left + width <= image.width + slack_x
+            and top + height <= image.height + slack_y
+        )
+        if width and height and not inside:
+            raise StoredFileError(
+                f"{folder / ANNOTATIONS} has a box {list(row.bbox)} (left, top, width, height) "
+                f"outside its image {image.scene_id} of {image.width} x {image.height} px; "
+                f"{REMEDY}."
+            )
 
 
 def _boxes(rows: Sequence[AnnotationRow]) -> Tensor:

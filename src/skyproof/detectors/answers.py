@@ -10,12 +10,12 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.errors import DetectorAnswerError, SkyproofError
 
-__all__ = ["CheckedAnswers"]
+__all__ = ["CheckedAnswers", "checked"]
 
 _SHOWN = 200
 _GO_ON = "the same command goes on where it stopped"
@@ -101,6 +101,13 @@ class CheckedAnswers:
             f"The detector {self.name} gave an answer that cannot be one: {expected}, got {got}; "
             f"correct its detect, and {_GO_ON}."
         )
+
+
+def checked(detector: Detector) -> Detector:
+    """Has the answers of whatever is no network of torch checked, if they are not yet."""
+    if isinstance(detector, nn.Module | CheckedAnswers):
+        return detector
+    return CheckedAnswers(detector)
 
 
 def _in_short(error: Exception) -> str:

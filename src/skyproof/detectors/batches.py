@@ -69,9 +69,12 @@ def training_batch(
     images: list[Tensor] = []
     targets: list[Tensor] = []
     for index, decoded in zip(indices, training.images(indices), strict=True):
+        vehicles = training.boxes[index].float()
+        # What is out of sight, or cut away by a border, has no area, and would give no finite loss.
+        in_sight = (vehicles[:, 2:] > vehicles[:, :2]).all(dim=1)
         shown, boxes, ignore = window(
             decoded,
-            training.boxes[index].float(),
+            vehicles[in_sight],
             training.ignore[index].float(),
             generator=generator,
         )

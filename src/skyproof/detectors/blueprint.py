@@ -21,6 +21,7 @@ from skyproof.ranges import check_ranges
 __all__ = ["ARCHITECTURES", "HEADS", "Blueprint", "check_layers", "plain_architecture"]
 
 ARCHITECTURES = (
+    "fasterrcnn_mobilenet_v3_large_320_fpn",
     "fasterrcnn_mobilenet_v3_large_fpn",
     "fasterrcnn_resnet50_fpn",
     "fasterrcnn_resnet50_fpn_v2",

@@ -15,7 +15,14 @@ from skyproof.detectors.doubts import find_doubts
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
-from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, is_name
+from skyproof.ranges import (
+    Fraction,
+    GroundResolution,
+    Name,
+    WholeNumber,
+    check_ranges,
+    is_name,
+)
 
 __all__ = [
     "FOLDER_FORMAT",
@@ -59,6 +66,9 @@ class DetectorCard:
         trained_on: what its training images were, in a few words; empty where not known.
         threshold_from: what the threshold was chosen on, where it was frozen anew.
         brought: of an imported detector what builds its network; else None.
+
+    Raises:
+        ConfigurationError: a value out of its range, such as a threshold in percent.
     """
 
     name: Name
@@ -75,6 +85,9 @@ class DetectorCard:
     trained_on: Annotated[str, Meta(max_length=10_000)] = ""
     threshold_from: Annotated[str, Meta(max_length=10_000)] = ""
     brought: Blueprint | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
     @property
     def doubts(self) -> list[str]:

@@ -27,6 +27,8 @@ _WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
 _PREFIXES = ("module.", "_orig_mod.")
 _MOST_MODULES = 100_000
 _LONGEST_NAME = 2000
+# Halves become twice as large, and layers may share weights.
+_MOST_WIDENED = 8
 
 
 class StandIn:
@@ -97,7 +99,8 @@ def state_of(network: Any) -> dict[str, Tensor]:
         Names to tensors; empty where there are none.
 
     Raises:
-        StoredFileError: a tensor claims more numbers than are there, or the network has no end.
+        StoredFileError: tensors claim more numbers than are there, one is sparse, quantised or
+            without numbers, or the network has no end.
     """
     if isinstance(network, StandIn):
         found = dict(_walk(network))
@@ -109,12 +112,28 @@ def state_of(network: Any) -> dict[str, Tensor]:
             if isinstance(name, str) and isinstance(value, Tensor)
         }
     for name, value in found.items():
+        what = _other_than_dense(value)
+        if what:
+            raise StoredFileError(
+                f"The checkpoint's tensor {name[:100]} is {what}, but plain dense tensors are "
+                "expected; give the weights as they were trained."
+            )
         # A few bytes can be shown as a tensor of any size.
         if value.numel() * value.element_size() > value.untyped_storage().nbytes():
             raise StoredFileError(
                 f"The checkpoint's tensor {name[:100]} claims the shape {list(value.shape)[:8]}, "
                 "more than its file holds; give a file as torch.save writes it."
             )
+    # So can many names of the same bytes, each of which is widened to floats.
+    storages = [value.untyped_storage() for value in found.values()]
+    held = sum({each.data_ptr(): each.nbytes() for each in storages}.values())
+    if sum(max(4, value.element_size()) * value.numel() for value in found.values()) > (
+        _MOST_WIDENED * held + 2**20
+    ):
+        raise StoredFileError(
+            f"The checkpoint's {len(found):,} tensors share {held:,} bytes and claim many times as "
+            "much; give a file as torch.save writes it."
+        )
     for prefix in _PREFIXES:
         if found and all(name.startswith(prefix) for name in found):
             found = {name.removeprefix(prefix): value for name, value in found.items()}
@@ -173,6 +192,15 @@ def _foreign_names(path: Path) -> list[str]:
         if zipfile.is_zipfile(path)
         else []
     )
+
+
+def _other_than_dense(tensor: Tensor) -> str:
+    """Says in a word or two what a tensor is that is none of plain numbers in memory."""
+    if tensor.is_nested or tensor.layout is not torch.strided:
+        return "nested" if tensor.is_nested else "sparse"
+    if tensor.is_quantized:
+        return "quantised"
+    return "without its numbers" if tensor.device.type != "cpu" else ""
 
 
 def _walk(network: StandIn) -> Iterator[tuple[str, Tensor]]:

@@ -38,7 +38,8 @@ class ImportedDetector(TrainableDetector):
         blueprint: what builds the network.
 
     Raises:
-        ConfigurationError: Ultralytics is wanted and not installed.
+        ConfigurationError: Ultralytics is wanted and not installed, or a vehicle class is none of
+            the network's.
     """
 
     size = "brought"
@@ -106,9 +107,20 @@ class ImportedDetector(TrainableDetector):
 
 def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
     if isinstance(blueprint.architecture, dict):
+        network: YoloNetwork | AnchorDetector
+        # Names of classes are the checkpoint's; how many the head tells apart, its architecture's.
         if "anchors" in blueprint.architecture:
-            return AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
-        return YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
+            known = int(blueprint.architecture.get("nc", 0))
+            network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
+        else:
+            network = YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
+            known = int(network.model.model[-1].nc)
+        if max(blueprint.vehicle_classes) >= known:
+            raise ConfigurationError(
+                f"the vehicle class {max(blueprint.vehicle_classes)} is not among the {known} that "
+                "the network tells apart; give a checkpoint as Ultralytics saves it."
+            )
+        return network
     return build_torchvision(
         blueprint.architecture,
         len(blueprint.classes),

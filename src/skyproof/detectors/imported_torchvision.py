@@ -150,7 +150,8 @@ class ImportedFcos(_Imported):
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-        features, image_list = self._features(images)
+        named, image_list = self._features(images)
+        features = list(named.values())
         outputs = self.model.head(features)
         vehicles = outputs["cls_logits"][..., list(self.vehicle_classes)]
         return {**outputs, "cls_logits": vehicles}, self.model.anchor_generator(

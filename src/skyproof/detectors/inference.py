@@ -13,6 +13,7 @@ from torchvision import ops
 from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, Window
+from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
 __all__ = [
@@ -63,6 +64,7 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
     Raises:
         StoredFileError: an image file of a dataset folder is missing or damaged.
         ImageryError: an annotated frame cannot be read.
+        DetectorAnswerError: as `detect_batch` does.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
@@ -83,8 +85,13 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
 
 
 def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[Detections]:
-    """Runs `detect` on sRGB bytes, on the detector's own device."""
-    return detector.detect(to_detector(detector, images))
+    """Runs `detect` on sRGB bytes, on the detector's own device.
+
+    Raises:
+        DetectorAnswerError: a detector that is no network of torch gave no answer, or one that
+            cannot be.
+    """
+    return checked(detector).detect(to_detector(detector, images))
 
 
 def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:

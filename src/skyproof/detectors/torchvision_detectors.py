@@ -76,13 +76,13 @@ class TorchvisionDetector(TrainableDetector):
         # instead.
         self.model.transform = nn.Identity()
 
-    def _features(self, images: Tensor) -> tuple[list[Tensor], ImageList]:
+    def _features(self, images: Tensor) -> tuple[dict[str, Tensor], ImageList]:
         check_images(images)
         # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the
         # image.
         padded = pad_to_stride(self._normalise(images), value=0.0)
         sizes = [(images.shape[-2], images.shape[-1])] * len(images)
-        return list(self.model.backbone(padded).values()), ImageList(padded, sizes)
+        return self.model.backbone(padded), ImageList(padded, sizes)
 
     def _normalise(self, images: Tensor) -> Tensor:
         return (images - 0.45) / 0.25
@@ -92,7 +92,8 @@ class TorchvisionDetector(TrainableDetector):
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
         """See `FeatureDetector.features`."""
-        pyramid, image_list = self._features(images)
+        named, image_list = self._features(images)
+        pyramid = list(named.values())
         width_px = image_list.tensors.shape[-1]
         strides_px = [width_px / level.shape[-1] for level in pyramid]
         return pool_boxes(pyramid, width_px, boxes, self._levels(strides_px))
@@ -155,7 +156,8 @@ class RetinaNetDetector(TorchvisionDetector):
         return anchor_levels(self.model.anchor_generator.cell_anchors)
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-        features, image_list = self._features(images)
+        named, image_list = self._features(images)
+        features = list(named.values())
         # Images of one batch share their size and so their anchors.
         return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
 
@@ -236,7 +238,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         )
 
     def _proposal_outputs(
-        self, features: list[Tensor], image_list: ImageList
+        self, named: dict[str, Tensor], image_list: ImageList
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
         """Runs the proposal network.
 
@@ -245,6 +247,7 @@ class FasterRcnnDetector(TorchvisionDetector):
             and per image its proposals.
         """
         network = self.model.rpn
+        features = list(named.values())
         per_level = network.head(features)
         anchors = network.anchor_generator(image_list, features)[0]
         level_sizes = [level[0].numel() for level in per_level[0]]
@@ -262,10 +265,10 @@ class FasterRcnnDetector(TorchvisionDetector):
         return objectness, deltas, anchors, proposals
 
     def _region_outputs(
-        self, features: list[Tensor], regions: list[Tensor], image_list: ImageList
+        self, named: dict[str, Tensor], regions: list[Tensor], image_list: ImageList
     ) -> tuple[Tensor, Tensor]:
+        # By their names the head knows which levels it reads: not the proposals' coarsest one.
         heads = self.model.roi_heads
-        named = {str(level): feature for level, feature in enumerate(features)}
         return heads.box_predictor(
             heads.box_head(heads.box_roi_pool(named, regions, image_list.image_sizes))
         )

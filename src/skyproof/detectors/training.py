@@ -36,7 +36,7 @@ __all__ = ["check_validation", "train", "validate"]
 
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
-_OTHER = "a training with other settings or another seed"
+_OTHER = "a training with other settings, another seed or other images"
 
 
 def train(
@@ -74,8 +74,8 @@ def train(
         ConfigurationError: no training image, or no vehicle to validate with.
         NotFiniteError: the loss, its gradient or a weight is no longer finite; the last checkpoint
             stays.
-        RunFolderError: the folder holds a training with other settings, somebody else works there,
-            or the disk is full.
+        RunFolderError: the folder holds a training with other settings or images, somebody else
+            works there, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -85,6 +85,8 @@ def train(
         "size": detector.size,
         "seed": seed,
         "settings": asdict(settings),
+        "data_sha256": training.digest,
+        "validation_sha256": validation.digest,
     }
     _check(training, validation)
     if (folder / "detector.json").exists():
@@ -283,7 +285,13 @@ def check_validation(validation: Dataset) -> None:
 
 def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any]) -> DetectorCard:
     stored = load_detector(folder)
-    refuse_other(folder, stored.card.training.get("identity"), identity, _OTHER)
+    told = stored.card.training
+    known = told.get("identity")
+    if isinstance(known, dict):
+        # Older cards say the images beside the identity, the first ones not at all.
+        images = {key: told.get(key, identity[key]) for key in ("data_sha256", "validation_sha256")}
+        known = {**images, **known}
+    refuse_other(folder, known, identity, _OTHER)
     detector.load_state_dict(stored.detector.state_dict())
     detector.eval()
     return stored.card
@@ -307,8 +315,8 @@ def _card(
         training={
             "identity": json.loads(json.dumps(identity)),
             "images": len(training),
-            "data_sha256": training.digest,
-            "validation_sha256": validation.digest,
+            "data_sha256": identity["data_sha256"],
+            "validation_sha256": identity["validation_sha256"],
             "best_step": best["step"],
         },
         validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import UInt8
@@ -15,7 +18,7 @@ from torch import Tensor, nn
 from skyproof.camouflage.palette import ground_palette
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections, Detector
-from skyproof.detectors.inference import detect_all, detect_batch
+from skyproof.detectors.inference import detect_all, detect_by_each
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.detectors.weights import weights_digest
@@ -98,7 +101,7 @@ def check_detectors(
             )
     photographs = [[gate.check_frames(judge, each) for each in frames] for judge in judges]
     rates = gate.rates(unchanged, trials)
-    on = measured_on(backgrounds, scenes, draws=draws, seed=seed, frames=frames)
+    on = measured_on(backgrounds, fleet, scenes, draws=draws, seed=seed, frames=frames)
     return [
         GateRecord(
             judge.name,
@@ -114,6 +117,7 @@ def check_detectors(
 
 def measured_on(
     backgrounds: BackgroundSet,
+    fleet: Fleet,
     scenes: Sequence[Scene],
     *,
     draws: int,
@@ -121,15 +125,23 @@ def measured_on(
     frames: Sequence[CleanSet] = (),
 ) -> MeasuredOn:
     """Says what a check measures on; two checks that agree in it measured the same."""
-    tiles = dict.fromkeys(scene.background.tile for scene in scenes)
+    names = dict.fromkeys(scene.background.tile for scene in scenes)
+    tiles = [backgrounds.tile(name) for name in names]
     return MeasuredOn(
         scenes=len(scenes),
         scenes_sha256=scenes_digest(scenes),
-        sources=tuple(dict.fromkeys(backgrounds.tile(name).source for name in tiles)),
+        sources=tuple(dict.fromkeys(tile.source for tile in tiles)),
         draws=draws,
         seed=seed,
         frames=tuple(each.name for each in frames),
+        frames_sha256=tuple(_told(each.images.digest, each.note) for each in frames),
+        ground_sha256=_told(backgrounds.gsd_m, tiles),
+        fleet_sha256=_told(fleet.sizes_m),
     )
+
+
+def _told(*values: Any) -> str:
+    return hashlib.sha256(msgspec.json.encode(values)).hexdigest()
 
 
 def _refuse_what_cannot_work(
@@ -219,8 +231,12 @@ class _Gate:
             torch.set_num_threads(threads)
             for batch, frames in zip(batches, drawn, strict=True):
                 pixels = (frames.image * 255).round().byte()
-                for judge in self.judges:
-                    found[judge.name] += detect_batch(judge.detector, pixels)
+                # As photographs are looked at, in windows where they are large.
+                nothing = [torch.zeros(0, 4)] * len(pixels)
+                shown = Dataset.of_images(list(pixels), nothing, gsd_m=scenes[0].camera.gsd_m)
+                looked = detect_by_each([judge.detector for judge in self.judges], shown)
+                for judge, answers in zip(self.judges, looked, strict=True):
+                    found[judge.name] += answers
                 images += pixels.cpu()
                 owner = frames.scene_index.cpu()
                 boxes += [frames.boxes.cpu()[owner == index] for index in range(len(batch))]

@@ -78,6 +78,10 @@ class MeasuredOn:
         draws: of every random control.
         seed: of random controls and of the bootstrap.
         frames: names of the annotated frames.
+        frames_sha256: per set of frames of its images' names, sizes and labels and its note; empty,
+            as the two below, in records from before they were kept.
+        ground_sha256: of the tiles that the scenes show, as their index has them.
+        fleet_sha256: of the names and sizes of the vehicles.
     """
 
     scenes: Count
@@ -86,6 +90,23 @@ class MeasuredOn:
     draws: Count
     seed: Seed
     frames: tuple[_Label, ...] = ()
+    frames_sha256: tuple[_Digest, ...] = ()
+    ground_sha256: _Digest = ""
+    fleet_sha256: _Digest = ""
+
+    def differing(self, other: MeasuredOn) -> list[str]:
+        """Says in what two checks differ; what one of them does not tell is passed over."""
+        words = {
+            "frames_sha256": "images or labels of frames",
+            "ground_sha256": "ground",
+            "fleet_sha256": "vehicles",
+        }
+        return [
+            words.get(name, name)
+            for name, value in vars(self).items()
+            if value != getattr(other, name)
+            and not (name in words and (not value or not getattr(other, name)))
+        ]
 
 
 @dataclass(frozen=True)

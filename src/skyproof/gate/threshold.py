@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from skyproof.datasets.annotations import ANNOTATIONS, AnnotationFile, read_annotations
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureFile
 from skyproof.detectors.average_precision import frozen_threshold, precision_recall
@@ -81,7 +82,8 @@ def empty_tiles(backgrounds: BackgroundSet) -> Dataset:
     """Returns the validation tiles of a background set without vehicles, as images.
 
     Raises:
-        ConfigurationError: it has no validation tiles.
+        ConfigurationError: it has no validation tiles, or labelled vehicles on them.
+        StoredFileError: their labels are damaged.
     """
     tiles = backgrounds.tiles("validation")
     if not tiles:
@@ -89,6 +91,16 @@ def empty_tiles(backgrounds: BackgroundSet) -> Dataset:
             f"{backgrounds.folder} has no validation tiles, on which thresholds are chosen; give "
             "a background set that has."
         )
+    labels = backgrounds.folder / "validation"
+    if (labels / ANNOTATIONS).is_file():
+        document, _ = read_annotations(labels, AnnotationFile)
+        vehicles = sum(not row.iscrowd for row in document.annotations)
+        if vehicles:
+            raise ConfigurationError(
+                f"The validation tiles of {backgrounds.folder} have {vehicles} labelled vehicles, "
+                "each of which would count as a false alarm; give what skyproof clear makes of it, "
+                "or freeze on the labels (--freeze labels)."
+            )
     none = [torch.zeros(0, 4)] * len(tiles)
     return Dataset(
         pictures=[

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 
@@ -17,6 +19,7 @@ from skyproof.maite.datasets import scene_metadata
 from skyproof.maite.targets import Batch, Target
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
@@ -28,7 +31,8 @@ class CamouflageAugmentation:
     """Draws the vehicles of rendered images again, camouflaged, and labels them anew.
 
     It is no patch that is laid over pixels: the scene is rendered from its vehicles, light and
-    ground. So it serves datasets that skyproof rendered, and refuses all others.
+    ground, with the settings that the dataset was rendered with. So it serves datasets that
+    skyproof rendered, and refuses all others.
 
     Args:
         camouflage: a camouflage or its folder.
@@ -41,7 +45,8 @@ class CamouflageAugmentation:
 
     Raises:
         StoredFileError: a folder is missing or damaged.
-        ConfigurationError: another renderer drew the dataset, or nobody did.
+        ConfigurationError: another renderer drew the dataset, or nobody did; or its settings cannot
+            be had on this ground.
     """
 
     def __init__(
@@ -63,7 +68,7 @@ class CamouflageAugmentation:
                 "render`."
             )
         self._scenes = {scene.id: scene for scene in rendered.scenes}
-        self._renderer = TorchRenderer(BackgroundSet.open(Path(backgrounds)))
+        self._renderer = _renderer_of(rendered, BackgroundSet.open(Path(backgrounds)))
         self._fleet = Fleet.load(Path(fleet))
         self.metadata: dict[str, Any] = {"id": str(loaded.name)}
 
@@ -114,3 +119,23 @@ class CamouflageAugmentation:
         }
         image = (frames.image[0] * 255).round().byte().numpy()
         return image, Target.of(frames.boxes[in_sight]), told
+
+
+def _renderer_of(rendered: Dataset, ground: BackgroundSet) -> TorchRenderer:
+    """Opens the renderer that draws as the dataset was drawn, so that camouflage alone differs."""
+    usual = TorchRenderer(ground).record(rendered.scenes)
+    other = {key: value for key, value in rendered.rendering.items() if value != usual.get(key)}
+    try:
+        renderer = TorchRenderer(ground, msgspec.convert(other, RenderSettings))
+        # As it is stored: JSON makes lists of tuples.
+        record = json.loads(json.dumps(renderer.record(rendered.scenes)))
+        same = record == rendered.rendering
+    except (msgspec.ValidationError, ConfigurationError):
+        same = False
+    if not same:
+        raise ConfigurationError(
+            f"{rendered.folder} was rendered on other ground, or with settings that are not known "
+            f"here ({', '.join(sorted(other))[:200] or 'none are stored'}); give its own "
+            "background set, or render it anew."
+        )
+    return renderer

@@ -72,14 +72,23 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
             threshold: least share of the vehicles found before that the model must still find.
         """
         about = (
-            "# Camouflage\n\nNet share of the vehicles found before that the model "
-            f"{self.model_metadata[0]['id']} finds no more (EASR), with its 95 % interval over "
-            "places and vehicles. The limit is met where the whole interval leaves at least "
-            f"{threshold:.0%} found.\n\n"
+            "# Camouflage\n\nShare of the vehicles found before that the model "
+            f"{self.model_metadata[0]['id']} finds no more (ASR), and the same less those found "
+            "only since (EASR), with their 95 % intervals over places and vehicles. The limit is "
+            f"met where the whole interval of ASR leaves at least {threshold:.0%} found.\n\n"
         )
-        headers = ("Dataset", "EASR", "95 % interval", "Found before", "Limit")
+        interval = "95 % interval"
+        headers = ("Dataset", "ASR", interval, "EASR", interval, "Found before", "Limit")
         rows = [
-            (name, _percent(row, "easr"), _interval(row), row["found_before"], _met(row, threshold))
+            (
+                name,
+                _percent(row, "asr"),
+                _interval(row, "asr"),
+                _percent(row, "easr"),
+                _interval(row, "easr"),
+                row["found_before"],
+                _met(row, threshold),
+            )
             for name, row in self.outputs.hidden.items()
         ]
         lines = [headers, ("--",) * len(headers), *rows]
@@ -168,16 +177,17 @@ def _cell(value: object) -> str:
 
 
 def _percent(row: dict[str, float | int | None], key: str) -> str:
-    value = row[key]
+    # What an earlier version kept has no limits of ASR.
+    value = row.get(key)
     return "not known" if value is None else f"{100 * value:.0f} %"
 
 
-def _interval(row: dict[str, float | int | None]) -> str:
-    return f"{_percent(row, 'easr_low')} to {_percent(row, 'easr_high')}"
+def _interval(row: dict[str, float | int | None], key: str) -> str:
+    return f"{_percent(row, f'{key}_low')} to {_percent(row, f'{key}_high')}"
 
 
 def _met(row: dict[str, float | int | None], threshold: float) -> str:
-    low, high = row["easr_low"], row["easr_high"]
+    low, high = row.get("asr_low"), row.get("asr_high")
     if low is None or high is None:
         return "not known"
     if 1 - high >= threshold:

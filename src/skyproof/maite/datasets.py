@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,10 @@ class VehicleDataset:
 
     - `img_gsd`: metres per pixel, the key that NRTK's sensor models read;
     - `ignore`: `[m][4]` regions where nothing is scored, for which MAITE has no field of its own;
-    - of rendered scenes `place`, the tile of ground, which is the cluster of all intervals;
-      `vehicles` and `placements`, per box which vehicle of the fleet it is and its number in the
-      scene; and `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
+    - of rendered scenes `rendering`, the renderer and the first digits of a digest of its settings;
+      `place`, the tile of ground, which is the cluster of all intervals; `vehicles` and
+      `placements`, per box which vehicle of the fleet it is and its number in the scene; and
+      `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
 
     A vehicle out of sight, whose box has no area, is left out.
 
@@ -45,6 +47,7 @@ class VehicleDataset:
         self._images = Dataset.open(folder)
         scenes = Path(folder) / "scenes.jsonl"
         self._scenes = self._images.scenes if scenes.exists() else None
+        self._rendering = _rendering(self._images)
         name = Path(folder).resolve().name
         self.metadata: dict[str, Any] = {
             "id": f"{name}-{_digest(self._images)[:12]}",
@@ -82,6 +85,7 @@ class VehicleDataset:
             "ignore": self._images.ignore[index].tolist(),
         }
         if self._scenes is not None:
+            told["rendering"] = self._rendering
             told |= scene_metadata(self._scenes[index], self._in_sight(index).nonzero()[0].tolist())
         return told
 
@@ -106,6 +110,11 @@ def scene_metadata(scene: Scene, placements: list[int]) -> dict[str, Any]:
         "tilt_deg": math.degrees(scene.camera.tilt_rad),
         "weather": scene.weather.condition,
     }
+
+
+def _rendering(images: Dataset) -> str:
+    settings = json.dumps(images.rendering, sort_keys=True, default=str)
+    return f"{images.renderer}-{hashlib.sha256(settings.encode()).hexdigest()[:12]}"
 
 
 def _digest(images: Dataset) -> str:

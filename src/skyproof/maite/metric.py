@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,7 @@ from skyproof.seeds import numpy_generator
 
 __all__ = ["HiddenVehicles"]
 
+_RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")
 _NO_PIXELS = torch.zeros(3, 0, 0, dtype=torch.uint8)
 # Which vehicle: its image's id, and its number in the scene or among the boxes.
 _Vehicle = tuple[str, int]
@@ -50,13 +52,14 @@ class HiddenVehicles:
     The model is asked once about the images as they were; MAITE's `evaluate` then hands it what
     came of the changed ones: a camouflage, or any other augmentation that keeps every vehicle.
     Images go by their `id`, vehicles by `placements` in the metadata, else by the order of boxes.
+    Of a dataset that knows several classes, boxes of the labels below are the vehicles.
 
     Args:
         model: the MAITE model that will be evaluated.
         dataset: the MAITE dataset without the change.
         threshold: score from which on a detection counts; where not given, what the model's
             metadata say, as those of `DetectorModel` do.
-        labels: of the model's classes that are vehicles.
+        labels: of the model's classes that are vehicles, and of the dataset's, if it has several.
         gsd_m: metres per pixel; where not given, what `img_gsd` in the metadata says.
         match: "centre_1m" or "iou_50", how a detection and a vehicle are paired.
         batch_size: images that the model is asked about at once.
@@ -65,7 +68,8 @@ class HiddenVehicles:
         metadata: `id`.
 
     Raises:
-        ConfigurationError: threshold or resolution are not known.
+        ConfigurationError: threshold or resolution are not known, the model was made for another
+            resolution, or no box has one of the labels.
     """
 
     def __init__(
@@ -88,14 +92,28 @@ class HiddenVehicles:
         self.metadata: dict[str, Any] = {"id": f"skyproof-hidden-vehicles-{match}"}
         self._threshold = float(known)
         self._labels = labels
+        # What knows one class has nothing but vehicles, whatever the model calls them.
+        self._one_class = len(dataset.metadata.get("index2label") or ()) == 1
         self._gsd_m = gsd_m
+        self._made_for_m = model.metadata.get("gsd_m")
         self._match: Criterion = match
         self._unchanged: set[str] = set()
+        self._renderings: dict[str, Any] = {}
+        self._numbers: dict[str, list[int]] = {}
+        others: set[int] = set()
         self._before: dict[_Vehicle, _Seen] = {}
         self.reset()
         for images, targets, metadata in batches(dataset, batch_size):
             self._unchanged |= {str(known["id"]) for known in metadata}
+            self._renderings |= {str(known["id"]): known.get("rendering") for known in metadata}
             self._before |= self._seen(model(images), targets, metadata)
+            others |= {int(label) for target in targets for label in np.ravel(target.labels)}
+        if others and not self._before:
+            raise ConfigurationError(
+                f"Vehicles are the labels {', '.join(map(str, labels))}, and the dataset's boxes "
+                f"have {', '.join(map(str, sorted(others)[:20]))}; give those of its vehicles as "
+                "labels, in the numbers that model and dataset share."
+            )
 
     def reset(self) -> None:
         """Forgets the changed images, not the unchanged ones."""
@@ -112,7 +130,8 @@ class HiddenVehicles:
         """Takes in what the model made of some changed images.
 
         Raises:
-            ConfigurationError: an image was not among the unchanged ones, or came before.
+            ConfigurationError: an image was not among the unchanged ones, was rendered by another
+                renderer or with other settings than there, or came before.
         """
         for known in metadata_batch:
             image = str(known["id"])
@@ -126,6 +145,13 @@ class HiddenVehicles:
                     f"Image {image[:100]!r} came twice; give each once, and reset the metric "
                     "before another run."
                 )
+            renderings = [known.get("rendering"), self._renderings[image]]
+            if None not in renderings and len(set(renderings)) > 1:
+                raise ConfigurationError(
+                    f"Image {image[:100]!r} was rendered by another renderer or with other "
+                    "settings than the unchanged one, so that they differ in more than the "
+                    "change; render both with the same."
+                )
             self._changed.add(image)
         self._after |= self._seen(pred_batch, target_batch, metadata_batch)
 
@@ -134,9 +160,9 @@ class HiddenVehicles:
 
         Returns:
             `easr` with `easr_low` and `easr_high`, its 95 % interval over places and vehicles;
-            `asr` and `er`, of which it is the difference; and the counts `vehicles`,
-            `found_before`, `hidden`, `found_only_since` and `places`. Only images of which both
-            versions came are counted.
+            `asr`, with such limits, and `er`, of which it is the difference; and the counts
+            `vehicles`, `found_before`, `hidden`, `found_only_since` and `places`. Only images of
+            which both versions came are counted.
         """
         pairs = [
             (before, self._after.get(vehicle))
@@ -161,18 +187,14 @@ class HiddenVehicles:
             "places": len({place for place, _ in cells}),
         }
         if not both + lost:
-            return {**dict.fromkeys(("easr", "easr_low", "easr_high", "asr", "er")), **told}
+            return {**dict.fromkeys(_RATES), **told}
         sample = Sample.draw(cells, generator=numpy_generator(0))
-        easr = mean_interval(Group(counts), sample)
-        total = counts.sum(1)[0]
-        rates = {
-            "easr": easr.estimate,
-            "easr_low": easr.low,
-            "easr_high": easr.high,
-            "asr": float(attack_success_rate(total)),
-            "er": float(enhancement_rate(total)),
-        }
-        return {**nulls_for_undefined(rates), **told}
+        group = Group(counts)
+        easr = mean_interval(group, sample)
+        asr = mean_interval(group, sample, rate=attack_success_rate, limits=(0.0, 1.0))
+        er = float(enhancement_rate(counts.sum(1)[0]))
+        rates = (easr.estimate, easr.low, easr.high, asr.estimate, asr.low, asr.high, er)
+        return {**nulls_for_undefined(dict(zip(_RATES, rates, strict=True))), **told}
 
     def _seen(
         self,
@@ -184,6 +206,14 @@ class HiddenVehicles:
         seen: dict[_Vehicle, _Seen] = {}
         for answer, target, known in zip(predictions, targets, metadata, strict=True):
             boxes = torch.as_tensor(np.asarray(target.boxes, dtype=np.float32)).reshape(-1, 4)
+            image = str(known["id"])
+            numbers = self._numbers_of(image, known, len(boxes))
+            names = known.get("vehicles", [f"{image} {number}" for number in numbers])
+            if not self._one_class:
+                vehicles = np.isin(np.ravel(target.labels), self._labels).nonzero()[0].tolist()
+                boxes = boxes[vehicles]
+                numbers = [numbers[index] for index in vehicles]
+                names = [names[index] for index in vehicles]
             ignore = torch.tensor(known.get("ignore", []), dtype=torch.float32).reshape(-1, 4)
             # The matcher reads labels alone.
             labelled = Dataset.of_images(
@@ -192,18 +222,33 @@ class HiddenVehicles:
             found = found_vehicles(answer, self._labels)
             table = match_images([found], labelled, criterion=self._match)
             reached = table.found_at(self._threshold).tolist()
-            image = str(known["id"])
-            numbers = known.get("placements", range(len(boxes)))
-            names = known.get("vehicles", [f"{image} {number}" for number in numbers])
             for index, is_found in zip(table.index_of_vehicle.tolist(), reached, strict=True):
                 place = str(known.get("place", image))
                 seen[image, numbers[index]] = _Seen(is_found, place, str(names[index]))
         return seen
+
+    def _numbers_of(self, image: str, known: Mapping[str, Any], boxes: int) -> list[int]:
+        """What tells the vehicles of an image apart, one per box."""
+        before = self._numbers.get(image, range(boxes))
+        numbers = list(known.get("placements", before))
+        if not boxes == len(numbers) == len(known.get("vehicles", numbers)):
+            raise ConfigurationError(
+                f"Image {image[:100]!r} comes with {boxes} boxes of {len(numbers)} vehicles, so "
+                "that it is not known which is which; give every box its number in placements, or "
+                "a change that keeps all boxes."
+            )
+        self._numbers.setdefault(image, numbers)
+        return numbers
 
     def _resolution(self, known: Mapping[str, Any]) -> float:
         gsd_m = known.get("img_gsd") if self._gsd_m is None else self._gsd_m
         if gsd_m is None:
             raise ConfigurationError(
                 "The images' metadata name no img_gsd; give gsd_m, the metres per pixel."
+            )
+        if self._made_for_m is not None and not math.isclose(self._made_for_m, float(gsd_m)):
+            raise ConfigurationError(
+                f"The model was made for {self._made_for_m:g} m per pixel but the images have "
+                f"{float(gsd_m):g} m; give a model and images of one resolution."
             )
         return float(gsd_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,9 +12,15 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import LOWEST_SCORE, Detections, Detector
+from skyproof.detectors.detector import (
+    LOWEST_SCORE,
+    SUPPRESSION_IOU,
+    Detections,
+    Detector,
+)
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import LoadedDetector, load_detector
 from skyproof.detectors.weights import weights_digest
@@ -30,10 +37,11 @@ class DetectorModel:
         detector: a folder of ours, or what `load_detector` gives.
 
     Attributes:
-        metadata: `id`, the name and the first digits of the weights' digest; `index2label`; and as
-            our own additions `threshold`, the frozen score from which on a detection counts, and
-            `gsd_m`, the resolution that it was made for. Answers are not cut at the threshold, so
-            that MAITE's metrics see the whole curve.
+        metadata: `id`, the name and the first digits of a digest of weights and threshold, since
+            tools keep results by it; `index2label`; and as our own additions `threshold`, the
+            frozen score from which on a detection counts, and `gsd_m`, the resolution that it was
+            made for. Answers are not cut at the threshold, so that MAITE's metrics see the whole
+            curve.
 
     Raises:
         StoredFileError: the folder is missing or damaged.
@@ -43,9 +51,10 @@ class DetectorModel:
         loaded = load_detector(detector) if isinstance(detector, str | Path) else detector
         self._loaded = loaded
         network = loaded.detector
-        digest = f"-{weights_digest(network)[:12]}" if isinstance(network, nn.Module) else ""
+        weights = weights_digest(network) if isinstance(network, nn.Module) else ""
+        digest = hashlib.sha256(f"{weights} {loaded.threshold!r}".encode()).hexdigest()
         self.metadata: dict[str, Any] = {
-            "id": loaded.name + digest,
+            "id": f"{loaded.name}-{digest[:12]}",
             "index2label": dict(LABELS),
             "threshold": loaded.threshold,
             "gsd_m": loaded.card.gsd_m,
@@ -101,7 +110,7 @@ class ModelDetector:
         if self._bytes:
             shown = (shown * 255).round().byte()
         answers = self._model([np.ascontiguousarray(image.numpy()) for image in shown])
-        return [_likely(found_vehicles(answer, self._labels)) for answer in answers]
+        return [_suppressed(found_vehicles(answer, self._labels)) for answer in answers]
 
 
 def is_maite_model(thing: object) -> bool:
@@ -115,19 +124,27 @@ def is_maite_model(thing: object) -> bool:
     )
 
 
-def _likely(found: Detections) -> Detections:
+def _suppressed(found: Detections) -> Detections:
     # What is not a number stays, to be noticed.
-    kept = ~(found.scores < LOWEST_SCORE)
-    return Detections(found.boxes[kept], found.scores[kept])
+    likely = ~(found.scores < LOWEST_SCORE)
+    boxes, scores = found.boxes[likely], found.scores[likely]
+    # Most models suppress class by class: a van that may be a car, too, comes twice.
+    best = ops.nms(boxes, scores, SUPPRESSION_IOU)
+    return Detections(boxes[best], scores[best])
 
 
 def _vehicle_labels(
     metadata: Mapping[str, Any], vehicle_classes: Sequence[str], name: str
 ) -> list[int]:
     known: Mapping[int, str] = metadata.get("index2label") or {}
-    if not vehicle_classes and len(known) <= 1:
-        return [int(label) for label in known] or [0]
+    if not known:
+        raise ConfigurationError(
+            f"The metadata of the MAITE model {name} have no index2label, so that nothing says "
+            "which labels are vehicles; add it, such as {0: 'vehicle'}."
+        )
     named = ", ".join(map(str, known.values()))
+    if not vehicle_classes and len(known) == 1:
+        return [int(label) for label in known]
     if not vehicle_classes:
         raise ConfigurationError(
             f"The MAITE model {name} knows {len(known)} classes ({named}); say with "
@@ -136,7 +153,6 @@ def _vehicle_labels(
     missing = next((each for each in vehicle_classes if each not in known.values()), None)
     if missing is not None:
         raise ConfigurationError(
-            f"The MAITE model {name} knows no class {missing!r}; "
-            + (f"choose from {named}." if known else "its metadata has no index2label.")
+            f"The MAITE model {name} knows no class {missing!r}; choose from {named}."
         )
     return [int(label) for label, text in known.items() if text in vehicle_classes]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,13 +12,14 @@ from typing import TypeVar
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Frames, Renderer
 from skyproof.scenes.scene import Scene, write_scenes
+from skyproof.storage import tensors_digest
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -89,6 +91,8 @@ def render_dataset(
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     source = {"renderer": renderer.name, "rendering": renderer.record(scenes)}
+    if camouflage:
+        source["camouflage"] = _worn(camouflage)
 
     @torch.no_grad()
     def draw(batch: Sequence[Scene]) -> tuple[Frames, Float[Tensor, "N 4 2"]]:
@@ -111,6 +115,13 @@ def render_dataset(
             done += len(batch)
             if progress:
                 progress(done, len(scenes))
+
+
+def _worn(camouflage: Callable[[VehicleBatch], VehicleBatch]) -> str:
+    """A digest that tells one camouflage from another."""
+    name = str(getattr(camouflage, "name", type(camouflage).__name__))
+    numbers = tensors_digest(camouflage.state_dict()) if isinstance(camouflage, nn.Module) else ""
+    return hashlib.sha256(f"{name} {numbers}".encode()).hexdigest()
 
 
 @contextmanager
