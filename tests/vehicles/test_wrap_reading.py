@@ -155,6 +155,47 @@ def test_a_missing_texture_and_missing_uvs_are_logged(tmp_path: Path) -> None:
     assert np.isfinite(mesh.look(np.array([0]), np.full((1, 3), 1 / 3))[0]).all()
 
 
+def test_a_missing_material_file_is_noted_and_its_names_are_kept(tmp_path: Path) -> None:
+    path = write_obj(tmp_path)
+    (tmp_path / "material.mtl").unlink()
+    mesh = read_mesh(path)
+    assert any("material.mtl was not found" in note for note in mesh.notes)
+    # There are UVs, but trimesh's picture in place of a texture is none of the car's.
+    assert all(material.plain and material.picture is None for material in mesh.materials)
+    assert {name_part(material.name) for material in mesh.materials} == {
+        Part.WHEEL,
+        Part.GLASS,
+        None,
+    }
+
+
+def test_uvs_without_any_material_are_plain(tmp_path: Path) -> None:
+    path = write_obj(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(each for each in lines if not each.startswith(("mtllib", "usemtl"))))
+    assert all(material.plain for material in read_mesh(path).materials)
+
+
+@pytest.mark.parametrize(
+    ("named", "content", "said"),
+    [
+        ("paint_body.png", b"no picture", "paint_body.png cannot be read as a picture"),
+        ("paint_body.dds", None, "paint_body.dds was not found"),
+        ("paint_body", b"no picture", "paint_body cannot be read as a picture"),
+    ],
+)
+def test_a_texture_that_shows_nothing_is_noted(
+    tmp_path: Path, named: str, content: bytes | None, said: str
+) -> None:
+    path = write_obj(tmp_path)
+    (tmp_path / "paint_body.png").unlink()
+    materials = tmp_path / "material.mtl"
+    materials.write_text(materials.read_text().replace("paint_body.png", named))
+    if content is not None:
+        (tmp_path / named).write_bytes(content)
+    assert any(said in note for note in read_mesh(path).notes)
+
+
 def test_vertex_colours_are_taken(tmp_path: Path) -> None:
     mesh = trimesh.creation.box((4.4, 1.8, 1.5))
     mesh.visual.vertex_colors = np.tile([10, 200, 30, 255], (8, 1))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
 import struct
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,6 +40,9 @@ _FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
 _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
+# Where UVs have no material trimesh makes up a picture; those of files have a format.
+_STAND_IN_PX = (2, 2)
+
 _Number = Annotated[int, Meta(ge=0, le=50_000_000)]
 
 
@@ -55,24 +60,48 @@ class _Gltf(msgspec.Struct):
 class _Neighbours(Resolver):
     """Gives trimesh the files that a mesh names, by the rule of `find_texture`."""
 
-    def __init__(self, mesh: Path, missing: tuple[str, ...] = ()) -> None:
+    def __init__(self, mesh: Path) -> None:
         self.mesh = mesh
-        self.missing = list(missing)
-        self.found = list[str]()
+        self.notes = list[str]()
 
     def get(self, key: str) -> bytes:
         # Options of a map statement, such as "-s 1 1 1", stand before the name.
-        path = find_texture(self.mesh, key) or find_texture(self.mesh, key.split()[-1])
-        if path is None:
-            if is_picture(key):
-                self.missing.append(key.strip())
+        path = find_texture(self.mesh, key) or find_texture(self.mesh, (key.split() or [""])[-1])
+        name = key.strip()
+        materials = name.lower().endswith(".mtl")
+        if path is None or path.stat().st_size > _LARGEST_FILE:
+            if materials:
+                self.notes.append(
+                    f"{name} was not found beside {self.mesh}; its materials have no colours."
+                )
+                return self._named_materials()
+            self.notes.append(
+                f"texture {name} was not found beside {self.mesh}; a plain colour was taken."
+            )
             raise FileNotFoundError(key)
-        if path != self.mesh.parent / key.strip():
-            self.found.append(f"{key.strip()} was not there; {path} was taken.")
-        if path.stat().st_size > _LARGEST_FILE:
-            self.missing.append(key.strip())
-            raise FileNotFoundError(key)
+        if path != self.mesh.parent / name:
+            self.notes.append(f"{name} was not there; {path} was taken.")
+        if is_picture(name) or (self.mesh.suffix.lower() != ".gltf" and not materials):
+            self._check_picture(path, name)
         return path.read_bytes()
+
+    def _named_materials(self) -> bytes:
+        """Writes the materials that an OBJ names, without colours: names tell parts."""
+        names = re.findall(rb"^[ \t]*usemtl[ \t]+(\S.*?)\s*$", self.mesh.read_bytes(), re.MULTILINE)
+        return b"".join(b"newmtl %s\n" % name for name in dict.fromkeys(names))
+
+    def _check_picture(self, path: Path, name: str) -> None:
+        """Notes a texture that trimesh would drop without a word."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                Image.open(path).close()
+        except Exception:
+            # Pillow's readers meet damage with any exception there is.
+            self.notes.append(
+                f"texture {name} cannot be read as a picture; a plain colour was taken."
+            )
+            raise
 
     def write(self, name: str, data: Any) -> None:
         raise NotImplementedError
@@ -128,7 +157,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
     pieces = []
     materials = []
-    notes = list(resolver.found)
+    notes = list(dict.fromkeys(resolver.notes))
     clouds = 0
     size = Size(path)
     pictures: dict[int, UInt8[np.ndarray, "H W C"]] = {}
@@ -150,8 +179,6 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     if not pieces:
         what = "only points or lines, no triangles" if clouds else "no triangles"
         raise ConfigurationError(f"{path} holds {what}; give a mesh with faces.")
-    for name in dict.fromkeys(resolver.missing):
-        notes.append(f"texture {name} was not found beside {path}; a plain colour was taken.")
     if len(pieces) > 1:
         notes.append(f"{len(pieces)} objects were joined.")
     up = "y" if gltf else None
@@ -220,6 +247,8 @@ def _picture_and_colour(
     material: Any, *, linear: bool
 ) -> tuple[Image.Image | None, float, tuple[float, float, float] | None]:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    if image is not None and image.format is None and image.size == _STAND_IN_PX:
+        image = None
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
     raw = getattr(material, "baseColorFactor", None)
     if hasattr(material, "kwargs"):
