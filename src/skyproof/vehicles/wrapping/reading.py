@@ -6,6 +6,7 @@ import logging
 import re
 import struct
 import warnings
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -44,17 +45,50 @@ _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression
 _STAND_IN_PX = (2, 2)
 
 _Number = Annotated[int, Meta(ge=0, le=50_000_000)]
+_Index = Annotated[int, Meta(ge=0)]
+_NUMBERS_EACH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# Places, normals and UVs of five million triangles that share no corner are 120 million.
+_MOST_NUMBERS = 150_000_000
 
 
 class _Accessor(msgspec.Struct):
     """Of glTF: so many numbers, which the file need not even hold."""
 
     count: _Number
+    type: str = "MAT4"
+
+
+class _Primitive(msgspec.Struct):
+    attributes: Annotated[dict[str, _Index], Meta(max_length=1000)] = {}
+    indices: _Index | None = None
+
+
+class _GltfMesh(msgspec.Struct):
+    primitives: Annotated[list[_Primitive], Meta(max_length=100_000)] = []
+
+
+class _Node(msgspec.Struct):
+    mesh: _Index | None = None
 
 
 class _Gltf(msgspec.Struct):
     accessors: Annotated[list[_Accessor], Meta(max_length=100_000)] = []
+    meshes: Annotated[list[_GltfMesh], Meta(max_length=100_000)] = []
+    nodes: Annotated[list[_Node], Meta(max_length=100_000)] = []
     extensionsRequired: Annotated[list[str], Meta(max_length=1000)] = []
+
+    def numbers(self) -> int:
+        """Counts what is read: every accessor, and again for every part and node that shows it."""
+        sizes = [each.count * _NUMBERS_EACH.get(each.type, 16) for each in self.accessors]
+        shown = Counter(node.mesh for node in self.nodes)
+        total = sum(sizes)
+        for index, mesh in enumerate(self.meshes):
+            for part in mesh.primitives:
+                named = (*part.attributes.values(), part.indices)
+                # One that is not there is refused by trimesh.
+                own = sum(sizes[each] for each in named if each is not None and each < len(sizes))
+                total += own * max(1, shown[index])
+        return total
 
 
 class _Neighbours(Resolver):
@@ -231,9 +265,19 @@ def _look_of(
                 pictures[id(opened)] = picture_bytes(opened, f"A texture of {size.path}")
                 size.add(texels=opened.width * opened.height)
             image = pictures[id(opened)]
+            if linear and getattr(material, "alphaMode", None) not in ("MASK", "BLEND"):
+                image = image[..., :3]
     name = f"{name} {material.name or ''}".strip()
     return (
-        Material(name, colour or GREY, image, opacity, plain=image is None and colour is None),
+        Material(
+            name,
+            colour or GREY,
+            image,
+            opacity,
+            plain=image is None and colour is None,
+            # Of an OBJ most exporters write a colour that is not meant for its texture.
+            tint=colour if linear and image is not None else None,
+        ),
         uvs,
         colours,
     )
@@ -255,7 +299,9 @@ def _picture_and_colour(
         raw = material.diffuse if "kd" in material.kwargs else None
     opacity = 1.0
     if hasattr(material, "kwargs") and "d" in material.kwargs:
-        opacity = min(max(float(np.ravel(material.kwargs["d"])[0]), 0.0), 1.0)
+        opacity = min(max(float(np.ravel(material.kwargs["d"])[-1]), 0.0), 1.0)
+    elif hasattr(material, "kwargs") and "tr" in material.kwargs:
+        opacity = 1 - min(max(float(np.ravel(material.kwargs["tr"])[-1]), 0.0), 1.0)
     elif raw is not None and getattr(material, "alphaMode", None) == "BLEND":
         opacity = float(np.asarray(raw, float)[-1] / 255)
     colour = None
@@ -282,6 +328,11 @@ def _refuse_unreadable(path: Path) -> None:
     gltf: _Gltf = parse_document(
         content, _Gltf, str(path), "give an OBJ, GLB or DAE file", error=ConfigurationError
     )
+    if gltf.numbers() > _MOST_NUMBERS:
+        raise ConfigurationError(
+            f"{path} unfolds to more than {_MOST_NUMBERS:,} numbers, too much for one vehicle; "
+            "simplify it."
+        )
     for extension in gltf.extensionsRequired:
         if extension in _COMPRESSIONS:
             raise ConfigurationError(
@@ -294,10 +345,9 @@ def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
     """Drops triangles without area or with coordinates that are no numbers, and says so."""
     a, b, c = mesh.corners.transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    size = np.ptp(mesh.corners[np.isfinite(mesh.corners).all((1, 2))].reshape(-1, 3), axis=0).max(
-        initial=0.0
-    )
-    good = np.isfinite(area) & (area > 1e-12 * size**2)
+    finite = np.isfinite(mesh.corners).all((1, 2))
+    size = np.ptp(mesh.corners[finite].reshape(-1, 3), axis=0).max() if finite.any() else 0.0
+    good = finite & np.isfinite(area) & (area > 1e-12 * size**2)
     if not good.any():
         raise ConfigurationError(f"{path} holds no triangle with an area; give a mesh with faces.")
     notes = mesh.notes
