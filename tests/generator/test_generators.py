@@ -146,8 +146,14 @@ def test_maps_become_vehicles_and_back(fitted: FittedVehicles) -> None:
 
 
 def test_a_stopped_training_ends_at_the_same_numbers(
-    fitted: FittedVehicles, adversarial: AdversarialGenerator, tmp_path: Path
+    fitted: FittedVehicles,
+    adversarial: AdversarialGenerator,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("skyproof.generator.adversarial._CHECKPOINT_EVERY", 2)
+    rows: list[dict[str, object]] = []
+
     class Stopped(Exception):
         pass
 
@@ -157,7 +163,8 @@ def test_a_stopped_training_ends_at_the_same_numbers(
 
     with pytest.raises(Stopped):
         learn_adversarially(fitted, SHORT, tmp_path / "gan", on_step=stop)
-    again = learn_adversarially(fitted, SHORT, tmp_path / "gan")
+    again = learn_adversarially(fitted, SHORT, tmp_path / "gan", on_step=rows.append)
+    assert [row["step"] for row in rows] == [3, 4, 5, 6]
     expected = adversarial.tensors()
     for name, value in again.tensors().items():
         assert torch.equal(value, expected[name]), name

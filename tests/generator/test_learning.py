@@ -14,6 +14,8 @@ from skyproof.generator.folder import load_generator
 from skyproof.generator.learning import Imagery, learn_vehicles
 from skyproof.generator.settings import AdversarialSettings, FitSettings, LearnSettings
 from skyproof.main import run
+from skyproof.scenes.background_index import save_tile, write_index
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.fleet import Fleet
 from tests.generator.photographs import Photographs, take_photographs
 
@@ -58,15 +60,21 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_stopped_run_ends_at_the_same_bytes(
-    photographs: Photographs, layered: Path, tmp_path: Path
+    photographs: Photographs, layered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for module in ("learning", "adversarial"):
+        monkeypatch.setattr(f"skyproof.generator.{module}._CHECKPOINT_EVERY", 2)
     settings = replace(SETTINGS, method="gan")
+    seen: list[tuple[str, int]] = []
 
     class Stopped(Exception):
         pass
 
     def learn(name: str, stop_at: tuple[str, int] | None = None) -> None:
+        seen.clear()
+
         def stop(stage: str, done: int, total: int) -> None:
+            seen.append((stage, done))
             if (stage, done) == stop_at:
                 raise Stopped
 
@@ -80,10 +88,13 @@ def test_a_stopped_run_ends_at_the_same_bytes(
 
     shutil.copytree(layered / "fits", tmp_path / "whole" / "fits")
     learn("whole")
-    for stop_at in (("fit", 4), ("learn", 2)):
-        with pytest.raises(Stopped):
-            learn("stopped", stop_at)
+    with pytest.raises(Stopped):
+        learn("stopped", ("fit", 4))
+    with pytest.raises(Stopped):
+        learn("stopped", ("learn", 2))
+    assert seen[0] == ("fit", 3)
     learn("stopped")
+    assert seen == [("learn", 3), ("learn", 4)]
     assert files(tmp_path / "stopped") == files(tmp_path / "whole")
     found = set(files(tmp_path / "whole"))
     sheets = {"samples.png", "between.png", "turntable.png", "fits/00001.png"}
@@ -109,6 +120,40 @@ def test_a_finished_run_is_not_done_again(
     other = replace(SETTINGS, seed=1)
     with pytest.raises(RunFolderError, match="other settings"):
         learn_vehicles(imagery_of(photographs), other, tmp_path / "town", least=5)
+
+
+def test_fits_of_other_photographs_under_the_same_names_are_refused(
+    photographs: Photographs, layered: Path, tmp_path: Path
+) -> None:
+    for name, sets in (("tiles", photographs.tiles), ("cleared", photographs.cleared)):
+        shutil.copytree(sets.folder, tmp_path / name)
+
+    def learn(name: str) -> None:
+        imagery = Imagery(*(BackgroundSet.open(tmp_path / each) for each in ("tiles", "cleared")))
+        learn_vehicles([imagery], SETTINGS, tmp_path / name, least=5)
+
+    shutil.copytree(layered, tmp_path / "town")
+    shutil.copytree(layered / "fits", tmp_path / "fits-only" / "fits")
+    # Copies of the same photographs are the same.
+    learn("town")
+    cleared = BackgroundSet.open(tmp_path / "cleared")
+    moved = [
+        replace(tile, removed=tuple(replace(each, heading_rad=0.1) for each in tile.removed))
+        for tile in cleared.all_tiles()
+    ]
+    for change in ("heading", "pixels"):
+        if change == "heading":
+            write_index(cleared.folder, cleared.gsd_m, moved, cleared.sensor, cleared.light)
+        else:
+            write_index(
+                cleared.folder, cleared.gsd_m, cleared.all_tiles(), cleared.sensor, cleared.light
+            )
+            learn("town")
+            tile = photographs.tiles.all_tiles()[0]
+            save_tile(tmp_path / "tiles", tile, 255 - photographs.tiles.pixels(tile.id))
+        for name in ("town", "fits-only"):
+            with pytest.raises(RunFolderError, match="other photographs"):
+                learn(name)
 
 
 def test_fits_serve_another_method(photographs: Photographs, layered: Path, tmp_path: Path) -> None:

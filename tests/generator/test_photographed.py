@@ -69,6 +69,20 @@ def test_one_that_cannot_be_fitted_is_left_out(
     assert (len(vehicles), left_out) == (8, {reason: 1})
 
 
+@pytest.mark.parametrize(("value", "kept"), [(20, 9), (60, 8), (255, 8)])
+def test_one_beneath_a_crown_is_left_out_however_much_it_hides(
+    photographs: Photographs, monkeypatch: pytest.MonkeyPatch, value: int, kept: int
+) -> None:
+    tile, vehicle = first(photographs.cleared)
+    cover = torch.zeros(tile.height_px, tile.width_px, dtype=torch.uint8)
+    row, column = int(vehicle.y_px), int(vehicle.x_px)
+    cover[max(0, row - 24) : row + 24, max(0, column - 24) : column + 24] = value
+    monkeypatch.setattr(BackgroundSet, "cover", lambda *_: cover)
+    vehicles, left_out = photographed_vehicles(photographs.tiles, photographs.cleared)
+    assert len(vehicles) == kept
+    assert left_out == ({} if kept == 9 else {"crowns or roofs cover it": 1})
+
+
 def test_without_a_sun_nothing_can_be_fitted(photographs: Photographs) -> None:
     cleared = changed(photographs.cleared, light=Light())
     with pytest.raises(ConfigurationError, match="9 because the sun of its photograph"):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -13,10 +14,11 @@ from skyproof.errors import ConfigurationError
 from skyproof.main import run
 from skyproof.vehicles.vehicle import Part
 from skyproof.vehicles.wrapping.meshes import SourceMesh, find_texture
-from skyproof.vehicles.wrapping.orientation import orient
+from skyproof.vehicles.wrapping.orientation import _spread, orient
 from skyproof.vehicles.wrapping.outer import look_around
 from skyproof.vehicles.wrapping.parts import name_part
 from skyproof.vehicles.wrapping.reading import read_mesh
+from skyproof.vehicles.wrapping.surface import wrap_surface
 from skyproof.vehicles.wrapping.views import parallel_view
 from tests.vehicles.model_car import (
     GLASS,
@@ -64,6 +66,8 @@ def write_glb(path: Path) -> Path:
         if geometry.visual.material.image is None:
             srgb = tuple(value / 255 for value in geometry.visual.material.diffuse[:3].tolist())
             geometry.visual.material.diffuse = [*linear_bytes(srgb), 255]
+        else:
+            geometry.visual.material.diffuse = [255, 255, 255, 255]
     scene.export(path)
     return path
 
@@ -140,6 +144,13 @@ def test_textures_are_looked_for_by_name(tmp_path: Path) -> None:
     assert find_texture(mesh, r"C:\work\bus.png") == near
     assert find_texture(mesh, "model://suv/materials/textures/w.png") == far
     assert find_texture(mesh, "w.png") is None
+    # Of other models only textures, and none of what lies two folders above any mesh.
+    other = tmp_path / "models/suv/private.png"
+    other.touch()
+    assert find_texture(mesh, "model://suv/private.png") is None
+    loose = tmp_path / "models/bus/loose/bus.obj"
+    loose.parent.mkdir()
+    assert find_texture(loose, "model://suv/materials/textures/w.png") is None
 
 
 def test_a_missing_texture_and_missing_uvs_are_logged(tmp_path: Path) -> None:
@@ -153,6 +164,101 @@ def test_a_missing_texture_and_missing_uvs_are_logged(tmp_path: Path) -> None:
     assert all(material.picture is None for material in mesh.materials)
     assert all(material.plain for material in mesh.materials)
     assert np.isfinite(mesh.look(np.array([0]), np.full((1, 3), 1 / 3))[0]).all()
+
+
+def test_a_missing_material_file_is_noted_and_its_names_are_kept(tmp_path: Path) -> None:
+    path = write_obj(tmp_path)
+    (tmp_path / "material.mtl").unlink()
+    mesh = read_mesh(path)
+    assert any("material.mtl was not found" in note for note in mesh.notes)
+    # There are UVs, but trimesh's picture in place of a texture is none of the car's.
+    assert all(material.plain and material.picture is None for material in mesh.materials)
+    assert {name_part(material.name) for material in mesh.materials} == {
+        Part.WHEEL,
+        Part.GLASS,
+        None,
+    }
+
+
+def test_uvs_without_any_material_are_plain(tmp_path: Path) -> None:
+    path = write_obj(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(each for each in lines if not each.startswith(("mtllib", "usemtl"))))
+    assert all(material.plain for material in read_mesh(path).materials)
+
+
+@pytest.mark.parametrize(
+    ("named", "content", "said"),
+    [
+        ("paint_body.png", b"no picture", "paint_body.png cannot be read as a picture"),
+        ("paint_body.dds", None, "paint_body.dds was not found"),
+        ("paint_body", b"no picture", "paint_body cannot be read as a picture"),
+    ],
+)
+def test_a_texture_that_shows_nothing_is_noted(
+    tmp_path: Path, named: str, content: bytes | None, said: str
+) -> None:
+    path = write_obj(tmp_path)
+    (tmp_path / "paint_body.png").unlink()
+    materials = tmp_path / "material.mtl"
+    materials.write_text(materials.read_text().replace("paint_body.png", named))
+    if content is not None:
+        (tmp_path / named).write_bytes(content)
+    assert any(said in note for note in read_mesh(path).notes)
+
+
+@pytest.mark.parametrize(
+    ("written", "opacity"),
+    [
+        ('<transparent opaque="A_ONE"><color>1 1 1 0.2</color></transparent>', 0.2),
+        (
+            "<transparent><color>1 1 1 0.5</color></transparent>"
+            "<transparency><float>0.4</float></transparency>",
+            0.2,
+        ),
+        (
+            '<transparent opaque="RGB_ZERO"><color>1 1 1 1</color></transparent>'
+            "<transparency><float>0.8</float></transparency>",
+            0.2,
+        ),
+        (
+            '<transparent opaque="RGB_ZERO"><color>0 0 0 1</color></transparent>'
+            "<transparency><float>0</float></transparency>",
+            1.0,
+        ),
+    ],
+)
+def test_collada_says_opacity_by_alpha_or_by_light(
+    tmp_path: Path, written: str, opacity: float
+) -> None:
+    path = write_dae(tmp_path)
+    path.write_text(path.read_text().replace("</diffuse>", f"</diffuse>{written}"))
+    found = [material.opacity for material in read_mesh(path).materials]
+    assert found == pytest.approx([opacity] * len(found))
+
+
+@pytest.mark.parametrize("written", ["d 0.2", "Tr 0.8"])
+def test_an_obj_says_opacity_or_transparency(tmp_path: Path, written: str) -> None:
+    path = write_obj(tmp_path)
+    materials = tmp_path / "material.mtl"
+    glass = "newmtl window_glass"
+    materials.write_text(materials.read_text().replace(glass, f"{glass}\n{written}"))
+    (found,) = (each.opacity for each in read_mesh(path).materials if "glass" in each.name)
+    assert found == pytest.approx(0.2)
+
+
+def test_a_gltf_texture_is_tinted_in_linear_light_and_opaque_unless_said(tmp_path: Path) -> None:
+    picture = Image.new("RGBA", (8, 8), (188, 188, 188, 0))
+    material = PBRMaterial(baseColorTexture=picture, baseColorFactor=[128, 255, 0, 255])
+    mesh = trimesh.creation.box((4.4, 1.8, 1.5))
+    mesh.visual = TextureVisuals(uv=np.zeros((8, 2)), material=material)
+    for mode, alpha in ((None, 1.0), ("MASK", 0.0)):
+        material.alphaMode = mode
+        mesh.export(tmp_path / "box.glb")
+        seen, alphas = read_mesh(tmp_path / "box.glb").look(np.array([3]), np.full((1, 3), 1 / 3))
+        # Half of half of the light is 137.
+        assert (seen[0] * 255).tolist() == pytest.approx([137, 188, 0], abs=1.0)
+        assert alphas.tolist() == [alpha]
 
 
 def test_vertex_colours_are_taken(tmp_path: Path) -> None:
@@ -180,7 +286,9 @@ def test_plain_colours_of_gltf_are_linear(tmp_path: Path, kind: str) -> None:
     assert seen.tolist() == pytest.approx([128, 0, 255], abs=1.0)
 
 
-@pytest.mark.parametrize("what", ["missing", "text", "points", "empty", "cut", "flat", "no scene"])
+@pytest.mark.parametrize(
+    "what", ["missing", "text", "points", "empty", "cut", "flat", "no numbers", "no scene"]
+)
 def test_what_is_no_mesh_is_named_in_one_sentence(
     tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,6 +306,9 @@ def test_what_is_no_mesh_is_named_in_one_sentence(
         path.write_bytes(path.read_bytes()[:500])
     elif what == "flat":
         trimesh.Trimesh(np.zeros((3, 3)), [[0, 1, 2]], process=False).export(path)
+    elif what == "no numbers":
+        nowhere = np.where(np.eye(3), np.nan, 1.0)
+        trimesh.Trimesh(nowhere, [[0, 1, 2]], process=False).export(path)
     elif what == "no scene":
         path.write_text("<COLLADA><library_geometries/></COLLADA>")
     assert run(["vehicles", str(path), "--out", str(tmp_path / "out")]) == 2
@@ -300,6 +411,13 @@ _LAUGHS = "".join(f'<!ENTITY l{level} "{f"&l{level - 1};" * 10}">' for level in 
             '"componentType": 5126, "type": "VEC3"}], "bufferViews": []}',
             r"accessors\[0\]\.count|accessors\[...\]\.count",
         ),
+        (
+            "car.gltf",
+            '{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}, {"mesh": 0}], "meshes": '
+            '[{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}}]}], '
+            '"accessors": [{"count": 12000000, "componentType": 5126, "type": "VEC3"}]}',
+            "unfolds to more than 150,000,000 numbers",
+        ),
         ("car.zip", "PK", "none of the meshes that are read"),
         ("car.urdf", "<robot/>", "none of the meshes that are read"),
     ],
@@ -335,3 +453,35 @@ def test_a_compressed_mesh_is_called_so(tmp_path: Path) -> None:
     path.write_text(f'{{"asset": {{"version": "2.0"}}, {required}}}')
     with pytest.raises(ConfigurationError, match=r"compressed \(Draco\).*without mesh compression"):
         read_mesh(path)
+
+
+def _boxes(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> np.ndarray:
+    """Triangles of boxes, each by its sides and its middle."""
+    made = [
+        trimesh.creation.box(sides, trimesh.transformations.translation_matrix(middle))
+        for sides, middle in boxes
+    ]
+    mesh = trimesh.util.concatenate(made)
+    return np.asarray(mesh.vertices)[mesh.faces]
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        _boxes(((4.4, 0.02, 0.02), (0, 0, 0.75)), ((0.02, 1.8, 1.5), (0, 0, 0.75))),
+        _boxes(((4.4, 0.02, 1.5), (0, -0.9, 0.75)), ((4.4, 0.02, 1.5), (0, 0.9, 0.75))),
+        _boxes(((0.5, 0.4, 1.5), (-2.1, -0.7, 0.75)), ((0.5, 0.4, 1.5), (2.1, 0.7, 0.75))),
+        _boxes(((0.4, 1.8, 1.2), (1.5, 0, 0.6)), ((2.6, 0.1, 0.1), (0, 0, 0.6))),
+    ],
+    ids=["bars", "walls", "posts", "beam"],
+)
+def test_what_has_no_body_is_refused(corners: np.ndarray) -> None:
+    with pytest.raises(ConfigurationError, match="has no closed body"):
+        wrap_surface(corners)
+
+
+def test_very_many_triangles_are_looked_at_in_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = np.random.default_rng(0).uniform(size=(10, 3, 3))
+    assert len(_spread(corners)) == 780
+    monkeypatch.setattr("skyproof.vehicles.wrapping.orientation._MOST_POINTS", 200)
+    assert len(_spread(corners)) == 150

@@ -73,9 +73,11 @@ class LearnVehicles:
             say(f"  left out: {count} because {why}")
         guessed = record["headings_from"].get("picture", 0)
         if guessed:
+            say(f"Headings of {guessed} were estimated from their boxes and pictures.")
+        # Headings of labels are modulo a half turn, too.
+        if record["unsure_directions"]:
             say(
-                f"Headings of {guessed} were estimated from their boxes and pictures; of "
-                f"{record['unsure_directions']} of those learnt from, nose and tail may be "
+                f"Of {record['unsure_directions']} of those learnt from, nose and tail may be "
                 "exchanged."
             )
         say(

@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from skyproof.cli.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
-from skyproof.ranges import Fraction, Seed
+from skyproof.ranges import Fraction, Seed, WholeNumber
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.settings import (
     CATALOGUE_PAINTS,
@@ -62,6 +62,8 @@ class Vehicles:
         generator: folder of `skyproof learn-vehicles`: fleets are drawn by what it learnt, and not
             by rules. Of the paints only random patterns are then laid over a share of train and
             validation.
+        first_number: number of the first vehicle that is drawn, so that fleets can be mixed;
+            without one 0, or 5000 of learnt vehicles.
     """
 
     out: Path
@@ -72,6 +74,7 @@ class Vehicles:
     shapes: Fraction = 0.25
     wrapping: WrapSettings = field(default_factory=WrapSettings)
     generator: Path | None = None
+    first_number: WholeNumber | None = None
 
     def run(self) -> None:
         """Writes all of them, or nothing."""
@@ -97,6 +100,8 @@ class Vehicles:
         with finished_folder(self.out) as folder:
             # Numbers go on from split to split: no vehicle is in two of them.
             first_number = 0 if learnt is None else _FIRST_LEARNT
+            if self.first_number is not None:
+                first_number = self.first_number
             for split, count in zip(SPLITS, self.counts, strict=True):
                 # Detectors learn from the first two; the others stand for real vehicles.
                 learnt_from = split in ("train", "validation")

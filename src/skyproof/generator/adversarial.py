@@ -23,8 +23,7 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import spectral_norm
 
 from skyproof.generator.fits import FittedVehicles
-from skyproof.generator.fitting import MAP_PX, whole
-from skyproof.generator.maps import half_grid, part_map, texture_map, vertices_of
+from skyproof.generator.maps import MAP_PX, half_grid, part_map, texture_map, vertices_of, whole
 from skyproof.generator.sample import Sample
 from skyproof.generator.settings import AdversarialSettings
 from skyproof.generator.sheets import write_preview
@@ -39,6 +38,7 @@ _LATENT = 32
 _PARTS = len(Part)
 _GRID = (RINGS + 2, COLUMNS // 2 + 1)
 _EMA = 0.998
+_CHECKPOINT_EVERY = 100
 _LEAST_SPREAD_M = 0.01
 _LARGEST_M = 20.0
 # Maps are moved along the vehicle by so many texels at most, real and made ones alike: with some
@@ -238,7 +238,7 @@ def learn_adversarially(
         Path(folder),
         {"settings": asdict(settings), "seed": seed, "vehicles": _digest(vehicles)},
         settings.steps,
-        100,
+        _CHECKPOINT_EVERY,
         {
             "network": network,
             "judge": judge,

@@ -11,7 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.generator.fitting import MAP_PX, Fit
+from skyproof.generator.fitting import Fit
+from skyproof.generator.maps import MAP_PX
 from skyproof.generator.prototypes import Prototype
 from skyproof.vehicles.bodies import BodyDimensions
 

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Layers, Prototype
 from skyproof.generator.settings import FitSettings
@@ -25,10 +26,7 @@ from skyproof.vehicles.painting import GLASS_SRGB
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import Template, VehicleBatch
 
-__all__ = ["MAP_PX", "Fit", "Fitter"]
-
-MAP_PX = 64
-"""Texels along the side of what is learnt: 8 cm, which is as much as such photographs show."""
+__all__ = ["Fit", "Fitter"]
 
 _TEXTURE_PX = 128
 _SUPERSAMPLING = 3
@@ -153,16 +151,6 @@ class _Bodies:
     layers: Layers
     parts: Tensor
     sizes_m: Float[Tensor, "P 2"]
-
-
-def whole(half: Float[Tensor, "*S W"]) -> Float[Tensor, "*S W2"]:
-    """Mirrors the left half of a map."""
-    return torch.cat((half, half.flip(-1)), dim=-1)
-
-
-def unfolded(half: Float[Tensor, "N C S W"], side_px: int) -> Float[Tensor, "N C S2 S2"]:
-    """Mirrors left halves of coarse maps, and spreads them smoothly over finer ones."""
-    return F.interpolate(whole(half), size=(side_px, side_px), mode="bilinear")
 
 
 class Fitter:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.generator.fits import FittedVehicles
-from skyproof.generator.fitting import MAP_PX, unfolded
+from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.sample import Sample
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of

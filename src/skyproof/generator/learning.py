@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from skyproof.errors import ConfigurationError
-from skyproof.files import alone
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.files import alone, file_digest
 from skyproof.generator.adversarial import AdversarialGenerator, learn_adversarially
 from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
 from skyproof.generator.fitting import Fit, Fitter
@@ -90,6 +90,7 @@ def learn_vehicles(
         "settings": asdict(settings),
         "vehicles": [vehicle.scene.id for vehicle in vehicles],
         "gsd_m": imagery[0].tiles.gsd_m,
+        "photographs": [_photographs_digest(each) for each in imagery],
     }
     with alone(folder):
         if (folder / "generator.json").exists():
@@ -133,6 +134,25 @@ def _finished(folder: Path, identity: dict[str, Any]) -> dict[str, Any]:
     stored = {"identity_sha256": record.get("identity_sha256")}
     refuse_other(folder, stored, {"identity_sha256": _digest(identity)}, _OTHER)
     return record
+
+
+def _photographs_digest(imagery: Imagery) -> str:
+    """Computes the SHA-256 over all files of a pair of folders, wherever these lie.
+
+    Raises:
+        StoredFileError: a tile or a map is missing.
+    """
+    total = hashlib.sha256()
+    for backgrounds in (imagery.tiles, imagery.cleared):
+        names = ["index.json"]
+        for tile in backgrounds.all_tiles():
+            names += [name for name in (tile.file, tile.shade, tile.cover) if name]
+        for name in names:
+            path = backgrounds.folder / name
+            if not path.is_file():
+                raise StoredFileError(f"{path} is missing; copy the whole folder again.")
+            total.update(f"{name} {file_digest(path)}\n".encode())
+    return total.hexdigest()
 
 
 def _digest(identity: dict[str, Any]) -> str:

@@ -7,13 +7,33 @@ import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.generator.fitting import unfolded, whole
 from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["half_grid", "part_map", "texture_map", "vertices_of"]
+__all__ = [
+    "MAP_PX",
+    "half_grid",
+    "part_map",
+    "texture_map",
+    "unfolded",
+    "vertices_of",
+    "whole",
+]
+
+MAP_PX = 64
+"""Texels along the side of what is learnt: 8 cm, which is as much as such photographs show."""
 
 _HALF = COLUMNS // 2
+
+
+def whole(half: Float[Tensor, "*S W"]) -> Float[Tensor, "*S W2"]:
+    """Mirrors the left half of a map."""
+    return torch.cat((half, half.flip(-1)), dim=-1)
+
+
+def unfolded(half: Float[Tensor, "N C S W"], side_px: int) -> Float[Tensor, "N C S2 S2"]:
+    """Mirrors left halves of coarse maps, and spreads them smoothly over finer ones."""
+    return F.interpolate(whole(half), size=(side_px, side_px), mode="bilinear")
 
 
 def half_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 3 33 17"]:

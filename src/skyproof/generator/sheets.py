@@ -13,8 +13,9 @@ from torch import Tensor
 
 from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT
-from skyproof.generator.fitting import Fit, Fitter, unfolded, whole
+from skyproof.generator.fitting import Fit, Fitter
 from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
+from skyproof.generator.maps import unfolded, whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
 from skyproof.generator.sample import VehicleGenerator

@@ -43,6 +43,8 @@ STYLE: Any = {
     "ytick.color": INK,
     "legend.frameon": False,
     "svg.fonttype": "path",
+    # Names are a user's: a "$" in them begins no formula.
+    "text.parse_math": False,
 }
 
 
@@ -76,7 +78,7 @@ def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row |
         figure, axes = plt.subplots(
             figsize=(8.5, 1.3 + (0.72 if len(rows) < 9 else 0.5) * len(rows)), layout="constrained"
         )
-        lows = [0.0]
+        lows, highs = [0.0], [1.0]
         for label, marker, colour, shift, rates in series:
             drawn = False
             for place, rate in enumerate(rates):
@@ -84,11 +86,12 @@ def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row |
                     continue
                 _point(axes, rate, place + shift, marker, colour, None if drawn else label)
                 lows.append(rate.estimate if math.isnan(rate.low) else rate.low)
+                highs.append(rate.estimate if math.isnan(rate.high) else rate.high)
                 drawn = True
         axes.set_yticks(range(len(rows)), [name for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
-        axes.set_xlim(100 * min(lows) - 4, 104)
+        axes.set_xlim(100 * min(lows) - 4, 100 * max(highs) + 4)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
         axes.grid(axis="x", color="#e3e7eb")
         axes.set_axisbelow(True)

@@ -317,7 +317,7 @@ def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
     if twice:
         raise ConfigurationError(
             f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; make one of "
-            "the fleets with another first number."
+            "the fleets with another --first-number (of wrapped meshes --wrapping.first-number)."
         )
     return Fleet(
         None,

@@ -24,6 +24,10 @@ from skyproof.vehicles.wrapping.meshes import (
 __all__ = ["read_collada"]
 
 
+# As COLLADA weighs the colours of `transparent`.
+_LUMINANCE = (0.212671, 0.715160, 0.072169)
+
+
 class _Document:
     """The file's elements without their namespace, and by id."""
 
@@ -236,17 +240,29 @@ def _material(document: _Document, target: str | None, name: str, symbol: str) -
             return Material(name, plain=True)
         if path != document.path.parent / file:
             document.notes.append(f"{file} was not there; {path} was taken.")
-        return Material(name, picture=document.picture(path))
+        return Material(name, picture=document.picture(path), opacity=_opacity(effect))
     colour = np.array((diffuse.findtext("color") or "").split(), float)
     if len(colour) < 3:
         return Material(name, GREY, plain=True)
-    opacity = (
-        float(effect.findtext(".//transparency/float") or 1.0)
-        if effect.find(".//transparent") is not None
-        else 1.0
-    )
     r, g, b = colour[:3].clip(0.0, 1.0).tolist()
-    return Material(name, (r, g, b), opacity=min(max(opacity, 0.0), 1.0))
+    return Material(name, (r, g, b), opacity=_opacity(effect))
+
+
+def _opacity(effect: Element) -> float:
+    """Returns the opacity of an effect; of a texture, which may be in its place, only its factor.
+
+    By alpha (A_ONE, as where nothing is said) or luminance, of which one or zero is opaque.
+    """
+    transparent = effect.find(".//transparent")
+    if transparent is None:
+        return 1.0
+    mode = transparent.get("opaque", "A_ONE")
+    rgba = np.array((transparent.findtext("color") or "").split(), float)
+    if len(rgba) < 3:
+        rgba = np.zeros(4) if mode.endswith("ZERO") else np.ones(4)
+    amount = float(rgba[:3] @ _LUMINANCE) if mode.startswith("RGB") else float([*rgba, 1.0][3])
+    amount *= float(effect.findtext(".//transparency/float") or 1.0)
+    return min(max(1 - amount if mode.endswith("ZERO") else amount, 0.0), 1.0)
 
 
 def _picture_name(document: _Document, effect: Element, name: str) -> str:

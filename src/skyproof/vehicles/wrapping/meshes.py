@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
 from skyproof.errors import ConfigurationError
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.pictures import decoded, open_picture
 
 __all__ = [
@@ -45,6 +47,7 @@ class Material:
         picture: `[H, W, 3 or 4]` bytes, row 0 on top; or none.
         opacity: 1 for solid.
         plain: the file says nothing about its colour: `colour` is a stand-in.
+        tint: sRGB of the light that the picture lets through, or none.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Material:
     picture: UInt8[np.ndarray, "H W C"] | None = None
     opacity: float = 1.0
     plain: bool = False
+    tint: tuple[float, float, float] | None = None
 
 
 @dataclass
@@ -139,10 +143,8 @@ class SourceMesh:
             colours[missing] = material.colour
             if material.picture is not None and covered.any():
                 texels = _sample(material.picture, uv[covered]) / 255
-                colours[covered], alpha[covered] = (
-                    texels[:, :3],
-                    texels[:, 3] if texels.shape[1] == 4 else 1.0,
-                )
+                colours[covered] = _tinted(texels[:, :3], material.tint)
+                alpha[covered] = texels[:, 3] if texels.shape[1] == 4 else 1.0
             if material.opacity < 1:
                 colours[covered] = (
                     material.opacity * colours[covered] + (1 - material.opacity) * _DARK_CABIN
@@ -167,23 +169,35 @@ def _sample(
     return upper * (1 - down) + lower * down
 
 
+def _tinted(
+    srgb: Float[np.ndarray, "N 3"], tint: tuple[float, float, float] | None
+) -> Float[np.ndarray, "N 3"]:
+    """Multiplies colours by a tint, in linear light."""
+    if tint is None or min(tint) > 1 - 1e-6:
+        return srgb
+    factor = srgb_to_linear(torch.tensor(tint, dtype=torch.float64))
+    return linear_to_srgb(srgb_to_linear(torch.from_numpy(srgb)) * factor).numpy()
+
+
 def find_texture(mesh: Path, name: str) -> Path | None:
     """Finds the picture that a mesh file names, or one of that name in a neighbouring folder.
 
-    Looked for in this order: at the path given; as `model://<model>/...` beside this model's
-    folder; then by file name, without regard to case, in the mesh's folder, its `textures` and
-    `materials/textures`, and those one folder up. Nothing but the mesh's folder and, for pictures,
-    these is looked into: an absolute path, or one that climbs elsewhere, counts as a file name,
-    and a link out of there as nothing.
+    Looked for in this order: at the path given; as `model://<model>/...` among the textures of a
+    model beside this one, whose mesh lies in `<model>/meshes`; then by file name, without regard to
+    case, in the mesh's folder, its `textures` and `materials/textures`, and those one folder up.
+    Nothing but the mesh's folder and, for pictures, these is looked into: an absolute path, or one
+    that climbs elsewhere, counts as a file name, and a link out of there as nothing.
     """
     name = name.strip().replace("\\", "/").removeprefix("file://")
     own, above = mesh.parent, mesh.parent.parent
     below = ("textures", "materials/textures")
     picture = is_picture(name)
     if name.startswith("model://"):
-        name = name.removeprefix("model://")
-        models = mesh.parents[2] if len(mesh.parents) > 2 else own
-        candidate, allowed = models / name, [models if picture else own]
+        model, _, inner = name.removeprefix("model://").partition("/")
+        models = mesh.absolute().parent.parent.parent
+        candidate, allowed = models / model / inner, [own]
+        if picture and mesh.absolute().parent.name == "meshes" and model not in ("", ".", ".."):
+            allowed += [models / model / folder for folder in below]
     else:
         candidate, allowed = own / name, [own]
     if picture:

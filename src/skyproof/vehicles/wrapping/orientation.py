@@ -19,6 +19,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = (2.4, 15.0), (1.2, 3.8), (0.9, 4.5)
 _USUAL_UNITS = (1.0, 0.0254, 0.01, 0.001, 0.1, 0.3048)
 _USUAL_LENGTH_M = 4.5
+_MOST_POINTS = 20_000_000
 
 
 def orient(
@@ -185,8 +186,12 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
 
 
 def _spread(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "N 3"]:
-    """Spreads points all over the triangles, 12 x 12 halves of each."""
-    steps = np.linspace(0.0, 1.0, 12)
+    """Spreads points all over the triangles: 78 on each, fewer where there are very many."""
+    side = next(
+        (side for side in range(12, 2, -1) if side * (side + 1) // 2 * len(corners) < _MOST_POINTS),
+        2,
+    )
+    steps = np.linspace(0.0, 1.0, side)
     u, v = np.meshgrid(steps, steps)
     inside = u + v <= 1.0
     u, v = u[inside], v[inside]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import re
 import struct
+import warnings
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,41 +41,101 @@ _FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
 _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
+# Where UVs have no material trimesh makes up a picture; those of files have a format.
+_STAND_IN_PX = (2, 2)
+
 _Number = Annotated[int, Meta(ge=0, le=50_000_000)]
+_Index = Annotated[int, Meta(ge=0)]
+_NUMBERS_EACH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# Places, normals and UVs of five million triangles that share no corner are 120 million.
+_MOST_NUMBERS = 150_000_000
 
 
 class _Accessor(msgspec.Struct):
     """Of glTF: so many numbers, which the file need not even hold."""
 
     count: _Number
+    type: str = "MAT4"
+
+
+class _Primitive(msgspec.Struct):
+    attributes: Annotated[dict[str, _Index], Meta(max_length=1000)] = {}
+    indices: _Index | None = None
+
+
+class _GltfMesh(msgspec.Struct):
+    primitives: Annotated[list[_Primitive], Meta(max_length=100_000)] = []
+
+
+class _Node(msgspec.Struct):
+    mesh: _Index | None = None
 
 
 class _Gltf(msgspec.Struct):
     accessors: Annotated[list[_Accessor], Meta(max_length=100_000)] = []
+    meshes: Annotated[list[_GltfMesh], Meta(max_length=100_000)] = []
+    nodes: Annotated[list[_Node], Meta(max_length=100_000)] = []
     extensionsRequired: Annotated[list[str], Meta(max_length=1000)] = []
+
+    def numbers(self) -> int:
+        """Counts what is read: every accessor, and again for every part and node that shows it."""
+        sizes = [each.count * _NUMBERS_EACH.get(each.type, 16) for each in self.accessors]
+        shown = Counter(node.mesh for node in self.nodes)
+        total = sum(sizes)
+        for index, mesh in enumerate(self.meshes):
+            for part in mesh.primitives:
+                named = (*part.attributes.values(), part.indices)
+                # One that is not there is refused by trimesh.
+                own = sum(sizes[each] for each in named if each is not None and each < len(sizes))
+                total += own * max(1, shown[index])
+        return total
 
 
 class _Neighbours(Resolver):
     """Gives trimesh the files that a mesh names, by the rule of `find_texture`."""
 
-    def __init__(self, mesh: Path, missing: tuple[str, ...] = ()) -> None:
+    def __init__(self, mesh: Path) -> None:
         self.mesh = mesh
-        self.missing = list(missing)
-        self.found = list[str]()
+        self.notes = list[str]()
 
     def get(self, key: str) -> bytes:
         # Options of a map statement, such as "-s 1 1 1", stand before the name.
-        path = find_texture(self.mesh, key) or find_texture(self.mesh, key.split()[-1])
-        if path is None:
-            if is_picture(key):
-                self.missing.append(key.strip())
+        path = find_texture(self.mesh, key) or find_texture(self.mesh, (key.split() or [""])[-1])
+        name = key.strip()
+        materials = name.lower().endswith(".mtl")
+        if path is None or path.stat().st_size > _LARGEST_FILE:
+            if materials:
+                self.notes.append(
+                    f"{name} was not found beside {self.mesh}; its materials have no colours."
+                )
+                return self._named_materials()
+            self.notes.append(
+                f"texture {name} was not found beside {self.mesh}; a plain colour was taken."
+            )
             raise FileNotFoundError(key)
-        if path != self.mesh.parent / key.strip():
-            self.found.append(f"{key.strip()} was not there; {path} was taken.")
-        if path.stat().st_size > _LARGEST_FILE:
-            self.missing.append(key.strip())
-            raise FileNotFoundError(key)
+        if path != self.mesh.parent / name:
+            self.notes.append(f"{name} was not there; {path} was taken.")
+        if is_picture(name) or (self.mesh.suffix.lower() != ".gltf" and not materials):
+            self._check_picture(path, name)
         return path.read_bytes()
+
+    def _named_materials(self) -> bytes:
+        """Writes the materials that an OBJ names, without colours: names tell parts."""
+        names = re.findall(rb"^[ \t]*usemtl[ \t]+(\S.*?)\s*$", self.mesh.read_bytes(), re.MULTILINE)
+        return b"".join(b"newmtl %s\n" % name for name in dict.fromkeys(names))
+
+    def _check_picture(self, path: Path, name: str) -> None:
+        """Notes a texture that trimesh would drop without a word."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                Image.open(path).close()
+        except Exception:
+            # Pillow's readers meet damage with any exception there is.
+            self.notes.append(
+                f"texture {name} cannot be read as a picture; a plain colour was taken."
+            )
+            raise
 
     def write(self, name: str, data: Any) -> None:
         raise NotImplementedError
@@ -128,7 +191,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     scene = trimesh.load_scene(path, resolver=resolver, process=False)
     pieces = []
     materials = []
-    notes = list(resolver.found)
+    notes = list(dict.fromkeys(resolver.notes))
     clouds = 0
     size = Size(path)
     pictures: dict[int, UInt8[np.ndarray, "H W C"]] = {}
@@ -150,8 +213,6 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     if not pieces:
         what = "only points or lines, no triangles" if clouds else "no triangles"
         raise ConfigurationError(f"{path} holds {what}; give a mesh with faces.")
-    for name in dict.fromkeys(resolver.missing):
-        notes.append(f"texture {name} was not found beside {path}; a plain colour was taken.")
     if len(pieces) > 1:
         notes.append(f"{len(pieces)} objects were joined.")
     up = "y" if gltf else None
@@ -204,9 +265,19 @@ def _look_of(
                 pictures[id(opened)] = picture_bytes(opened, f"A texture of {size.path}")
                 size.add(texels=opened.width * opened.height)
             image = pictures[id(opened)]
+            if linear and getattr(material, "alphaMode", None) not in ("MASK", "BLEND"):
+                image = image[..., :3]
     name = f"{name} {material.name or ''}".strip()
     return (
-        Material(name, colour or GREY, image, opacity, plain=image is None and colour is None),
+        Material(
+            name,
+            colour or GREY,
+            image,
+            opacity,
+            plain=image is None and colour is None,
+            # Of an OBJ most exporters write a colour that is not meant for its texture.
+            tint=colour if linear and image is not None else None,
+        ),
         uvs,
         colours,
     )
@@ -220,13 +291,17 @@ def _picture_and_colour(
     material: Any, *, linear: bool
 ) -> tuple[Image.Image | None, float, tuple[float, float, float] | None]:
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    if image is not None and image.format is None and image.size == _STAND_IN_PX:
+        image = None
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
     raw = getattr(material, "baseColorFactor", None)
     if hasattr(material, "kwargs"):
         raw = material.diffuse if "kd" in material.kwargs else None
     opacity = 1.0
     if hasattr(material, "kwargs") and "d" in material.kwargs:
-        opacity = min(max(float(np.ravel(material.kwargs["d"])[0]), 0.0), 1.0)
+        opacity = min(max(float(np.ravel(material.kwargs["d"])[-1]), 0.0), 1.0)
+    elif hasattr(material, "kwargs") and "tr" in material.kwargs:
+        opacity = 1 - min(max(float(np.ravel(material.kwargs["tr"])[-1]), 0.0), 1.0)
     elif raw is not None and getattr(material, "alphaMode", None) == "BLEND":
         opacity = float(np.asarray(raw, float)[-1] / 255)
     colour = None
@@ -253,6 +328,11 @@ def _refuse_unreadable(path: Path) -> None:
     gltf: _Gltf = parse_document(
         content, _Gltf, str(path), "give an OBJ, GLB or DAE file", error=ConfigurationError
     )
+    if gltf.numbers() > _MOST_NUMBERS:
+        raise ConfigurationError(
+            f"{path} unfolds to more than {_MOST_NUMBERS:,} numbers, too much for one vehicle; "
+            "simplify it."
+        )
     for extension in gltf.extensionsRequired:
         if extension in _COMPRESSIONS:
             raise ConfigurationError(
@@ -265,10 +345,9 @@ def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
     """Drops triangles without area or with coordinates that are no numbers, and says so."""
     a, b, c = mesh.corners.transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    size = np.ptp(mesh.corners[np.isfinite(mesh.corners).all((1, 2))].reshape(-1, 3), axis=0).max(
-        initial=0.0
-    )
-    good = np.isfinite(area) & (area > 1e-12 * size**2)
+    finite = np.isfinite(mesh.corners).all((1, 2))
+    size = np.ptp(mesh.corners[finite].reshape(-1, 3), axis=0).max() if finite.any() else 0.0
+    good = finite & np.isfinite(area) & (area > 1e-12 * size**2)
     if not good.any():
         raise ConfigurationError(f"{path} holds no triangle with an area; give a mesh with faces.")
     notes = mesh.notes

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, median_filter
 
+from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.views import parallel_view
 
-__all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull"]
+__all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull", "no_body"]
 
 DIRECTIONS = 360  # around the axis: one degree, 16 mm at 0.9 m
 _CELL_M = 0.01
@@ -96,6 +97,15 @@ class Hull:
         ]
 
 
+def no_body() -> ConfigurationError:
+    """Says that a mesh has not what the template can be laid around."""
+    return ConfigurationError(
+        "The mesh has no closed body: a piece wider than "
+        f"{_THIN_M:g} m that goes on from nose to tail was expected; give the mesh of a whole "
+        "vehicle, or --wrapping.up and --wrapping.forward if it lies otherwise."
+    )
+
+
 def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     """Looks at a mesh from six sides.
 
@@ -130,6 +140,9 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     top = grey_closing(top, round(_RUNGS_M / cell), mode="nearest")
     top = np.where(footprint, top, -np.inf)
 
+    if not footprint.any():
+        raise no_body()
+
     # From the sides, without mirrors, and with closed wheel arches.
     y = start[1] + (np.arange(counts[1]) + 0.5) * cell
     reach = np.stack([np.where(footprint, side, 0.0).max(1) + cell / 2 for side in (y, -y)])
@@ -153,6 +166,8 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     # From below: lower edge and floor.
     solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
     low = np.where(solid.any(1), z[solid.argmax(1)] - cell / 2, np.nan).clip(0.0)
+    if not np.isfinite(low).any():
+        raise no_body()
     low = np.interp(np.arange(len(low)), np.flatnonzero(np.isfinite(low)), low[np.isfinite(low)])
     under = -look(0, 1, 2, -1.0)
     middle = np.abs(y) < 0.3 * extent[1] / 2

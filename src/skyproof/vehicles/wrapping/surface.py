@@ -18,7 +18,14 @@ from skyproof.vehicles.template import (
     TOPOLOGY_SILL,
     column_u,
 )
-from skyproof.vehicles.wrapping.sections import DIRECTIONS, Hull, Sections, cut_sections, find_hull
+from skyproof.vehicles.wrapping.sections import (
+    DIRECTIONS,
+    Hull,
+    Sections,
+    cut_sections,
+    find_hull,
+    no_body,
+)
 
 __all__ = ["Wrapping", "wrap_surface"]
 
@@ -29,6 +36,7 @@ _HALF = COLUMNS // 2
 _SPACING = (0.25, 1.6)  # smallest and largest distance between rings, as a share of the mean
 _EVEN = 0.06  # how much evenly spaced rings are worth, in metres of misfit
 _TYRE_M = 0.24
+_LEAST_LENGTH_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,9 +66,14 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
 
     Args:
         corners: triangles in the vehicle's axes.
+
+    Raises:
+        ConfigurationError: there is no closed body.
     """
     hull = find_hull(corners)
     every = cut_sections(hull)
+    if not len(every.station) or np.ptp(every.station) < _LEAST_LENGTH_M:
+        raise no_body()
     belt = _belt_height(every)
     outlines = np.stack([_half_outlines(every, side) for side in (1, -1)])
     places = _places(every, outlines.mean(0), belt)
@@ -150,6 +163,8 @@ def _belt_height(sections: Sections) -> float:
     top = float(np.median(z[middle].max(1)))
     levels = np.linspace(0.45, 0.9, 46) * top
     width = np.array([np.median(wide[np.abs(side - level) < 0.02 * top]) for level in levels])
+    if np.isnan(width).all():
+        raise no_body()
     if width[0] - width[-1] < 0.1:
         return 0.6 * top
     # The corner of the profile: farthest outside the straight line between its ends.

@@ -87,6 +87,11 @@ def wrap_mesh(
         notes.append("the texture's alpha is taken as a mask of what is paint.")
     plain = np.array([m.plain for m in mesh.materials])[mesh.material[texels.face]]
     plain &= np.isnan(mesh.colours[texels.face, 0, 0])
+    if plain.any() and any(m.picture is not None for m in mesh.materials):
+        notes.append(
+            f"{plain.mean():.0%} of the surface have no colour in the file: plain colours of parts "
+            "are used."
+        )
     parts, shares, doubts = label_parts(mesh, texels, wrapping, plain, masked=masked)
     colour = np.where(
         plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour
