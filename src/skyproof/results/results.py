@@ -372,10 +372,8 @@ class Results:
         before = [self.tiles.series[key][:, 1:] for key in after]
         repeats = [[repeat_of(key.camouflage)] for key in after]
         of = [str(CamouflageName.read(key.camouflage).pooled) for key in after]
-        return (
-            Group(np.stack(before), repeats, of),
-            Group(np.stack(list(after.values())), repeats, of),
-        )
+        now = np.stack(list(after.values()))
+        return Group(np.stack(before), repeats, of), Group(now, repeats, of)
 
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.judges]
