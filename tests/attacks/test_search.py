@@ -135,7 +135,7 @@ def test_a_plain_paint_has_no_other_constraint() -> None:
 
 def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: AttackWorld) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
-        HeldOut([loaded(1.1)], world, FEW.seed).judge(plain_paint((0, 0, 0), masked=False))
+        HeldOut([loaded(1.0)], world, FEW.seed).judge(plain_paint((0, 0, 0), masked=False))
 
 
 def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:
