@@ -25,7 +25,7 @@ from skyproof.plans.jobs import Jobs
 from skyproof.plans.plan import Plan, Step
 from skyproof.plans.preset import PRESETS, Preset, read_preset
 from skyproof.plans.reproduction import plan_of_config, reproduction_plan
-from skyproof.plans.snakemake import SNAKEFILE, shell_line, step_words
+from skyproof.plans.snakemake import SNAKEFILE, output_of, shell_line, step_words
 from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Fraction
 from skyproof.scenes.weather import CONDITIONS
@@ -500,6 +500,13 @@ def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
     for step in plain.steps:
         if step.kind != "report":
             assert added[step.id] == step
+
+
+def test_snakemake_takes_no_report_away_that_is_to_be_renewed():
+    # Tables without the results beside them are taken for somebody else's, and refused.
+    report = plan_of_config(TINY).steps[-1]
+    kept = output_of(report, str, lambda path: f"kept {path}")
+    assert kept == ["kept results.json", "kept report.html"]
 
 
 def test_commands_on_cycles(tmp_path):

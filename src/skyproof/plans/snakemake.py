@@ -66,7 +66,8 @@ def output_of(
             what the next try goes on from.
     """
     paths = [str(path) for path in step.outputs]
-    if step.growing:
+    # What is renewed is known by what was there before: a report replaces its own pages alone.
+    if step.growing or step.renewed:
         return [update(path) for path in paths]
     return [path if Path(path).suffix else directory(path) for path in paths]
 
