@@ -326,14 +326,14 @@ def of_cycles(tables: Tables) -> Iterator[str]:
     net = ", ".join(
         f"{name} {number(rows[name][left])} {span(rows[name], left)}" for name in headlines
     )
-    bodies = {name: curves[name, pm] for name, pm in (("S-O", 0.4), ("C-PixFc-seq", 0.2))}
+    shaped = {name: curves[name, pm] for name, pm in (("S-O", 0.4), ("C-PixFc-seq", 0.2))}
     also = ", ".join(
         f"{name} at `PM {row['pm']}` {number(row[left])} {span(row, left)}"
-        for name, row in bodies.items()
+        for name, row in shaped.items()
     )
     yield (
         f"**Against the best that nobody learnt** stay, in points, {net} "
-        f"{cited('textures', headlines)}, {also} {cited('curves', list(bodies))}."
+        f"{cited('textures', headlines)}, {also} {cited('curves', list(shaped))}."
     )
     agreement = {
         (row["compared"], row["attacks"]): number(row["spearman"], 2)
