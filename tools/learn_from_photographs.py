@@ -1,10 +1,11 @@
-"""Detectors that learn from photographs outside skyproof, to be assessed on other photographs.
+"""Photographs to learn from, and detectors that learn from them outside skyproof.
 
     python tools/learn_from_photographs.py prepare --kit kit_ais_munich --drone minsk_drone
     python tools/learn_from_photographs.py yolo
     python tools/learn_from_photographs.py torchvision --drawn DATASET
+    python tools/learn_from_photographs.py frames --kit kit_ais_munich --drone minsk_drone
 
-`prepare` cuts the second place of the KIT AIS frames and all of the drone's into tiles of 12 cm per
+`prepare` cuts the second place of the KIT AIS frames and the drone's `*.jpg` into tiles of 12 cm per
 pixel with YOLO labels, and puts the first place aside. `yolo` has Ultralytics' own trainer learn
 from the tiles; `torchvision` is a plain loop that is shown rendered scenes as well, such as
 
@@ -16,6 +17,10 @@ from the tiles; `torchvision` is a plain loop that is shown rendered scenes as w
         --fleet drawn/fleets/train --out drawn/train
 
 Each of the two trainings takes 45 minutes on one core.
+
+`frames` is for `skyproof ground`, which takes photographs of one resolution: it puts the first
+place of the KIT AIS frames and the drone's pictures, reduced to that place's 11.6 cm per pixel,
+into one folder with their labels.
 """
 
 from __future__ import annotations
@@ -41,6 +46,7 @@ import skyproof as sp
 from skyproof.cli.console import say
 
 GSD_M = 0.12
+FIRST_PLACE_GSD_M = 0.116
 # Metres per pixel by the beginning of a file's name.
 SOURCES_GSD_M = {"MunichStreet02": 0.121, "DJI_0010": 0.04, "DJI_0012": 0.04, "DJI_00": 0.055}
 # The last frames of a flight, and one of the drone's flights, choose the best weights.
@@ -76,12 +82,7 @@ class Prepare:
         chance = random.Random(0)
         frames = [*sorted(self.kit.glob("MunichStreet02*.png")), *sorted(self.drone.glob("*.jpg"))]
         for frame in frames:
-            gsd_m = next(g for name, g in SOURCES_GSD_M.items() if frame.name.startswith(name))
-            picture = Image.open(frame).convert("RGB")
-            scale = gsd_m / GSD_M
-            if scale < 0.9:
-                size = (round(picture.width * scale), round(picture.height * scale))
-                picture = picture.resize(size, Image.Resampling.LANCZOS)
+            picture = reduced(frame, GSD_M)
             self._cut(frame, np.asarray(picture), chance)
         text = (
             f"path: {(self.out / 'data').resolve()}\ntrain: images/train\nval: images/validation\n"
@@ -110,6 +111,32 @@ class Prepare:
                     write_tile(
                         self.out / "data", part, name, np.rot90(tile, turn), turned(kept, turn)
                     )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Puts photographs of one resolution and their labels into one folder.
+
+    Attributes:
+        kit: folder with the KIT AIS frames of Munich and YOLO labels.
+        drone: folder with the drone's pictures of Minsk and YOLO labels.
+        out: gets `frames`.
+    """
+
+    kit: Path
+    drone: Path
+    out: Path = OUT
+
+    def run(self) -> None:
+        """Writes the folder."""
+        frames = self.out / "frames"
+        frames.mkdir(parents=True)
+        drone = [path for path in self.drone.iterdir() if path.suffix.lower() == ".jpg"]
+        for path in sorted([*self.kit.glob("MOS*.png"), *drone]):
+            reduced(path, FIRST_PLACE_GSD_M).save(frames / f"{path.stem}.png")
+            # YOLO's numbers are shares of an image, whatever its size.
+            shutil.copy(path.with_suffix(".txt"), frames)
+        shutil.copy(self.kit / "aerial.names", frames)
 
 
 @dataclass(frozen=True)
@@ -205,6 +232,17 @@ class Torchvision:
         torch.save({"model": model.state_dict()}, self.out / "torchvision.pth")
 
 
+def reduced(path: Path, gsd_m: float) -> Image.Image:
+    """Opens a photograph, and makes it smaller where it is finer than it should be."""
+    picture = Image.open(path).convert("RGB")
+    known = (own for name, own in SOURCES_GSD_M.items() if path.name.startswith(name))
+    scale = next(known, gsd_m) / gsd_m
+    if scale > 0.9:
+        return picture
+    size = (round(picture.width * scale), round(picture.height * scale))
+    return picture.resize(size, Image.Resampling.LANCZOS)
+
+
 def boxes_of(labels: Path, width: int, height: int) -> np.ndarray:
     """Reads YOLO text of vehicles as boxes `[N, 4]`, pixel xyxy."""
     rows = [line.split() for line in labels.read_text().splitlines() if line.strip()]
@@ -295,6 +333,6 @@ def window(image: Tensor, boxes: Tensor, chance: random.Random) -> tuple[Tensor,
 
 if __name__ == "__main__":
     tyro.extras.subcommand_cli_from_dict(
-        {"prepare": Prepare, "yolo": Yolo, "torchvision": Torchvision},
+        {"prepare": Prepare, "yolo": Yolo, "torchvision": Torchvision, "frames": Frames},
         config=(tyro.conf.CascadeSubcommandArgs,),
     ).run()
