@@ -5,9 +5,9 @@
     python tools/learn_from_photographs.py torchvision --drawn DATASET
     python tools/learn_from_photographs.py frames --kit kit_ais_munich --drone minsk_drone
 
-`prepare` cuts the second place of the KIT AIS frames and the drone's `*.jpg` into tiles of 12 cm per
-pixel with YOLO labels, and puts the first place aside. `yolo` has Ultralytics' own trainer learn
-from the tiles; `torchvision` is a plain loop that is shown rendered scenes as well, such as
+`prepare` cuts the second place of the KIT AIS frames and the drone's `*.jpg` into tiles of 12 cm
+per pixel with YOLO labels, and puts the first place aside. `yolo` has Ultralytics' own trainer
+learn from the tiles; `torchvision` is a plain loop that is shown rendered scenes as well, such as
 
     skyproof ground --out drawn/ground --tiles 64 4 4 4 --tiling.gsd-m 0.12 --seed 5
     skyproof vehicles --out drawn/fleets --counts 96 4 4 4 --seed 5

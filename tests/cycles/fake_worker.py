@@ -8,6 +8,7 @@ what to do with each job, by its seed; where it says nothing, "done":
 - "exit": ends with words on standard error;
 - "full": answers that the disk is full;
 - "hang": never answers;
+- "silent": closes its answers, and lives on;
 - "garbled": answers what is no JSON;
 - "lie": says that it is done, and leaves no result;
 - "giant", "pickle", "other size", "nan": leaves a result that is none;
@@ -69,6 +70,9 @@ def main() -> None:
         if action == "exit":
             sys.exit("Traceback of something\nMemoryError: no room for a picture")
         if action == "hang":
+            time.sleep(3600)
+        if action == "silent":
+            os.close(sys.stdout.fileno())
             time.sleep(3600)
         if action == "full":
             say(failed=str(result), why="OSError: [Errno 28] No space left on device")

@@ -122,6 +122,7 @@ def test_what_goes_wrong_once_is_done_again(tmp_path, how):
         ("die", ("its process died", f"signal {signal.SIGKILL.value}", "memory")),
         ("exit", ("its process died", "MemoryError: no room for a picture", "memory")),
         ("full", ("No space left on device", "disk", "make room")),
+        ("silent", ("its process died", "does not end")),
         ("garbled", ("its process answered in another form",)),
         ("lie", ("its picture is missing or damaged",)),
         ("giant", ("its picture is missing or damaged",)),
@@ -130,7 +131,8 @@ def test_what_goes_wrong_once_is_done_again(tmp_path, how):
         ("nan", ("not finite",)),
     ],
 )
-def test_what_goes_wrong_twice_is_named(tmp_path, how, words):
+def test_what_goes_wrong_twice_is_named(tmp_path, how, words, monkeypatch):
+    monkeypatch.setattr("skyproof.cycles.workers._DYING_S", 0.5)
     fake = Fake(tmp_path, ["done", how, how])
     with (
         Workers(fake.blender, 1, tmp_path / "results") as workers,

@@ -50,11 +50,6 @@ def test_matrix_by_hand():
     assert [[cell.detector for cell in line] for line in matrix] == [["a", "b"]] * 3
     assert [str(line[0].camouflage) for line in matrix] == ["T-U_on_a", "T-U_without_a", "T-U"]
     assert [line[0].attacked for line in matrix] == [("a",), ("b",), ("a", "b")]
-    assert [[cell.white_box for cell in line] for line in matrix] == [
-        [True, False],
-        [False, True],
-        [True, True],
-    ]
     assert [[cell.easr.estimate for cell in line] for line in matrix] == [
         [0.95, 0.3],
         [0.4, 0.9],
@@ -62,8 +57,6 @@ def test_matrix_by_hand():
     ]
     easr = matrix[0][1].easr
     assert (easr.estimate, easr.low, easr.high) == pytest.approx((0.3, 0.2, 0.4))
-    assert matrix[0][1].net_easr.estimate == pytest.approx(0.1)
-    assert math.isnan(matrix[0][1].net_easr.low)
 
 
 def test_gaps_are_refused():

@@ -29,6 +29,7 @@ WORKER = Path(__file__).with_name("worker.py")
 _MARK = "skyproof-worker "
 _TRIES = 2
 _LAST_LINES = 3
+_DYING_S = 10.0
 _LONGEST_LINE = 100_000
 # Colour and coverage, and the ground's light.
 _CHANNELS = 7
@@ -264,7 +265,10 @@ class _Process:
     def _last_words(self) -> str:
         process = self._process
         if process is not None:
-            code = process.wait()
+            try:
+                code = process.wait(_DYING_S)
+            except subprocess.TimeoutExpired:
+                return "it says nothing more, and does not end"
             if code < 0:
                 return f"signal {-code}"
         lines = (

@@ -21,16 +21,13 @@ class Cell:
         camouflage: row of the table of results; repeats are pooled.
         attacked: the detectors it was optimised against, sorted.
         detector: the one that judges.
-        white_box: whether the judge was among the attacked; if not, the attack had to transfer.
-        easr, net_easr: fractions; the second is None without a control.
+        easr: a fraction.
     """
 
     camouflage: CamouflageName
     attacked: tuple[str, ...]
     detector: str
-    white_box: bool
     easr: Interval
-    net_easr: Interval | None
 
 
 def transfer_matrix(
@@ -97,7 +94,5 @@ def _cell(row: Row, attacked: tuple[str, ...]) -> Cell:
         camouflage=row.camouflage,
         attacked=attacked,
         detector=row.detector,
-        white_box=row.detector in attacked,
         easr=row.easr,
-        net_easr=row.net_easr,
     )
