@@ -2,10 +2,10 @@
 
     python tools/say_results.py runs/quick/tables
 
-It prints the statements of docs/results/README.md, sections "What it says" and "On Cycles", with
-the numbers of these tables. The words around them are those of the runs so far: whether they still
-hold, a reader has to judge. What stands in brackets [so] is for that reader, and is no part of a
-statement.
+It prints the statements of docs/results/README.md, sections "What it says", "On Cycles" and "By
+detectors of photographs", with the numbers of these tables. The words around them are those of the
+runs so far: whether they still hold, a reader has to judge. What stands in brackets [so] is for
+that reader, and is no part of a statement.
 """
 
 from __future__ import annotations
@@ -344,10 +344,47 @@ def of_cycles(tables: Tables) -> Iterator[str]:
     yield f"**The order:** [{told}]"
 
 
+def of_judges(tables: Tables) -> Iterator[str]:
+    """Says what is left before detectors that no attack saw, where the run was given --judges."""
+    if not (tables.folder / "judges.csv").exists():
+        return
+    rows = {row["attack"]: row for row in tables.rows("judges") if row["detector"] == "mean"}
+    learnt = {name: row for name, row in rows.items() if not name.startswith("R-")}
+    heads = ("T-U", "T-Ma", "T-PixFcMa", "S-O@0.4")
+    hide = ", ".join(f"{name} {number(rows[name]['easr'])} % {span(rows[name])}" for name in heads)
+    drawn = ", ".join(number(rows[name]["random_easr"], 1) for name in heads)
+    yield (f"**Attacks carry over:** {hide}; random draws {drawn} {cited('judges', heads)}.")
+    more = "net_unlearnt_easr"
+    points = ", ".join(
+        f"{name} {number(rows[name][more])} {span(rows[name], more)}" for name in heads
+    )
+    unsure = {
+        name: f"{name} {number(row[more])} {span(row, more)}"
+        for name, row in learnt.items()
+        if float(row[f"{more}_low"]) <= 0
+    }
+    yield (
+        f"**More than what nobody learnt**, in points: {points}; [not surely, of {len(learnt)}:] "
+        f"{', '.join(unsure.values())} {cited('judges', [*heads, *unsure])}."
+    )
+    if rows["T-U"].get("cycles_easr"):
+        there = ", ".join(
+            f"{name} {number(rows[name]['cycles_easr'])} % {span(rows[name], 'cycles_easr')}, "
+            f"{number(rows[name]['cycles_' + more])} points {span(rows[name], 'cycles_' + more)}"
+            for name in heads
+        )
+        yield f"**On Cycles:** {there} {cited('judges', heads)}."
+    seen = ", ".join(
+        f"{row['detector']} {number(row['ap'])} on {row['set']}"
+        for row in tables.rows("judges_clean")
+    )
+    yield f"[AP: {seen}]"
+
+
 def main(folder: Path) -> None:
     """Prints the statements as items of a list."""
     tables = Tables(folder)
-    for part in (of_textures, of_shapes, of_analyses, of_learning, of_cycles):
+    for part in (of_textures, of_shapes, of_analyses, of_learning, of_cycles, of_judges):
         for statement in part(tables):
             print(
                 textwrap.fill(
