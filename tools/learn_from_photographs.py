@@ -48,7 +48,13 @@ from skyproof.cli.console import say
 GSD_M = 0.12
 FIRST_PLACE_GSD_M = 0.116
 # Metres per pixel by the beginning of a file's name.
-SOURCES_GSD_M = {"MunichStreet02": 0.121, "DJI_0010": 0.04, "DJI_0012": 0.04, "DJI_00": 0.055}
+SOURCES_GSD_M = {
+    "MOS": FIRST_PLACE_GSD_M,
+    "MunichStreet02": 0.121,
+    "DJI_0010": 0.04,
+    "DJI_0012": 0.04,
+    "DJI_00": 0.055,
+}
 # The last frames of a flight, and one of the drone's flights, choose the best weights.
 VALIDATION = ("DJI_0013", "MunichStreet02-MOS91", "MunichStreet02-MOS92", "MunichStreet02-MOS93")
 VEHICLES = ("0", "1", "2", "3")
@@ -235,9 +241,8 @@ class Torchvision:
 def reduced(path: Path, gsd_m: float) -> Image.Image:
     """Opens a photograph, and makes it smaller where it is finer than it should be."""
     picture = Image.open(path).convert("RGB")
-    known = (own for name, own in SOURCES_GSD_M.items() if path.name.startswith(name))
-    scale = next(known, gsd_m) / gsd_m
-    if scale > 0.9:
+    scale = next(own for name, own in SOURCES_GSD_M.items() if path.name.startswith(name)) / gsd_m
+    if scale >= 0.9:
         return picture
     size = (round(picture.width * scale), round(picture.height * scale))
     return picture.resize(size, Image.Resampling.LANCZOS)

@@ -29,14 +29,11 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 import tyro
+from learnt_vehicles import features_at
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from skyproof.detectors.common import SMALLEST_IMAGE_PX
-from skyproof.detectors.features import FeatureDetector
-from skyproof.detectors.reference_detectors import reference_detector
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
@@ -58,7 +55,6 @@ Array = NDArray[np.float64]
 
 _DRAWS = 2000
 _GSD_M, _SIDE_M = 0.125, 6.4
-_AT_ONCE = 32
 # By how much sRGB of learnt vehicles is moved at random, for a set of known answer.
 _OTHER_COLOUR = 0.02
 
@@ -106,15 +102,16 @@ class LearntCopies:
             record: dict[str, Any] = {}
             for folder in self.generators:
                 vehicles = load_generator(folder)
-                learnt, _ = stored_vehicles(folder)
+                fitted, _ = stored_vehicles(folder)
+                learnt = rows_of(fitted)
                 settings = FleetSettings(self.count)
                 made = {
                     "made": rows_of(sample_learnt_fleet(vehicles, settings, generator=generator)),
-                    "learnt": rows_of(learnt),
-                    "other_colour": rows_of(_in_other_colours(learnt, generator)),
+                    "learnt": learnt,
+                    "other_colour": rows_of(_in_other_colours(fitted, generator)),
                     "drawn": drawn,
                 }
-                record[folder.name] = copies(rows_of(learnt), far, photographs, made, self.seed)
+                record[folder.name] = copies(learnt, far, photographs, made, self.seed)
                 print(folder.name, record[folder.name], flush=True)
             write_json(self.out, record)
         return record
@@ -147,26 +144,15 @@ def stored_vehicles(folder: Path) -> tuple[Fleet, list[Fit]]:
 
 def rows_of(fleet: Fleet) -> Rows:
     """Renders vehicles, and gives what they are compared by."""
-    detector = reference_detector("retinanet").detector
-    assert isinstance(detector, FeatureDetector)
-    colours, features = [], []
-    for start in range(0, len(fleet), _AT_ONCE):
-        batch = fleet.batch(fleet.ids[start : start + _AT_ONCE])
-        pictures = close_up(batch, gsd_m=_GSD_M, side_m=_SIDE_M).float() / 255
-        lab = srgb_to_cielab(pictures.permute(0, 2, 3, 1)).flatten(1)
-        colours.append(lab / (lab.shape[1] / 3) ** 0.5)
-        room = max(0, SMALLEST_IMAGE_PX - pictures.shape[-1])
-        before, after = room // 2, room - room // 2
-        padded = F.pad(pictures, (before, after, before, after), mode="replicate")
-        length, width = batch.vertices.amax(1)[:, 0], batch.vertices.amax(1)[:, 1]
-        half = torch.stack((length, width), 1) / _GSD_M
-        centre = padded.shape[-1] / 2
-        boxes = torch.cat((centre - half, centre + half), 1)
-        with torch.no_grad():
-            features += detector.features(padded, list(boxes[:, None]))
+    vehicles = fleet.batch(fleet.ids)
+    pictures = close_up(vehicles, gsd_m=_GSD_M, side_m=_SIDE_M)
+    lab = srgb_to_cielab(pictures.permute(0, 2, 3, 1).float() / 255).flatten(1)
+    half_px = vehicles.vertices.amax(1)[:, :2] / _GSD_M
+    centre_px = pictures.shape[-1] / 2
+    boxes = torch.cat((centre_px - half_px, centre_px + half_px), 1)
     return Rows(
-        torch.cat(colours).double().numpy(),
-        torch.cat(features).double().numpy(),
+        (lab / (lab.shape[1] / 3) ** 0.5).double().numpy(),
+        features_at(pictures, boxes),
     )
 
 

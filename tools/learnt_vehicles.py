@@ -31,6 +31,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 import tyro
+from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 from realism_pairs import Pairs, read_pairs
 from scipy.spatial.distance import cdist
@@ -143,20 +144,27 @@ def vendi_score(features: Array) -> float:
     return float(np.exp(-(values * np.log(values)).sum()))
 
 
-@torch.no_grad()
 def _features(pairs: Pairs, side: int) -> Array:
     """Returns the detector's features at the vehicles of one side of all pairs."""
+    boxes = torch.cat([_box(mask) for mask in pairs.vehicle])
+    return features_at(pairs.pixels[:, side], boxes)
+
+
+@torch.no_grad()
+def features_at(
+    pictures: UInt8[torch.Tensor, "N 3 H W"], boxes: Float[torch.Tensor, "N 4"]
+) -> Array:
+    """Returns the features of RetinaNet, as it comes with skyproof, in a box of each picture."""
     detector = reference_detector("retinanet").detector
     assert isinstance(detector, FeatureDetector)
     found = []
-    for start in range(0, len(pairs.pixels), _BATCH):
-        images = pairs.pixels[start : start + _BATCH, side].float() / 255
+    for start in range(0, len(pictures), _BATCH):
+        images = pictures[start : start + _BATCH].float() / 255
         # Windows are smaller than what a detector takes: they go on as they end.
         before = max(0, SMALLEST_IMAGE_PX - images.shape[-1]) // 2
         after = max(0, SMALLEST_IMAGE_PX - images.shape[-1] - before)
         images = F.pad(images, (before, after, before, after), mode="replicate")
-        boxes = [_box(mask) + before for mask in pairs.vehicle[start : start + _BATCH]]
-        found += detector.features(images, boxes)
+        found += detector.features(images, list(boxes[start : start + _BATCH, None] + before))
     return torch.cat(found).double().numpy()
 
 

@@ -22,6 +22,7 @@ from urllib.request import Request, urlopen
 import numpy as np
 import torch
 import tyro
+from learn_from_photographs import FIRST_PLACE_GSD_M, GSD_M, OUT, TWICE
 from PIL import Image
 from torch import Tensor
 from torch.nn import functional
@@ -29,13 +30,6 @@ from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 import skyproof as sp
 from skyproof.cli.console import say
-
-# Of the tiles that both learnt from, and of the frames that they are assessed on.
-GSD_M = 0.12
-FIRST_PLACE_GSD_M = 0.116
-# The network of torchvision learnt from pictures twice as large.
-TWICE = 2
-OUT = Path("runs/real")
 
 
 @dataclass(frozen=True)
