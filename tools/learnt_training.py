@@ -77,18 +77,21 @@ class LearntTraining:
         """Trains what is not trained yet, looks, prints and writes."""
         arms = self._arms()
         for images, seed, arm in product(self.images, range(self.seeds), arms):
-            folder = self._folder(arm, images, seed)
-            if (folder / "retinanet" / "detector.json").exists():
-                continue
-            started = time.time()
-            fleet = f"{arm}-{seed}"
-            if not (self.out / "fleets" / fleet).exists():
-                arms[arm](seed).save(self.out / "fleets" / fleet)
-            trial = replace(TRIALS["recipe"], fleet=fleet, images=images, seed=seed)
-            training, validation = rendered_sets(self.out, trial)
-            train_detector(folder, "retinanet", training, validation, trial)
-            print(f"{arm}, {images} images, {seed}: {time.time() - started:.0f} s", flush=True)
+            self._train(arm, images, seed)
         write_json(self.out / "training.json", {"rows": self._look(list(arms))})
+
+    def _train(self, arm: str, images: int, seed: int) -> None:
+        folder = self._folder(arm, images, seed)
+        if (folder / "retinanet" / "detector.json").exists():
+            return
+        started = time.time()
+        fleet = f"{arm}-{seed}"
+        if not (self.out / "fleets" / fleet).exists():
+            self._arms()[arm](seed).save(self.out / "fleets" / fleet)
+        trial = replace(TRIALS["recipe"], fleet=fleet, images=images, seed=seed)
+        training, validation = rendered_sets(self.out, trial)
+        train_detector(folder, "retinanet", training, validation, trial)
+        print(f"{arm}, {images} images, {seed}: {time.time() - started:.0f} s", flush=True)
 
     def _folder(self, arm: str, images: int, seed: int) -> Path:
         return self.out / "trained" / f"{arm}-{images}-{seed}"

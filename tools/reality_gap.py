@@ -27,6 +27,7 @@ import numpy as np
 import torch
 import tyro
 
+from skyproof.cli.device import choose_device
 from skyproof.cli.frames import read_frames
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.build import build_detector
@@ -293,6 +294,7 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
         fleet = Fleet.load(run / "fleets" / trial.fleet)
     else:
         fleet = _fleet(run, split, trial.vehicles if split == "train" else 16)
+    device = choose_device("auto")
     images: list[torch.Tensor] = []
     boxes: list[torch.Tensor] = []
     for name in trial.ground:
@@ -325,9 +327,11 @@ def _render(run: Path, trial: Trial, split: str, count: int, least: int, most: i
         )
         for start in range(0, len(scenes), 8):
             batch = scenes[start : start + 8]
-            frames = renderer(batch, placed_vehicles(fleet, batch))
-            images += list((frames.image * 255).round().byte())
-            boxes += [frames.boxes[frames.scene_index == index] for index in range(len(batch))]
+            frames = renderer(batch, placed_vehicles(fleet, batch).to(device))
+            images += list((frames.image * 255).round().byte().cpu())
+            boxes += [
+                frames.boxes[frames.scene_index == index].cpu() for index in range(len(batch))
+            ]
     ids = [f"{split}-{number}" for number in range(len(images))]
     return Dataset.of_images(images, boxes, gsd_m=GSD_M, ids=ids)
 
@@ -362,7 +366,8 @@ def train_detector(
     folder: Path, name: str, training: Dataset, validation: Dataset, trial: Trial
 ) -> LoadedDetector[TrainableDetector]:
     """Trains a slim detector as a trial says, into FOLDER/NAME."""
-    detector = build_detector(name, "slim", generator=_generator("weights", trial.seed, name))
+    weights = _generator("weights", trial.seed, name)
+    detector = build_detector(name, "slim", generator=weights).to(choose_device("auto"))
     settings = TrainingSettings(
         steps=trial.steps, batch_size=8, validate_every=trial.steps // 2, jitter=trial.jitter
     )
