@@ -81,7 +81,7 @@ def reaches(start, modules, wanted):
             continue
         seen.add(module)
         names = imports(modules[module], at_import_time=True)
-        if any(name.split(".")[0] == wanted for name in names):
+        if any(name == wanted or name.startswith(f"{wanted}.") for name in names):
             guilty.append(module)
         for name in ours(names):
             parts = name.split(".")
@@ -148,6 +148,13 @@ def test_the_report_loads_no_torch():
     for module in modules:
         if module.split(".")[0] == "report":
             assert reaches(module, modules, "torch") == [], module
+
+
+def test_a_generator_is_read_without_the_renderer():
+    # Fleets are drawn from one without it, as they are without one.
+    modules = sources()
+    assert reaches("generator.folder", modules, "skyproof.render") == []
+    assert reaches("generator.fitting", modules, "skyproof.render") != []
 
 
 def test_ultralytics_is_imported_in_one_file_and_only_when_used():

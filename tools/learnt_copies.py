@@ -36,8 +36,7 @@ from scipy.spatial.distance import cdist
 
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
-from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
-from skyproof.generator.fitting import Fit
+from skyproof.generator.fits import LARGEST_MISFIT, Fit, Fits, fitted_vehicles
 from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
 from skyproof.generator.folder import load_generator
 from skyproof.generator.maps import unfolded

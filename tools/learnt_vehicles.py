@@ -1,14 +1,14 @@
-"""Measures how near rendered fleets come to photographed vehicles, and whether they repeat them.
+"""Measures how near rendered fleets come to photographed vehicles.
 
     python tools/learnt_vehicles.py --real RUN/tiles --cleared RUN/cleared \\
-        --rendered RUN/drawn RUN/learnt --learnt-from TOWN/tiles TOWN/cleared TOWN/drawn \\
-        --out RUN/fleets.json
+        --rendered RUN/drawn RUN/learnt --out RUN/fleets.json
+
+Whether learnt vehicles are copies of those that were learnt from, tools/learnt_copies.py says.
 
 RUN/tiles is labelled imagery that no fleet was learnt from, RUN/cleared the same without its
 vehicles, and RUN/drawn and RUN/learnt datasets that `skyproof render` drew on that, with vehicles
 in the places of others (as for tools/realism.py, which says how well a network tells them from the
-photographs). TOWN is the same of the imagery that was learnt from; of TOWN/drawn only its places
-are used.
+photographs).
 
 Of every window the features of RetinaNet as it comes with skyproof are taken at the vehicle. In
 them, over all windows:
@@ -16,9 +16,7 @@ them, over all windows:
 - density and coverage of the photographed by the rendered ones, with five neighbours (Naeem et al.,
   "Reliable fidelity and diversity metrics for generative models", 2020), beside those of one half
   of the photographed ones by the other half;
-- the Vendi score, as how many different vehicles they count (Friedman and Dieng, 2023);
-- the distance to the nearest vehicle that was learnt from, beside that of photographed vehicles
-  which were not: copies would be nearer (one-sided Kolmogorov-Smirnov test).
+- the Vendi score, as how many different vehicles they count (Friedman and Dieng, 2023).
 """
 
 from __future__ import annotations
@@ -35,7 +33,6 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 from realism_pairs import Pairs, read_pairs
 from scipy.spatial.distance import cdist
-from scipy.stats import ks_2samp
 
 from skyproof.detectors.common import SMALLEST_IMAGE_PX
 from skyproof.detectors.features import FeatureDetector
@@ -57,15 +54,12 @@ class LearntVehicles:
         cleared: the same without vehicles.
         rendered: datasets rendered on it, one for each fleet.
         out: JSON file to write.
-        learnt_from: tiled folder, cleared folder and a rendered dataset of the imagery that fleets
-            were learnt from; without them nothing is said of copies.
     """
 
     real: Path
     cleared: Path
     rendered: tuple[Path, ...]
     out: Path
-    learnt_from: tuple[Path, Path, Path] | None = None
 
     def run(self) -> dict[str, Any]:
         """Measures, prints, writes, and returns what the file holds."""
@@ -75,25 +69,21 @@ class LearntVehicles:
                 for folder in self.rendered
             }
             features = {name: (_features(of, 0), _features(of, 1)) for name, of in sets.items()}
-            known = None
-            if self.learnt_from is not None:
-                tiles, cleared, drawn = self.learnt_from
-                known = _features(read_pairs([tiles], [drawn], cleared), 0)
             record: dict[str, Any] = {}
             for name, (real, rendered) in features.items():
-                record[name] = measured(real, rendered, known)
+                record[name] = measured(real, rendered)
                 print(name, record[name], flush=True)
             write_json(self.out, record)
         return record
 
 
-def measured(real: Array, rendered: Array, known: Array | None) -> dict[str, Any]:
+def measured(real: Array, rendered: Array) -> dict[str, Any]:
     """Returns all figures of one fleet."""
     density, coverage = density_and_coverage(real, rendered)
     order = np.random.default_rng(0).permutation(len(real))
     first, second = (real[part] for part in np.array_split(order, 2))
     real_density, real_coverage = density_and_coverage(first, second)
-    record: dict[str, Any] = {
+    return {
         "windows": len(real),
         "density": round(density, 3),
         "coverage": round(coverage, 3),
@@ -102,15 +92,6 @@ def measured(real: Array, rendered: Array, known: Array | None) -> dict[str, Any
         "vendi": round(vendi_score(rendered), 2),
         "real_vendi": round(vendi_score(real), 2),
     }
-    if known is not None:
-        of_rendered, of_real = (cdist(side, known).min(1) for side in (rendered, real))
-        test = ks_2samp(of_rendered, of_real, alternative="greater")
-        record |= {
-            "nearest_learnt_from": round(float(np.median(of_rendered)), 3),
-            "real_nearest_learnt_from": round(float(np.median(of_real)), 3),
-            "copies_p": round(float(test.pvalue), 4),
-        }
-    return record
 
 
 def density_and_coverage(real: Array, made: Array) -> tuple[float, float]:

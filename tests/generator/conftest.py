@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.generator.fits import FittedVehicles, fitted_vehicles
-from skyproof.generator.fitting import Fit
+from skyproof.generator.fits import Fit, FittedVehicles, fitted_vehicles
 from skyproof.generator.prototypes import Prototype, draw_prototypes
 from tests.generator.made_fits import made_fits
 from tests.generator.photographs import Photographs, take_photographs

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from skyproof.generator.fitting import MAP_PX, Fit
+from skyproof.generator.fits import Fit
+from skyproof.generator.maps import MAP_PX
 from skyproof.generator.prototypes import Prototype
 
 

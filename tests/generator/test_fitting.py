@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from skyproof.generator.fits import Fits, fitted_vehicles
-from skyproof.generator.fitting import Fit, Fitter
+from skyproof.generator.fits import Fit, Fits, fitted_vehicles
+from skyproof.generator.fitting import Fitter
 from skyproof.generator.maps import MAP_PX, whole
 from skyproof.generator.photographed import Photographed, photographed_vehicles
 from skyproof.generator.prototypes import Prototype

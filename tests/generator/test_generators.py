@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.generator.adversarial import AdversarialGenerator, learn_adversarially
+from skyproof.generator.adversarial import AdversarialGenerator
+from skyproof.generator.adversarial_training import learn_adversarially
 from skyproof.generator.fits import FittedVehicles
 from skyproof.generator.fleet import sample_learnt_fleet
 from skyproof.generator.folder import load_generator, save_generator
@@ -151,7 +152,7 @@ def test_a_stopped_training_ends_at_the_same_numbers(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("skyproof.generator.adversarial._CHECKPOINT_EVERY", 2)
+    monkeypatch.setattr("skyproof.generator.adversarial_training._CHECKPOINT_EVERY", 2)
     rows: list[dict[str, object]] = []
 
     class Stopped(Exception):

@@ -62,7 +62,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_a_stopped_run_ends_at_the_same_bytes(
     photographs: Photographs, layered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("learning", "adversarial"):
+    for module in ("learning", "adversarial_training"):
         monkeypatch.setattr(f"skyproof.generator.{module}._CHECKPOINT_EVERY", 2)
     settings = replace(SETTINGS, method="gan")
     seen: list[tuple[str, int]] = []

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from learnt_vehicles import LearntVehicles, density_and_coverage, measured, vendi_score
+from learnt_vehicles import LearntVehicles, density_and_coverage, vendi_score
 
 
 def features(count, seed, dimensions=8):
@@ -39,20 +39,12 @@ def test_the_vendi_score_counts_kinds():
     assert vendi_score(uneven) == pytest.approx(np.exp(-0.9 * np.log(0.9) - 0.1 * np.log(0.1)))
 
 
-def test_copies_are_told_from_others_of_their_kind():
-    known, real = features(100, 0), features(100, 1)
-    copies = known + 0.05 * features(100, 2)
-    assert measured(real, copies, known)["copies_p"] < 0.001
-    assert measured(real, features(100, 3), known)["copies_p"] > 0.05
-
-
 def test_the_tool_writes_what_it_found(world):
     tool = LearntVehicles(
         world / "tiles",
         world / "cleared",
         (world / "first", world / "second"),
         world / "fleets.json",
-        (world / "tiles", world / "cleared", world / "first"),
     )
     record = tool.run()
     assert json.loads((world / "fleets.json").read_text()) == record
@@ -61,6 +53,3 @@ def test_the_tool_writes_what_it_found(world):
         # Red rectangles are all alike, and no catalogue paint looks like them.
         assert row["coverage"] < 0.5 < row["real_coverage"]
         assert row["vendi"] > row["real_vendi"]
-        # They are the very ones, seen in windows that lie a little elsewhere.
-        assert row["real_nearest_learnt_from"] < 0.5 * row["nearest_learnt_from"]
-        assert row["copies_p"] > 0.5

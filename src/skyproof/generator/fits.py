@@ -1,4 +1,4 @@
-"""Many fits: stored row by row, good ones told from bad, and put together for a generator."""
+"""Fits of vehicles: stored row by row, good ones told from bad, put together for a generator."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.generator.fitting import Fit
 from skyproof.generator.maps import MAP_PX
 from skyproof.generator.prototypes import Prototype
 from skyproof.vehicles.bodies import BodyDimensions
 
-__all__ = ["Fits", "FittedVehicles", "fitted_vehicles"]
+__all__ = ["Fit", "Fits", "FittedVehicles", "fitted_vehicles"]
 
 LARGEST_MISFIT = 0.05
 """Mean difference in sRGB from which on a fit is dropped: what stands there is no such vehicle, or
@@ -32,6 +31,39 @@ _ALONG = {
     "deck_length",
 }
 _ACROSS = {"width", "tumblehome"}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a photographed vehicle was found to be.
+
+    Attributes:
+        id: of the photographed vehicle.
+        prototype: number of the body it was fitted with.
+        reversed: whether the nose points against the heading that was given.
+        shift_m: along and across the vehicle, from the place that was given.
+        turn_rad: from the heading that was given.
+        stretch: factors of the body's length and width.
+        paint, glass: sRGB.
+        detail: what the left half of the map, mirrored, has on top of the coloured layers, sRGB.
+        seen: how much each of its texels changes the picture, in parts of the most.
+        misfit: mean difference of the two pictures in sRGB, where the vehicle is shown.
+        runner_up: misfit of the best candidate with the nose at the other end, less that of the
+            chosen one, both before the texture was fitted.
+    """
+
+    id: str
+    prototype: int
+    reversed: bool
+    shift_m: tuple[float, float]
+    turn_rad: float
+    stretch: tuple[float, float]
+    paint: Float[Tensor, " 3"]
+    glass: Float[Tensor, " 3"]
+    detail: Float[Tensor, "3 64 32"]
+    seen: Float[Tensor, "64 32"]
+    misfit: float
+    runner_up: float
 
 
 class Fits:

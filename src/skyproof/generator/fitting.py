@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skyproof.generator.fits import Fit
 from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Layers, Prototype
@@ -26,7 +27,7 @@ from skyproof.vehicles.painting import GLASS_SRGB
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import Template, VehicleBatch
 
-__all__ = ["Fit", "Fitter"]
+__all__ = ["Fitter"]
 
 _TEXTURE_PX = 128
 _SUPERSAMPLING = 3
@@ -43,39 +44,6 @@ _SMOOTHNESS_WEIGHT = 0.02
 _LARGE_ERROR = 0.03
 _RATES = {"shift": 0.03, "turn": 0.012, "stretch": 0.008, "paint": 0.04, "glass": 0.02}
 _DETAIL_RATE = 0.015
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What a photographed vehicle was found to be.
-
-    Attributes:
-        id: of the photographed vehicle.
-        prototype: number of the body it was fitted with.
-        reversed: whether the nose points against the heading that was given.
-        shift_m: along and across the vehicle, from the place that was given.
-        turn_rad: from the heading that was given.
-        stretch: factors of the body's length and width.
-        paint, glass: sRGB.
-        detail: what the left half of the map, mirrored, has on top of the coloured layers, sRGB.
-        seen: how much each of its texels changes the picture, in parts of the most.
-        misfit: mean difference of the two pictures in sRGB, where the vehicle is shown.
-        runner_up: misfit of the best candidate with the nose at the other end, less that of the
-            chosen one, both before the texture was fitted.
-    """
-
-    id: str
-    prototype: int
-    reversed: bool
-    shift_m: tuple[float, float]
-    turn_rad: float
-    stretch: tuple[float, float]
-    paint: Float[Tensor, " 3"]
-    glass: Float[Tensor, " 3"]
-    detail: Float[Tensor, "3 64 32"]
-    seen: Float[Tensor, "64 32"]
-    misfit: float
-    runner_up: float
 
 
 class _Candidates(nn.Module):

@@ -13,9 +13,10 @@ from typing import Any
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import alone, file_digest
-from skyproof.generator.adversarial import AdversarialGenerator, learn_adversarially
-from skyproof.generator.fits import LARGEST_MISFIT, Fits, fitted_vehicles
-from skyproof.generator.fitting import Fit, Fitter
+from skyproof.generator.adversarial import AdversarialGenerator
+from skyproof.generator.adversarial_training import learn_adversarially
+from skyproof.generator.fits import LARGEST_MISFIT, Fit, Fits, fitted_vehicles
+from skyproof.generator.fitting import Fitter
 from skyproof.generator.folder import read_generator_record, save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.photographed import Photographed, photographed_vehicles

@@ -12,8 +12,8 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from skyproof.files import write_beside
-from skyproof.generator.fits import LARGEST_MISFIT
-from skyproof.generator.fitting import Fit, Fitter
+from skyproof.generator.fits import LARGEST_MISFIT, Fit
+from skyproof.generator.fitting import Fitter
 from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
 from skyproof.generator.maps import unfolded, whole
 from skyproof.generator.photographed import Photographed, shown_pixels

@@ -1,0 +1,193 @@
+"""Trains the network of `adversarial.py` against a discriminator, on maps of fitted vehicles."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.utils.parametrizations import spectral_norm
+
+from skyproof.generator.adversarial import LATENT, PARTS, AdversarialGenerator, Network
+from skyproof.generator.fits import FittedVehicles
+from skyproof.generator.maps import MAP_PX, half_grid, whole
+from skyproof.generator.settings import AdversarialSettings
+from skyproof.generator.sheets import write_preview
+from skyproof.loop import Loop
+from skyproof.randomness import generator_of
+
+__all__ = ["learn_adversarially"]
+
+_EMA = 0.998
+_CHECKPOINT_EVERY = 100
+_LEAST_SPREAD_M = 0.01
+# Maps are moved along the vehicle by so many texels at most, real and made ones alike: with some
+# hundred vehicles the discriminator would know them by heart.
+_JITTER = 2
+
+
+class _Discriminator(nn.Module):
+    """Tells made maps from fitted ones, patch by patch; it sees whole maps, closed around u."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        channels = [3 + PARTS + 3 + 1 + 2, 48, 96, 128]
+        self.layers = nn.ModuleList(
+            spectral_norm(nn.Conv2d(before, after, 4, stride=2))
+            for before, after in pairwise(channels)
+        )
+        self.last = spectral_norm(nn.Conv2d(channels[-1], 1, 3))
+
+    def forward(self, maps: Float[Tensor, "N C 64 64"]) -> Tensor:
+        for layer in self.layers:
+            maps = F.leaky_relu(layer(_closed(maps)), 0.2)
+        return self.last(_closed(maps))
+
+
+def _closed(maps: Tensor) -> Tensor:
+    """Pads whole maps: around u they are closed, nose and tail are held."""
+    around = torch.cat((maps[..., -1:], maps, maps[..., :1]), dim=-1)
+    return F.pad(around, (0, 0, 1, 1), mode="replicate")
+
+
+@dataclass(frozen=True)
+class _Real:
+    """What the discriminator sees of fitted vehicles."""
+
+    albedo: Tensor
+    parts: Tensor
+    moved: Tensor
+    seen: Tensor
+
+
+def _judged(albedo: Tensor, parts: Tensor, moved: Tensor, seen: Tensor, shift: int) -> Tensor:
+    """Puts maps together as the discriminator sees them: texels that nobody saw have no colour."""
+    half = torch.cat((albedo * seen, parts, moved, seen), dim=1)
+    maps = whole(half)
+    if shift:
+        maps = F.pad(maps, (0, 0, _JITTER, _JITTER), mode="replicate")
+        maps = maps[:, :, _JITTER + shift : _JITTER + shift + MAP_PX]
+    along = torch.linspace(-1, 1, MAP_PX)[:, None].expand(MAP_PX, MAP_PX)
+    around = torch.cos(torch.linspace(0, 2 * torch.pi, MAP_PX + 1)[:-1]).expand(MAP_PX, MAP_PX)
+    places = torch.stack((along, around)).expand(len(maps), 2, MAP_PX, MAP_PX)
+    return torch.cat((maps, places), dim=1)
+
+
+def learn_adversarially(
+    vehicles: FittedVehicles,
+    settings: AdversarialSettings,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    on_step: Callable[[dict[str, Any]], None] | None = None,
+) -> AdversarialGenerator:
+    """Trains the network; a stopped training goes on from its last checkpoint.
+
+    Args:
+        vehicles: fitted ones.
+        settings: steps, batch and learning rate.
+        folder: gets `steps.jsonl`, `previews/` and checkpoints.
+        seed: decides weights and draws.
+        on_step: called with each row of `steps.jsonl`.
+    """
+    grids = half_grid(vehicles.vertices)
+    mean = grids.mean(0, keepdim=True)
+    spread = grids.std(0, correction=0, keepdim=True).clamp(min=_LEAST_SPREAD_M)
+    moved = F.interpolate(
+        (grids - mean) / spread, size=(MAP_PX, MAP_PX // 2), mode="bilinear", align_corners=True
+    )
+    # What is seen a little counts almost fully: the measure is one of light, not of knowledge.
+    seen = (vehicles.seen / 0.1).clamp(max=1.0)[:, None]
+    real = _Real(vehicles.albedo, vehicles.parts, moved, seen)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator_of(seed, "gan"))))
+        network, judge = Network(mean, spread), _Discriminator()
+    average = copy.deepcopy(network)
+    rate = settings.learning_rate
+    optimisers = (
+        torch.optim.Adam(network.parameters(), lr=rate, betas=(0.0, 0.9)),
+        torch.optim.Adam(judge.parameters(), lr=4 * rate, betas=(0.0, 0.9)),
+    )
+    loop = Loop(
+        Path(folder),
+        {"settings": asdict(settings), "seed": seed, "vehicles": _digest(vehicles)},
+        settings.steps,
+        _CHECKPOINT_EVERY,
+        {
+            "network": network,
+            "judge": judge,
+            "average": average,
+            "optimiser": optimisers[0],
+            "judge_optimiser": optimisers[1],
+        },
+        other="a generator of other vehicles, or with other settings",
+        remedy=f"remove {folder} and learn again",
+        on_row=on_step,
+    )
+    loop.resume()
+    for step in loop:
+        generator = generator_of(seed, "step", step)
+        losses = _step(network, judge, optimisers, real, settings.batch_size, generator)
+        with torch.no_grad():
+            for kept, current in zip(average.parameters(), network.parameters(), strict=True):
+                kept.lerp_(current, 1 - _EMA)
+        loop.report({"step": step, **losses})
+        if step % settings.preview_every == 0:
+            preview = Path(folder) / "previews" / f"{step:06d}.png"
+            write_preview(preview, AdversarialGenerator(average), seed)
+    return AdversarialGenerator(average)
+
+
+def _digest(vehicles: FittedVehicles) -> str:
+    numbers = torch.cat([vehicles.albedo.flatten(), vehicles.vertices.flatten()])
+    return hashlib.sha256(numbers.numpy().tobytes()).hexdigest()
+
+
+def _step(
+    network: Network,
+    judge: _Discriminator,
+    optimisers: tuple[torch.optim.Optimizer, torch.optim.Optimizer],
+    real: _Real,
+    count: int,
+    generator: torch.Generator,
+) -> dict[str, float]:
+    """One step of the discriminator, and one of the generator; hinge losses."""
+
+    def draw() -> Tensor:
+        return torch.randint(len(real.albedo), (count,), generator=generator)
+
+    def shift() -> int:
+        return int(torch.randint(-_JITTER, _JITTER + 1, (), generator=generator))
+
+    def made() -> tuple[Tensor, Tensor, Tensor]:
+        maps: tuple[Tensor, Tensor, Tensor] = network(
+            torch.randn(count, LATENT, generator=generator)
+        )
+        return maps
+
+    rows, others = draw(), draw()
+    with torch.no_grad():
+        fakes = made()
+    fitted = _judged(
+        real.albedo[rows], real.parts[rows], real.moved[rows], real.seen[rows], shift()
+    )
+    on_real = judge(fitted)
+    on_fake = judge(_judged(*fakes, real.seen[others], shift()))
+    judge_loss = F.relu(1 - on_real).mean() + F.relu(1 + on_fake).mean()
+    optimisers[1].zero_grad()
+    judge_loss.backward()
+    optimisers[1].step()
+
+    loss = -judge(_judged(*made(), real.seen[draw()], shift())).mean()
+    optimisers[0].zero_grad()
+    loss.backward()
+    optimisers[0].step()
+    return {"loss": float(loss.detach()), "judge_loss": float(judge_loss.detach())}
