@@ -189,14 +189,16 @@ def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(
 
 
 def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(ground, tmp_path):
-    lights_of = several_sources(ground, tmp_path, ("sunny",), overcast=("a", "b", "c", "few"))
+    lights_of = several_sources(ground, tmp_path, ("one", "two"), overcast=("a", "b", "c", "few"))
 
     def sky_of_few(*others):
         return lights_of("few", *others)["few-0"].sky
 
     assert sky_of_few("a", "b", "c") == OVERCAST_SKY
     assert sky_of_few("a", "b") != OVERCAST_SKY, "two others are too few"
-    assert sky_of_few("a", "b", "c", "sunny") != OVERCAST_SKY, "the sun shone over one of them"
+    assert sky_of_few("a", "b", "c", "one") == OVERCAST_SKY, "a sun against three may be feigned"
+    assert sky_of_few("a", "b", "c", "one", "two") != OVERCAST_SKY
+    assert lights_of("a", "b", "c", "few", "one")["one-0"].sun is not None
 
 
 def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):

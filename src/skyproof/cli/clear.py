@@ -151,8 +151,8 @@ def say_light(record: dict[str, Any]) -> None:
     if overcast:
         say(
             f"Overcast: over {len(overcast)} of {photographs} sources vehicles cast no shadow (or "
-            "too few stand to tell, and all others are overcast), so they will be drawn in the "
-            "sky's light alone."
+            "too few stand to tell, and nearly all others are overcast), so they will be drawn in "
+            "the sky's light alone."
         )
     unknown = photographs - len(sunny) - len(overcast)
     if unknown:

@@ -131,7 +131,8 @@ def measured_lights(
     White and black are those of the ground without vehicles. What is known stays: the light of
     drawn ground, and a sun of a date and time. Where vehicles cast no shadow, all light is the
     sky's. Where theirs do not tell the sun, it is that of the set's other photographs, if these
-    agree (`shared_sun`); and the sky is overcast if at least three others are, and none has a sun.
+    agree (`shared_sun`); and the sky is overcast if at least three others are, and three for each
+    that has a sun: of a flight under clouds, vehicles that stand alike may feign one.
 
     Args:
         backgrounds: the set with the tiles, vehicles still on them.
@@ -149,13 +150,11 @@ def measured_lights(
     }
     suns = [light.sun for light in of_its_own.values() if light.sun is not None]
     overcast = sum(light.sky == OVERCAST_SKY for light in of_its_own.values())
-    under_clouds = overcast >= FEWEST_TO_SHARE and not suns
+    under_clouds = overcast >= FEWEST_TO_SHARE * max(1, len(suns))
     shared = shared_sun(suns)
     for picture, light in of_its_own.items():
-        if under_clouds:
-            light = replace(light, sky=OVERCAST_SKY)
-        elif light.sun is None and light.sky != OVERCAST_SKY:
-            light = replace(light, sun=shared)
+        if light.sun is None and light.sky != OVERCAST_SKY:
+            light = replace(light, sky=OVERCAST_SKY) if under_clouds else replace(light, sun=shared)
         lights.update({tile.id: light for tile in of_picture[picture]})
     return lights
 
