@@ -160,7 +160,13 @@ def several_sources(ground, folder, sunny, *, overcast):
     for source in (*sunny, *overcast):
         for number, own in enumerate(vehicles[: 1 if source == "few" else None]):
             name = f"{source}-{number}"
-            tile = BackgroundTile(name, f"{name}.png", "train", SIDE_PX, SIDE_PX, source)
+            # Where it stood behind the clouds says nothing of the others' sun.
+            light = (
+                Light(sun=SunEstimate(1.0, 0.5)) if source == "a" and source in overcast else None
+            )
+            tile = BackgroundTile(
+                name, f"{name}.png", "train", SIDE_PX, SIDE_PX, source, light=light
+            )
             save_tile(folder, tile, (plain if source in overcast else images)[number])
             tiles.append(tile)
             vehicles_of[name] = own[:2] if source == "few" else own

@@ -148,9 +148,13 @@ def measured_lights(
         picture: _light_by_vehicles(backgrounds, own, vehicles)
         for picture, own in of_picture.items()
     }
-    suns = [light.sun for light in of_its_own.values() if light.sun is not None]
-    overcast = sum(light.sky == OVERCAST_SKY for light in of_its_own.values())
-    under_clouds = overcast >= FEWEST_TO_SHARE * max(1, len(suns))
+    overcast = [light for light in of_its_own.values() if light.sky == OVERCAST_SKY]
+    suns = [
+        light.sun
+        for light in of_its_own.values()
+        if light.sun is not None and light.sky != OVERCAST_SKY
+    ]
+    under_clouds = len(overcast) >= FEWEST_TO_SHARE * max(1, len(suns))
     shared = shared_sun(suns)
     for picture, light in of_its_own.items():
         if light.sun is None and light.sky != OVERCAST_SKY:
