@@ -29,6 +29,7 @@ import tyro
 from numpy.typing import NDArray
 from reality_gap import TRIALS, photographed_sets, rendered_sets, train_detector
 
+from skyproof.cli.device import choose_device
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.inference import detect_all
@@ -139,6 +140,8 @@ class LearntTraining:
             load_detector(self._folder(arm, images, seed) / "retinanet")
             for seed in range(self.seeds)
         ]
+        for judge in judges:
+            judge.detector.to(choose_device("auto"))
         tables = [
             match_images(detect_all(judge.detector, frames), frames, criterion="centre_1m")
             for judge in judges

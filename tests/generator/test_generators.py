@@ -23,6 +23,10 @@ from skyproof.vehicles.fleet import Fleet, FleetSettings
 from skyproof.vehicles.settings import PaintVariety
 from skyproof.vehicles.vehicle import Part
 
+ON_GPU = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
+]
 SHORT = AdversarialSettings(steps=6, batch_size=4)
 
 
@@ -171,10 +175,14 @@ def test_a_stopped_training_ends_at_the_same_numbers(
         assert torch.equal(value, expected[name]), name
 
 
-def test_training_changes_what_is_made(fitted: FittedVehicles, tmp_path: Path) -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=ON_GPU)])
+def test_training_changes_what_is_made(device: str, fitted: FittedVehicles, tmp_path: Path) -> None:
     rows: list[dict[str, float]] = []
-    settings = AdversarialSettings(steps=30, batch_size=8)
-    learn_adversarially(fitted, settings, tmp_path / "gan", on_step=rows.append)
+    settings = AdversarialSettings(steps=30, batch_size=8, preview_every=15)
+    made = learn_adversarially(
+        fitted, settings, tmp_path / "gan", device=device, on_step=rows.append
+    )
+    assert made.sample(torch.Generator().manual_seed(0)).texture.device.type == "cpu"
     # The discriminator begins at 2, where it cannot tell; it learns to.
     assert sum(row["judge_loss"] for row in rows[-5:]) / 5 < 1.7
 

@@ -29,6 +29,7 @@ class LearnVehicles:
             every camera or day.
         out: folder to write: the generator, sheets of all fits and of samples.
         settings: how they are fitted, and by which method one learns from them.
+        device: auto, cpu or cuda; where the network of "gan" is trained. All else works on the CPU.
     """
 
     imagery: Annotated[
@@ -38,9 +39,11 @@ class LearnVehicles:
     ]
     out: Path
     settings: LearnSettings = field(default_factory=LearnSettings)
+    device: str = "auto"
 
     def run(self) -> None:
         """Learns the generator, and says what it learnt from."""
+        from skyproof.cli.device import choose_device
         from skyproof.generator.learning import Imagery, learn_vehicles
         from skyproof.scenes.backgrounds import BackgroundSet
 
@@ -62,6 +65,7 @@ class LearnVehicles:
                 imagery,
                 self.settings,
                 self.out,
+                device=choose_device(self.device),
                 progress=progress,
             )
         self._say_record(record)

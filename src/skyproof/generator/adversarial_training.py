@@ -78,7 +78,7 @@ def _judged(albedo: Tensor, parts: Tensor, moved: Tensor, seen: Tensor, shift: i
     along = torch.linspace(-1, 1, MAP_PX)[:, None].expand(MAP_PX, MAP_PX)
     around = torch.cos(torch.linspace(0, 2 * torch.pi, MAP_PX + 1)[:-1]).expand(MAP_PX, MAP_PX)
     places = torch.stack((along, around)).expand(len(maps), 2, MAP_PX, MAP_PX)
-    return torch.cat((maps, places), dim=1)
+    return torch.cat((maps, places.to(maps.device)), dim=1)
 
 
 def learn_adversarially(
@@ -87,6 +87,7 @@ def learn_adversarially(
     folder: str | Path,
     *,
     seed: int = 0,
+    device: torch.device | str = "cpu",
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> AdversarialGenerator:
     """Trains the network; a stopped training goes on from its last checkpoint.
@@ -96,6 +97,7 @@ def learn_adversarially(
         settings: steps, batch and learning rate.
         folder: gets `steps.jsonl`, `previews/` and checkpoints.
         seed: decides weights and draws.
+        device: where the networks are trained.
         on_step: called with each row of `steps.jsonl`.
     """
     grids = half_grid(vehicles.vertices)
@@ -106,10 +108,11 @@ def learn_adversarially(
     )
     # What is seen a little counts almost fully: the measure is one of light, not of knowledge.
     seen = (vehicles.seen / 0.1).clamp(max=1.0)[:, None]
-    real = _Real(vehicles.albedo, vehicles.parts, moved, seen)
+    shown = (vehicles.albedo, vehicles.parts, moved, seen)
+    real = _Real(*(maps.to(device) for maps in shown))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**62, (), generator=generator_of(seed, "gan"))))
-        network, judge = Network(mean, spread), _Discriminator()
+        network, judge = Network(mean, spread).to(device), _Discriminator().to(device)
     average = copy.deepcopy(network)
     rate = settings.learning_rate
     optimisers = (
@@ -142,8 +145,8 @@ def learn_adversarially(
         loop.report({"step": step, **losses})
         if step % settings.preview_every == 0:
             preview = Path(folder) / "previews" / f"{step:06d}.png"
-            write_preview(preview, AdversarialGenerator(average), seed)
-    return AdversarialGenerator(average)
+            write_preview(preview, AdversarialGenerator(copy.deepcopy(average).cpu()), seed)
+    return AdversarialGenerator(average.cpu())
 
 
 def _digest(vehicles: FittedVehicles) -> str:
@@ -168,9 +171,8 @@ def _step(
         return int(torch.randint(-_JITTER, _JITTER + 1, (), generator=generator))
 
     def made() -> tuple[Tensor, Tensor, Tensor]:
-        maps: tuple[Tensor, Tensor, Tensor] = network(
-            torch.randn(count, LATENT, generator=generator)
-        )
+        latent = torch.randn(count, LATENT, generator=generator)
+        maps: tuple[Tensor, Tensor, Tensor] = network(latent.to(real.albedo.device))
         return maps
 
     rows, others = draw(), draw()

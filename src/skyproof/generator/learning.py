@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import alone, file_digest
 from skyproof.generator.adversarial import AdversarialGenerator
@@ -58,6 +60,7 @@ def learn_vehicles(
     folder: Path,
     *,
     least: int = LEAST_VEHICLES,
+    device: torch.device | str = "cpu",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Learns a generator of vehicles from photographs.
@@ -71,6 +74,7 @@ def learn_vehicles(
         folder: gets the generator (see `load_generator`), `fits/` with sheets of all fits, and
             sheets of samples (see `write_sample_sheets`).
         least: fewer vehicles than this, found or fitted well, are refused.
+        device: where the network of "gan" is trained; all else works on the CPU.
         progress: called with ("fit" or "learn", done, in all).
 
     Returns:
@@ -117,7 +121,12 @@ def learn_vehicles(
                     progress("learn", row["step"], settings.gan.steps)
 
             generator = learn_adversarially(
-                learnt_from, settings.gan, folder / "gan", seed=settings.seed, on_step=report
+                learnt_from,
+                settings.gan,
+                folder / "gan",
+                seed=settings.seed,
+                device=device,
+                on_step=report,
             )
         record = {
             **_record(settings, imagery, vehicles, kept, left_out, prototypes),
