@@ -36,11 +36,10 @@ from scipy.spatial.distance import cdist
 
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
-from skyproof.generator.fits import LARGEST_MISFIT, Fit, Fits, fitted_vehicles
+from skyproof.generator.fits import LARGEST_MISFIT, Fit, Fits, fitted_texture, fitted_vehicles
 from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
 from skyproof.generator.folder import load_generator
-from skyproof.generator.maps import unfolded
-from skyproof.generator.prototypes import Prototype, draw_prototypes
+from skyproof.generator.prototypes import draw_prototypes
 from skyproof.generator.sample import Sample
 from skyproof.geometry.colour import srgb_to_cielab
 from skyproof.loop import CHECKPOINT
@@ -48,7 +47,6 @@ from skyproof.render.portrait import close_up
 from skyproof.storage import read_tensors
 from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
-from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 Array = NDArray[np.float64]
 
@@ -132,11 +130,15 @@ def stored_vehicles(folder: Path) -> tuple[Fleet, list[Fit]]:
     fits = Fits(identity["vehicles"])
     fits.load_state_dict({name.partition("/")[2]: values for name, values in tensors.items()})
     kept = [fit for fit in map(fits.fit, range(len(fits))) if fit.misfit <= LARGEST_MISFIT]
+    bodies = [prototypes[fit.prototype] for fit in kept]
+    textures = [
+        (fitted_texture(fit, body) * 255).round().to(torch.uint8)
+        for fit, body in zip(kept, bodies, strict=True)
+    ]
     vertices = fitted_vehicles(kept, prototypes).vertices
     samples = [
-        Sample(prototype.body_type, body, _texture(fit, prototype), prototype.parts)
-        for fit, body in zip(kept, vertices, strict=True)
-        for prototype in [prototypes[fit.prototype]]
+        Sample(body.body_type, surface, texture, body.parts)
+        for body, surface, texture in zip(bodies, vertices, textures, strict=True)
     ]
     return fleet_of(samples, "fit"), kept
 
@@ -205,12 +207,6 @@ def _nearer(
         draws.append(nearer_share(again, np.concatenate([members[index] for index in chosen])))
     low, high = np.quantile(draws, [0.025, 0.975])
     return nearer_share(near, far), float(low), float(high)
-
-
-def _texture(fit: Fit, prototype: Prototype) -> torch.Tensor:
-    detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
-    texture = prototype.layers.coloured(fit.paint, fit.glass) + detail
-    return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
 def _in_other_colours(fleet: Fleet, generator: torch.Generator) -> Fleet:

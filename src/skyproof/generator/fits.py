@@ -11,11 +11,12 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.generator.maps import MAP_PX
+from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.prototypes import Prototype
 from skyproof.vehicles.bodies import BodyDimensions
+from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["Fit", "Fits", "FittedVehicles", "fitted_vehicles"]
+__all__ = ["Fit", "Fits", "FittedVehicles", "fitted_texture", "fitted_vehicles"]
 
 LARGEST_MISFIT = 0.05
 """Mean difference in sRGB from which on a fit is dropped: what stands there is no such vehicle, or
@@ -180,6 +181,17 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
         torch.stack(parts),
         torch.stack(vertices),
     )
+
+
+def fitted_texture(fit: Fit, prototype: Prototype) -> Float[Tensor, "3 512 512"]:
+    """Gives the texture that a vehicle was fitted with, sRGB in [0, 1].
+
+    Args:
+        fit: of the vehicle.
+        prototype: the body that it was fitted with.
+    """
+    detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
+    return (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
 
 
 def stretched(dimensions: BodyDimensions, along: float, across: float) -> BodyDimensions:

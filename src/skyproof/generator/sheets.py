@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from skyproof.files import write_beside
-from skyproof.generator.fits import LARGEST_MISFIT, Fit
+from skyproof.generator.fits import LARGEST_MISFIT, Fit, fitted_texture
 from skyproof.generator.fitting import Fitter
 from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
-from skyproof.generator.maps import unfolded, whole
+from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
 from skyproof.generator.sample import VehicleGenerator
@@ -23,7 +23,7 @@ from skyproof.randomness import generator_of
 from skyproof.render.portrait import close_up
 from skyproof.render.turntable import PART_COLOURS
 from skyproof.vehicles.fleet import Fleet, FleetSettings
-from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
+from skyproof.vehicles.vehicle import VehicleBatch
 
 __all__ = ["fleet_sheet", "write_fit_sheets", "write_preview", "write_sample_sheets"]
 
@@ -150,14 +150,12 @@ def _fit_row(
     prototype = prototypes[fit.prototype]
     photograph, rendered = fitter.pictures(vehicle, fit)
     shown = shown_pixels(vehicle).float()
-    detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
-    texture = (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
     pictures = [
         _cell(photograph),
         _cell(rendered),
         _cell((_GREY + 2 * (rendered - photograph) * shown).clamp(0.0, 1.0)),
         _cell(photograph * shown + _GREY * (1 - shown)),
-        _cell(texture),
+        _cell(fitted_texture(fit, prototype)),
         _parts(prototype.parts),
         _cell(whole(fit.seen).expand(3, -1, -1)),
     ]

@@ -148,13 +148,13 @@ def measured_lights(
         picture: _light_by_vehicles(backgrounds, own, vehicles)
         for picture, own in of_picture.items()
     }
-    overcast = [light for light in of_its_own.values() if light.sky == OVERCAST_SKY]
+    overcast = sum(light.sky == OVERCAST_SKY for light in of_its_own.values())
     suns = [
         light.sun
         for light in of_its_own.values()
         if light.sun is not None and light.sky != OVERCAST_SKY
     ]
-    under_clouds = len(overcast) >= FEWEST_TO_SHARE * max(1, len(suns))
+    under_clouds = overcast >= FEWEST_TO_SHARE * max(1, len(suns))
     shared = shared_sun(suns)
     for picture, light in of_its_own.items():
         if light.sun is None and light.sky != OVERCAST_SKY:
