@@ -44,7 +44,6 @@ from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.results.clean import CleanSet, check_clean
-from skyproof.results.pairs.outcomes import MATCHES
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
 from skyproof.scenes.sampling import sample_scenes
@@ -253,7 +252,8 @@ def check_detector(
     judge: LoadedDetector[Detector], frames: CleanSet, found: Sequence[Detections]
 ) -> dict[str, Any]:
     """Gives the check of a detector on photographs, as plain JSON values."""
-    centre, overlap = (match_images(found, frames.images, criterion=match) for match in MATCHES)
+    centre = match_images(found, frames.images, criterion="centre_1m")
+    overlap = match_images(found, frames.images, criterion="iou_50")
     return check_clean(judge, frames, centre, overlap, generator=np.random.default_rng(0)).json()
 
 

@@ -26,7 +26,7 @@ KEYS = {
 
 def test_run_folder_holds_results_and_report(finished: Path) -> None:
     rows = json.loads((finished / "results.json").read_text())["rows"]
-    assert {row["match"] for row in rows} == {"centre_1m", "iou_50"}
+    assert {row["match"] for row in rows} == {"centre_1m", "iou_50", "centre_in_box"}
     learnt = {"T-U", "R-U", "T-PixFcMa", "R-PixFcMa"}
     assert {row["camouflage"] for row in rows} == {*learnt, *CHOSEN}
     for row in rows:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import pytest
 import torch
 
-from skyproof.detectors.matching import match_detections
+from skyproof.detectors.matching import Criterion, match_detections
 from skyproof.errors import ConfigurationError
+from skyproof.results.pairs.outcomes import MATCHES
 
 
 def at(*centres: tuple[float, float], half: float = 5.0) -> torch.Tensor:
@@ -58,6 +61,27 @@ def test_iou_of_exactly_one_half_matches() -> None:
     assert matches.truth_of_detection.tolist() == [-1]
 
 
+def test_half_a_vehicle_finds_it_by_the_lenient_rule_alone() -> None:
+    vehicle = torch.tensor([[40.0, 40, 76, 54]])
+    half, beyond = torch.tensor([[58.0, 40, 76, 54]]), torch.tensor([[70.0, 40, 90, 54]])
+    for boxes, rule, expected in (
+        (half, "centre_1m", -1),
+        (half, "centre_in_box", 0),
+        (beyond, "centre_in_box", -1),
+    ):
+        matches = match_detections(boxes, torch.tensor([0.9]), vehicle, criterion=rule, gsd_m=0.125)
+        assert matches.truth_of_detection.tolist() == [expected]
+    # A centre within 1 m counts by it even where little of the vehicle is in sight.
+    matches = match_detections(
+        at((54, 50)), torch.ones(1), at((50, 50), half=2), criterion="centre_in_box", gsd_m=0.125
+    )
+    assert matches.truth_of_detection.tolist() == [0]
+
+
+def test_results_name_the_rules_of_the_matcher() -> None:
+    assert get_args(Criterion) == MATCHES
+
+
 def test_ignore_regions_take_only_what_is_unmatched() -> None:
     ignore = torch.tensor([[0.0, 0, 60, 60]])
     matches = match_detections(
@@ -92,12 +116,15 @@ def brute_force(boxes: list, scores: list, truth: list, criterion: str, gsd_m: f
         best, best_quality = -1, None
         for other in sorted(free):
             a, b = boxes[index], truth[other]
-            if criterion == "centre_1m":
-                dx, dy = (a[0] + a[2] - b[0] - b[2]) / 2, (a[1] + a[3] - b[1] - b[3]) / 2
+            if criterion != "iou_50":
+                x, y = (a[0] + a[2]) / 2, (a[1] + a[3]) / 2
+                dx, dy = x - (b[0] + b[2]) / 2, y - (b[1] + b[3]) / 2
                 quality, enough = (
                     -((dx * dx + dy * dy) ** 0.5),
                     (dx * dx + dy * dy) ** 0.5 * gsd_m <= 1.0,
                 )
+                if criterion == "centre_in_box":
+                    enough = enough or (b[0] <= x < b[2] and b[1] <= y < b[3])
             else:
                 w = max(0.0, min(a[2], b[2]) - max(a[0], b[0]))
                 h = max(0.0, min(a[3], b[3]) - max(a[1], b[1]))
@@ -111,7 +138,7 @@ def brute_force(boxes: list, scores: list, truth: list, criterion: str, gsd_m: f
     return result
 
 
-@pytest.mark.parametrize("criterion", ["centre_1m", "iou_50"])
+@pytest.mark.parametrize("criterion", MATCHES)
 def test_against_brute_force(criterion: str) -> None:
     generator = torch.Generator().manual_seed(0)
     for _ in range(60):

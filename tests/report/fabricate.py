@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from skyproof.files import write_json, write_jsonl
-from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcomes
+from skyproof.results.pairs.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import count_tiles, write_tiles
 from skyproof.results.pictures import choose_scenes
@@ -43,7 +43,7 @@ def fabricate(folder, scenes=40):
                     after = (
                         rng.random() > rate * (0.6 + 0.01 * sun) if before else rng.random() < 0.05
                     )
-                    for match in ("centre_1m", "iou_50"):
+                    for match in MATCHES:
                         outcomes.append(
                             Outcome(
                                 scene=scene,
@@ -95,7 +95,7 @@ def fabricate(folder, scenes=40):
         )
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
-        for match in ("centre_1m", "iou_50")
+        for match in MATCHES
     ]
     write_sets(score / "sets.json", sets)
     write_record(score, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="torch"))
@@ -217,7 +217,7 @@ def fabricate_cycles(folder):
         )
         for camouflage in ("original", *HIDES)
         for d in DETECTORS
-        for match in ("centre_1m", "iou_50")
+        for match in MATCHES
     ]
     write_sets(cycles / "sets.json", sets)
     write_record(cycles, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="cycles"))

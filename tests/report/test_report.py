@@ -247,6 +247,17 @@ def test_an_answer_without_control_or_without_a_rate():
     assert "The success rate is undefined" in only
 
 
+def test_an_answer_tells_the_hidden_from_those_seen_beside_their_place():
+    one = headline(Interval(0.82, 0.74, 0.89))
+    lenient = dataclasses.replace(one.row, match="centre_in_box", easr=Interval(0.04, 0.01, 0.08))
+    said = " ".join(answer(dataclasses.replace(one, lenient=lenient)))
+    assert "it hides 4\u202f% (95\u202f% interval 1 to 8\u202f%): the other 78 points are" in said
+    as_many = dataclasses.replace(lenient, easr=Interval(0.8, 0.7, 0.9))
+    said = " ".join(answer(dataclasses.replace(one, lenient=as_many)))
+    assert "it hides 80\u202f% (95\u202f% interval 70 to 90\u202f%)." in said
+    assert "anywhere in the vehicle" not in " ".join(answer(one))
+
+
 def test_an_answer_says_what_its_intervals_leave_out():
     easr, net = Interval(0.5, 0.4, 0.6, errors={"tiles": 0.05}), Interval(0.3, 0.2, 0.5)
     single = " ".join(answer(headline(easr, net, 0.2)))

@@ -18,7 +18,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.results import scoring
 from skyproof.results.clean import CleanSet
 from skyproof.results.merge import merge_counts
-from skyproof.results.pairs.outcomes import read_outcomes
+from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
 from skyproof.results.pairs.tiles import Series, count_tiles
 from skyproof.results.results import Results
 from skyproof.results.scoring import score_detectors
@@ -242,7 +242,7 @@ def test_every_dataset_is_matched_once_by_each_rule(make_dataset, tmp_path, monk
 
     monkeypatch.setattr(scoring, "match_images", counting)
     score([judging(Brightest(), 0.5)], original, worn, tmp_path / "scores")
-    assert len(matched) == len(set(matched)) == 2 + 2 * len(worn)
+    assert len(matched) == len(set(matched)) == len(MATCHES) * (1 + len(worn))
 
 
 def test_a_score_folder_has_pictures_of_what_is_shown(make_dataset, tmp_path):

@@ -30,7 +30,7 @@ __all__ = [
     "match_images",
 ]
 
-Criterion = Literal["centre_1m", "iou_50"]
+Criterion = Literal["centre_1m", "iou_50", "centre_in_box"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5
 # Detections at a time: more than a detector returns of an image that it sees whole.
@@ -63,7 +63,7 @@ class MatchTable:
     area.
 
     Attributes:
-        criterion: the rule, "centre_1m" or "iou_50".
+        criterion: the rule, as of `match_detections`.
         images: how many images there are.
         scores: `[K]` of the detections that count, best first; equal ones keep their order.
         hits: `[K]` whether each of them found a vehicle.
@@ -120,7 +120,7 @@ def match_images(
         detections: per image, as `Detector.detect` returns them.
         labelled: the same images with their vehicles; only boxes, ignore regions and `gsd_m` are
             read.
-        criterion: "centre_1m" or "iou_50".
+        criterion: the rule, as of `match_detections`.
 
     Raises:
         ConfigurationError: there are not as many detections as images.
@@ -181,13 +181,15 @@ def match_detections(
     """Pairs detections with vehicles one-to-one, greedily by falling score.
 
     Each detection in turn takes the best vehicle still free: the nearest centre within 1.0 m, or
-    the largest IoU of at least 0.5. Equal scores keep their order.
+    the largest IoU of at least 0.5. By the lenient rule it takes the nearest centre of those within
+    1.0 m or in whose box its own lies, so that half a vehicle finds the vehicle. Equal scores keep
+    their order.
 
     Args:
         boxes: detections, pixel xyxy.
         scores: in any order.
         truth: vehicles, pixel xyxy.
-        criterion: "centre_1m" or "iou_50".
+        criterion: "centre_1m", "iou_50" or, leniently, "centre_in_box".
         gsd_m: metres per pixel.
         ignore: regions, pixel xyxy, in which an unmatched detection's centre counts for nothing.
 
@@ -196,8 +198,8 @@ def match_detections(
     """
     if criterion not in get_args(Criterion) or not gsd_m > 0:
         raise ConfigurationError(
-            'Matching expects "centre_1m" or "iou_50" and gsd_m above 0, but got '
-            f'"{criterion}" and {gsd_m}.'
+            f"Matching expects one of {', '.join(get_args(Criterion))} and gsd_m above 0, but got "
+            f"{criterion} and {gsd_m}."
         )
     centres = _centres(boxes)
     # Which pairs are near enough. Large images have thousands of detections and vehicles, so the
@@ -205,14 +207,17 @@ def match_detections(
     pairs: dict[int, list[tuple[float, int]]] = {}
     for start in range(0, len(boxes) if len(truth) else 0, _PART):
         part = slice(start, start + _PART)
-        if criterion == "centre_1m":
-            cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
-            limit = CENTRE_DISTANCE_M
-        else:
+        if criterion == "iou_50":
             cost = -ops.box_iou(boxes[part].double(), truth.double())
             limit = -MATCH_IOU
+        else:
+            cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
+            limit = CENTRE_DISTANCE_M
         # A difference of rounding must not decide at the limit.
-        near = torch.nonzero(cost <= limit + 1e-9)
+        enough = cost <= limit + 1e-9
+        if criterion == "centre_in_box":
+            enough |= _inside(centres[part], truth)
+        near = torch.nonzero(enough)
         costs = cost[near[:, 0], near[:, 1]].tolist()
         for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
             pairs.setdefault(start + detection, []).append((value, vehicle))
@@ -228,10 +233,8 @@ def match_detections(
     # Which of the others lie where nothing is scored.
     ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     if ignore is not None and len(ignore):
-        inside = (centres[:, None] >= ignore[None, :, :2]) & (
-            centres[:, None] < ignore[None, :, 2:]
-        )
-        ignored = inside.all(dim=2).any(dim=1) & (truth_of_detection.to(boxes.device) < 0)
+        unmatched = truth_of_detection.to(boxes.device) < 0
+        ignored = _inside(centres, ignore).any(dim=1) & unmatched
     truth_of_detection = truth_of_detection.to(boxes.device)
     detection_of_truth = detection_of_truth.to(boxes.device)
     found = detection_of_truth >= 0
@@ -264,6 +267,12 @@ def _reaches(scores: Float[np.ndarray, " n"], threshold: float) -> Bool[np.ndarr
     # In the scores' own precision: turned into a Python float, a score can fall on the other
     # side of its own value.
     return np.asarray(scores >= scores.dtype.type(threshold))
+
+
+def _inside(points: Float[Tensor, "K 2"], boxes: Float[Tensor, "m 4"]) -> Bool[Tensor, "K m"]:
+    """Says which points lie in which boxes."""
+    inside = (points[:, None] >= boxes[None, :, :2]) & (points[:, None] < boxes[None, :, 2:])
+    return inside.all(dim=2)
 
 
 def _centres(boxes: Tensor) -> Tensor:

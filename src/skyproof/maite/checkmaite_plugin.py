@@ -5,7 +5,7 @@ This is the one file that imports checkmaite, and nothing of skyproof imports th
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import maite.protocols.object_detection as od
 from checkmaite.core.capability_core import (
@@ -20,6 +20,7 @@ from pydantic import Field
 
 from skyproof.maite.metric import HiddenVehicles
 from skyproof.maite.targets import batches
+from skyproof.results.pairs.outcomes import Match
 
 __all__ = [
     "SkyproofCamouflage",
@@ -43,7 +44,7 @@ class SkyproofCamouflageConfig(CapabilityConfigBase):
     labels: tuple[int, ...] = Field(
         default=(0,), description="The model's classes that are vehicles."
     )
-    match: Literal["centre_1m", "iou_50"] = Field(
+    match: Match = Field(
         default="centre_1m", description="How a detection and a vehicle are paired."
     )
     batch_size: int = Field(default=8, ge=1, description="Images that the model is shown at once.")

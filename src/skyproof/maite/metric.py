@@ -61,7 +61,7 @@ class HiddenVehicles:
             metadata say, as those of `DetectorModel` do.
         labels: of the model's classes that are vehicles, and of the dataset's, if it has several.
         gsd_m: metres per pixel; where not given, what `img_gsd` in the metadata says.
-        match: "centre_1m" or "iou_50", how a detection and a vehicle are paired.
+        match: how a detection and a vehicle are paired, a criterion of `match_detections`.
         batch_size: images that the model is asked about at once.
 
     Attributes:

@@ -15,6 +15,7 @@ from skyproof.words import detector_name, interval, percent, points, renderer_na
 __all__ = ["answer", "worst_case"]
 
 _THIN = "\u202f"
+_WORTH_SAYING = 0.05
 
 
 def answer(headline: Headline) -> list[str]:
@@ -54,7 +55,26 @@ def answer(headline: Headline) -> list[str]:
         sentences.append(
             alike if least == most else f"Detector by detector it is {least} to {most}."
         )
+    if headline.lenient is not None:
+        sentences.append(_leniently(row, headline.lenient))
     return [*sentences, *_beside_controls(row), *left_out(row)]
+
+
+def _leniently(row: Row, lenient: Row) -> str:
+    """Says what is hidden where half a vehicle finds the vehicle: who counts vehicles loses less
+    than who needs their places.
+    """
+    said = (
+        "Where a detection finds a vehicle if its centre lies anywhere in the vehicle’s box, it "
+        f"hides {percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
+    )
+    beside = row.easr.estimate - lenient.easr.estimate
+    if not beside >= _WORTH_SAYING:
+        return f"{said}."
+    return (
+        f"{said}: the other {points(beside).removeprefix('+')} points are vehicles that are still "
+        "seen, but more than 1 m from where they are."
+    )
 
 
 def worst_case(case: WorstCase) -> str:

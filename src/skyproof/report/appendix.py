@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from skyproof.results.results import Results
-from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, Row
 from skyproof.words import renderer_name
 
 __all__ = ["flat_settings", "full_tables"]
@@ -18,6 +18,7 @@ def full_tables(results: Results) -> list[tuple[str, list[Row]]]:
     criteria = {
         MAIN_MATCH: "found = centre within 1.0 m",
         "iou_50": "found = boxes overlap by IoU ≥ 0.5",
+        LENIENT_MATCH: "found = centre within 1.0 m or inside the vehicle’s box",
     }
     tables = []
     for match, meaning in criteria.items():

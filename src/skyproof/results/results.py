@@ -21,7 +21,7 @@ from skyproof.results.pairs.features import Features
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.rows import MAIN_MATCH, MEAN, Headline, Row
+from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, MEAN, Headline, Row
 from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
@@ -215,7 +215,9 @@ class Results:
                 for row in own
                 if (random := self.row(name.control, row.detector, renderer=renderer))
             }
-            found.append(Headline(name, renderer, (mean or single)[0], single + mean, control))
+            row = (mean or single)[0]
+            lenient = self.row(name, row.detector, renderer=renderer, match=LENIENT_MATCH)
+            found.append(Headline(name, renderer, row, single + mean, control, lenient))
         return found
 
     def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:

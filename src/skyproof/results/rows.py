@@ -10,10 +10,11 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["MAIN_MATCH", "MEAN", "Contrast", "Headline", "Row"]
+__all__ = ["LENIENT_MATCH", "MAIN_MATCH", "MEAN", "Contrast", "Headline", "Row"]
 
 MEAN = "mean"
 MAIN_MATCH = "centre_1m"
+LENIENT_MATCH = "centre_in_box"
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,8 @@ class Headline:
         row: the row to quote: the mean over detectors, or the only detector's.
         by_detector: the detectors' rows, then the mean's where there is one.
         control: rows of its random control by detector.
+        lenient: the row to quote, but by the lenient criterion, where half a vehicle finds the
+            vehicle; None where nothing was scored by it.
     """
 
     camouflage: CamouflageName
@@ -171,6 +174,7 @@ class Headline:
     row: Row
     by_detector: Sequence[Row]
     control: Mapping[str, Row]
+    lenient: Row | None = None
 
     @property
     def detectors(self) -> list[str]:

@@ -237,7 +237,7 @@ class _Scored:
 
     def _check(self, judge: Judge, clean: CleanSet, seen: _Seen) -> Check:
         generator = numpy_generator(self.seed)
-        centre, overlap = (seen.matches[match] for match in MATCHES)
+        centre, overlap = seen.matches[MAIN_MATCH], seen.matches["iou_50"]
         return check_clean(judge, clean, centre, overlap, generator=generator)
 
     def _check_rendered(self, judge: Judge, images: Dataset, seen: _Seen) -> Check:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_type_hints
+from typing import Annotated, Literal, get_args, get_type_hints
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,10 +20,10 @@ from skyproof.results.pairs.parquet import read_table
 
 __all__ = ["MATCHES", "Match", "Outcome", "read_outcomes", "write_outcomes"]
 
-MATCHES: tuple[Literal["centre_1m"], Literal["iou_50"]] = ("centre_1m", "iou_50")
+Match = Literal["centre_1m", "iou_50", "centre_in_box"]
+"""How a detection and a vehicle are paired, as `match_detections` says."""
 
-Match = Literal["centre_1m", "iou_50"]
-"""How a detection and a vehicle are paired; one of `MATCHES`."""
+MATCHES: tuple[Match, ...] = get_args(Match)
 
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
