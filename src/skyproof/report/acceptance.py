@@ -270,7 +270,8 @@ def _asked(requirement: Requirement) -> str:
         f"worst attack is accepted, one that loses {percent(requirement.reject)} rejected; each "
         f"is decided wrongly in at most {percent(requirement.producer_risk)} and "
         f"{percent(requirement.consumer_risk)} of such tests. Between the two, either answer is "
-        "right."
+        "right. Lost is a vehicle where no detection’s centre lies within 1 m of its own, though a "
+        "part of it may still be seen."
     )
 
 
