@@ -72,7 +72,7 @@ class Results:
     Attributes:
         folder: of the run.
         scores: its score folders.
-        rows: the table of results, renderer by renderer, both match criteria.
+        rows: the table of results, renderer by renderer, by every match criterion.
         tiles: the counts that the rows come from.
         checks: detectors on images without camouflage.
         config, environment: of the run; empty where missing.
@@ -316,10 +316,7 @@ class Results:
     def single_easr(self, camouflage: str) -> float | None:
         """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
         group = self._group(camouflage)
-        if group is None:
-            return None
-        value = group.rate
-        return None if np.isnan(value) else value
+        return None if group is None or math.isnan(group.rate) else group.rate
 
     def single_interval(self, camouflage: str) -> Interval | None:
         """Gives EASR of one single repeat with the interval of the test's tiles and vehicles.
