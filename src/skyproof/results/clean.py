@@ -57,7 +57,7 @@ def check_clean(
     *,
     generator: np.random.Generator,
 ) -> Check:
-    """Checks a detector on images without camouflage, from its detections matched by both rules.
+    """Checks a detector on images without camouflage, from its detections by two rules.
 
     Intervals are over places; over images where all show one place, or none is known.
 
