@@ -8,10 +8,11 @@ import pytest
 
 from skyproof.attacks.settings import QuerySettings
 from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.main import run
 from skyproof.plans import assess, run_folder
-from skyproof.plans.answers import say_expected
+from skyproof.plans.answers import say_answers, say_expected
 from skyproof.plans.enough import Enough
 from skyproof.plans.suite import Expected, read_suite
 from skyproof.results.statistics.acceptance import fewest_tiles
@@ -186,6 +187,22 @@ def test_too_little_ground_for_the_risks_stops_before_anything_is_learnt(
     ground.run()
     told = json.loads((tmp_path / "enough.json").read_text())["test_tiles"]
     assert told == len({scene.background.tile for scene in scenes})
+
+
+def test_what_is_hidden_is_printed_beside_what_half_a_vehicle_would_find(
+    assessed, tmp_path, monkeypatch
+):
+    layout = Layout(tmp_path)
+    rows = json.loads(Layout(assessed / "run").results.read_text())["rows"]
+    (row,) = [each for each in rows if (each["camouflage"], each["match"]) == ("T-U", "centre_1m")]
+    beside = {**row, "match": "centre_in_box", "easr": 0.02}
+    said = []
+    monkeypatch.setattr("skyproof.plans.answers.say", said.append)
+    for written in ([row, beside], [row]):
+        write_json(layout.results, {"rows": written})
+        say_answers(layout, ["T-U"])
+    with_half, without = said
+    assert with_half == f"{without}; where half a vehicle finds it, 2\u202f%"
 
 
 @pytest.mark.parametrize(("low", "weaker"), [(-1.0, False), (1.01, True)])

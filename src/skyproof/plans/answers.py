@@ -66,15 +66,19 @@ def read_answers(layout: Layout, camouflages: Collection[str]) -> list[Answer]:
 
 def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
     """Prints what some camouflages hide from each detector."""
+    answers = _read(layout)
+    lenient = {_place(row): row.easr for row in answers.rows if row.match == "centre_in_box"}
     for row in read_answers(layout, camouflages):
         where = _where(row.renderer)
+        half = lenient.get(_place(row))
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)} of "
             f"the vehicles found before{where} (95 % interval "
             f"{interval(row.easr_low, row.easr_high)}); net of a random texture "
             f"{percent(row.net_easr)}"
+            + ("" if half is None else f"; where half a vehicle finds it, {percent(half)}")
         )
-    for worst in _read(layout).worst_cases:
+    for worst in answers.worst_cases:
         say(
             f"  {detector_name(worst.detector):<12} at least one of the {len(worst.attacks)} "
             f"attacks hides {percent(worst.hidden)}{_where(worst.renderer)} (95 % interval "
@@ -136,6 +140,10 @@ def say_expected(layout: Layout, suite: Suite) -> None:
 def _read(layout: Layout) -> _Answers:
     answers: _Answers = read_document(layout.results, _Answers, "give the same command again")
     return answers
+
+
+def _place(row: Answer) -> tuple[str, str, str]:
+    return row.camouflage, row.renderer, row.detector
 
 
 def _where(renderer: str) -> str:
