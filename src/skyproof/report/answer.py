@@ -55,9 +55,8 @@ def answer(headline: Headline) -> list[str]:
         sentences.append(
             alike if least == most else f"Detector by detector it is {least} to {most}."
         )
-    if headline.lenient is not None:
-        sentences.append(_leniently(row, headline.lenient))
-    return [*sentences, *_beside_controls(row), *left_out(row)]
+    lenient = [] if headline.lenient is None else [_leniently(row, headline.lenient)]
+    return [*sentences, *_beside_controls(row), *lenient, *left_out(row)]
 
 
 def _leniently(row: Row, lenient: Row) -> str:
@@ -65,8 +64,8 @@ def _leniently(row: Row, lenient: Row) -> str:
     than who needs their places.
     """
     said = (
-        "Where a detection finds a vehicle if its centre lies anywhere in the vehicle’s box, it "
-        f"hides {percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
+        "Counted leniently, where a detection finds a vehicle if its centre lies anywhere in the "
+        f"vehicle’s box, it hides {percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
     )
     beside = row.easr.estimate - lenient.easr.estimate
     if not beside >= _WORTH_SAYING:
