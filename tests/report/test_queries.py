@@ -77,11 +77,15 @@ def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Pa
         "R-Ma_search_asked1500": set(),
     }
     sought(tmp_path, "T-Ma", "R-Ma_search")
-    found = by_answers(scored(tmp_path, missed(hides)))
+    # Two of the three are still seen, beside where they are.
+    seen = hides | {"T-Ma": {0}}
+    found = by_answers(scored(tmp_path, missed(hides), missed(seen)))
     assert found is not None
     assert found.only
     assert not found.alarms
     (row,) = found.rows
+    assert row.lenient is not None
+    assert row.lenient.estimate == pytest.approx(0.25)
     rates = [row.transfer, row.asked, row.searched]
     assert [rate.estimate for rate in rates if rate] == pytest.approx([0.25, 0.75, 0.25])
     assert (row.gradients, row.images) == (None, IMAGES)

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
 from skyproof.report.queries_figure import Curve, queries_figure
 from skyproof.results.results import Results
+from skyproof.results.rows import LENIENT_MATCH
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import interval, percent, points
@@ -31,6 +32,7 @@ class Row:
         gradients: share hidden by what was learnt on the detector itself; None of a black box.
         transfer: by what was learnt on other detectors.
         asked: after all answers.
+        lenient: the same where half a vehicle finds the vehicle; None where that was not scored.
         images: how many these were.
         searched: by a random search with as many answers; None where there was none.
     """
@@ -39,6 +41,7 @@ class Row:
     gradients: Interval | None
     transfer: Interval | None
     asked: Interval
+    lenient: Interval | None
     images: int
     searched: Interval | None
 
@@ -100,11 +103,13 @@ def _row(results: Results, name: CamouflageName) -> Row | None:
     if asked is None or record is None:
         return None
     search = base.control.with_variant("search")
+    lenient = results.row(name, match=LENIENT_MATCH)
     return Row(
         base,
         results.single_interval(str(base)) if name.variant == ASKED else None,
         results.single_interval(str(base.with_variant(TRANSFER))),
         asked,
+        None if lenient is None else lenient.easr,
         record.images,
         # Beside gradients the random search had losses to go by, and is no control of answers.
         None if name.variant == ASKED else results.single_interval(str(search)),
