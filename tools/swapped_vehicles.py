@@ -22,12 +22,13 @@ import tyro
 
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
-from skyproof.generator.fleet import fleet_of
+from skyproof.generator.fleet import sample_learnt_fleet
 from skyproof.generator.folder import load_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.sample import Sample
 from skyproof.randomness import generator_of
 from skyproof.vehicles.bodies import BodyDimensions, sample_dimensions
+from skyproof.vehicles.fleet import FleetSettings
 from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.surface import build_body
 
@@ -58,41 +59,38 @@ class SwappedVehicles:
                 f"{self.generator} holds a generator {learnt.method}; give a layered one, whose "
                 "bodies and paints are apart."
             )
-        fleets: dict[str, list[Sample]] = {"drawn_paint": [], "drawn_body": [], "no_map": []}
-        generator = generator_of(_SEED, "fleet", "test")
-        for _ in range(self.count):
-            body_type, latent = learnt.sample_latent(generator)
-            seed = int(torch.randint(2**31, (), generator=generator))
-            fleets["drawn_paint"].append(in_drawn_paint(body_type, latent, seed))
-            fleets["drawn_body"].append(on_drawn_body(learnt, body_type, latent, seed))
-            fleets["no_map"].append(without_map(learnt, body_type, latent, seed))
+        tensors = learnt.tensors()
+        no_map = {name: torch.zeros_like(tensors[name]) for name in ("detail_mean", "components")}
+        swapped = {
+            "drawn_paint": InDrawnPaint.of(learnt.body_types, tensors),
+            "drawn_body": OnDrawnBody.of(learnt.body_types, tensors),
+            "no_map": LayeredGenerator.of(learnt.body_types, tensors | no_map),
+        }
+        settings = FleetSettings(self.count, first_number=_FIRST_NUMBER)
         with finished_folder(self.out) as folder:
-            for name, samples in fleets.items():
-                fleet_of(samples, learnt.method, _FIRST_NUMBER).save(folder / name)
+            for name, vehicles in swapped.items():
+                draws = generator_of(_SEED, "fleet", "test")
+                fleet = sample_learnt_fleet(vehicles, settings, generator=draws)
+                fleet.save(folder / name)
 
 
-def in_drawn_paint(body_type: str, latent: torch.Tensor, seed: int) -> Sample:
-    """Draws a learnt body in paint and glass of the rules."""
-    body = build_body(BodyDimensions(*latent[:_BODY].double().tolist()))
-    texture, parts = paint_vehicle(body, body_type, generator=generator_of(seed, "trim"))
-    return Sample(body_type, body.vertices, texture, parts)
+class InDrawnPaint(LayeredGenerator):
+    """Learnt bodies, in paint and glass of the rules."""
+
+    def decode(self, body_type: str, latent: torch.Tensor, seed: int) -> Sample:
+        """See `LayeredGenerator.decode`."""
+        body = build_body(BodyDimensions(*latent[:_BODY].double().tolist()))
+        texture, parts = paint_vehicle(body, body_type, generator=generator_of(seed, "trim"))
+        return Sample(body_type, body.vertices, texture, parts)
 
 
-def on_drawn_body(
-    learnt: LayeredGenerator, body_type: str, latent: torch.Tensor, seed: int
-) -> Sample:
-    """Draws a body of the rules in learnt paint and glass, with the learnt map."""
-    drawn = astuple(sample_dimensions(body_type, generator=generator_of(seed, "body")))
-    return learnt.decode(body_type, torch.cat((torch.tensor(drawn), latent[_BODY:])), seed)
+class OnDrawnBody(LayeredGenerator):
+    """Bodies of the rules, in learnt paint and glass, with the learnt map."""
 
-
-def without_map(
-    learnt: LayeredGenerator, body_type: str, latent: torch.Tensor, seed: int
-) -> Sample:
-    """Draws a learnt body in learnt paint and glass, as clean as drawn ones."""
-    tensors = learnt.tensors()
-    bare = {name: torch.zeros_like(tensors[name]) for name in ("detail_mean", "components")}
-    return LayeredGenerator.of(learnt.body_types, tensors | bare).decode(body_type, latent, seed)
+    def decode(self, body_type: str, latent: torch.Tensor, seed: int) -> Sample:
+        """See `LayeredGenerator.decode`."""
+        drawn = astuple(sample_dimensions(body_type, generator=generator_of(seed, "body")))
+        return super().decode(body_type, torch.cat((torch.tensor(drawn), latent[_BODY:])), seed)
 
 
 if __name__ == "__main__":
