@@ -15,10 +15,10 @@ from skyproof.layout import Layout
 from skyproof.plans.suite import Suite
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["Answer", "read_answers", "say_answers", "say_expected", "say_verdict"]
+__all__ = ["say_answers", "say_expected", "say_verdict"]
 
 
-class Answer(Struct, frozen=True):
+class _Answer(Struct, frozen=True):
     """What is said of one row of `results.json`."""
 
     camouflage: str
@@ -31,7 +31,7 @@ class Answer(Struct, frozen=True):
     net_easr: float | None
 
 
-class WorstAnswer(Struct, frozen=True):
+class _WorstAnswer(Struct, frozen=True):
     """What all attacks together hide from one detector."""
 
     detector: str
@@ -51,24 +51,19 @@ class _Verdict(Struct, frozen=True):
 
 
 class _Answers(Struct, frozen=True):
-    rows: list[Answer]
-    worst_cases: list[WorstAnswer] = []
+    rows: list[_Answer]
+    worst_cases: list[_WorstAnswer] = []
 
-
-def read_answers(layout: Layout, camouflages: Collection[str]) -> list[Answer]:
-    """Reads the rows of some camouflages, where found means a centre within 1 m."""
-    return [
-        row
-        for row in _read(layout).rows
-        if row.camouflage in camouflages and row.match == "centre_1m"
-    ]
+    def of(self, camouflages: Collection[str], match: str = "centre_1m") -> list[_Answer]:
+        """Gives the rows of some camouflages by one rule of what is found."""
+        return [row for row in self.rows if row.camouflage in camouflages and row.match == match]
 
 
 def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
     """Prints what some camouflages hide from each detector."""
     answers = _read(layout)
-    lenient = {_place(row): row.easr for row in answers.rows if row.match == "centre_in_box"}
-    for row in read_answers(layout, camouflages):
+    lenient = {_place(row): row.easr for row in answers.of(camouflages, "centre_in_box")}
+    for row in answers.of(camouflages):
         where = _where(row.renderer)
         half = lenient.get(_place(row))
         say(
@@ -104,7 +99,7 @@ def say_expected(layout: Layout, suite: Suite) -> None:
         suite: whose numbers are expected.
     """
     compared = []
-    for row in read_answers(layout, suite.attacks):
+    for row in _read(layout).of(suite.attacks):
         if row.renderer != "torch" or not _is_reference(layout, row.detector):
             continue
         expected = suite.expected.get(row.detector, {}).get(row.camouflage)
@@ -142,7 +137,7 @@ def _read(layout: Layout) -> _Answers:
     return answers
 
 
-def _place(row: Answer) -> tuple[str, str, str]:
+def _place(row: _Answer) -> tuple[str, str, str]:
     return row.camouflage, row.renderer, row.detector
 
 
