@@ -9,8 +9,9 @@ recipe of tools/reality_gap.py, with the same scenes, as many images and as many
 look at photographs of places that no generator learnt from. DATA holds kit_ais_munich/ and
 minsk_drone/. Finished trainings in RUN are kept.
 
-Average precision is given for each place. The interval of a difference is a bootstrap over the
-place's frames, crossed with the trainings; both sides of it see the same frames.
+Average precision is given for each place, and at the detectors' thresholds how many vehicles of
+each kind are found and how many false alarms there are. The interval of a difference is a bootstrap
+over the place's frames, crossed with the trainings; both sides of it see the same frames.
 """
 
 from __future__ import annotations
@@ -131,6 +132,7 @@ class LearntTraining:
                     row: dict[str, Any] = {"place": place, "images": images, "fleet": arm}
                     row |= _compared(seen[arm].tables, seen[DRAWN].tables)
                     row["recall"] = _recalls(seen[arm], kinds)
+                    row["false_alarms"] = _false_alarms(seen[arm])
                     rows.append(row)
                     print(row, flush=True)
         return rows
@@ -197,6 +199,12 @@ def _recalls(seen: _Seen, kinds: Mapping[str, NDArray[np.bool_]]) -> dict[str, A
         for name, those in {"all": np.ones(len(found), dtype=bool), **kinds}.items()
         if those.any()
     }
+
+
+def _false_alarms(seen: _Seen) -> list[int]:
+    """Counts the detections on no vehicle, of each training at its threshold."""
+    pairs = zip(seen.tables, seen.thresholds, strict=True)
+    return [table.counts_at(threshold)[1] for table, threshold in pairs]
 
 
 def _compared(tables: Sequence[MatchTable], drawn: Sequence[MatchTable]) -> dict[str, Any]:
