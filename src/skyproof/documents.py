@@ -21,8 +21,6 @@ import msgspec
 from skyproof.errors import SkyproofError, StoredFileError
 from skyproof.ranges import WORDS, limits_of
 
-__all__ = ["check_document", "parse_document", "read_document", "read_lines"]
-
 T = TypeVar("T")
 
 _WHOLE_LIMIT = 2**63

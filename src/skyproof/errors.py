@@ -1,15 +1,5 @@
 """The errors skyproof raises for a caller to read: what was expected, what came, what to do."""
 
-__all__ = [
-    "ConfigurationError",
-    "DetectorAnswerError",
-    "ImageryError",
-    "NotFiniteError",
-    "RunFolderError",
-    "SkyproofError",
-    "StoredFileError",
-]
-
 
 class SkyproofError(Exception):
     """Base of every error that is meant for a user.

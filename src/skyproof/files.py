@@ -18,24 +18,6 @@ from filelock import FileLock, Timeout
 
 from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
 
-__all__ = [
-    "Hold",
-    "alone",
-    "drop_empty_folder",
-    "file_digest",
-    "finished_folder",
-    "inside",
-    "is_leftover",
-    "new_file",
-    "refuse_existing",
-    "refuse_foreign",
-    "to_json",
-    "write_beside",
-    "write_bytes",
-    "write_json",
-    "write_jsonl",
-]
-
 _NEARLY_FULL_BYTES = 2**20
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["CLEARING_RECORD", "Layout"]
-
 CLEARING_RECORD = "clearing.json"
 """In a background set without vehicles: what was removed."""
 

@@ -18,8 +18,6 @@ from skyproof.files import refuse_foreign, to_json, write_jsonl
 from skyproof.ranges import WholeNumber
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["CHECKPOINT", "Loop", "Part", "refuse_other"]
-
 CHECKPOINT = "checkpoint.safetensors"
 _ROWS = "steps.jsonl"
 

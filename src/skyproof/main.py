@@ -15,8 +15,6 @@ from skyproof.cli.console import say, say_error
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.ranges import check_ranges
 
-__all__ = ["COMMANDS", "load_command", "main", "run"]
-
 # A command is imported when it is asked for: help and a wrong option must answer at once.
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {

@@ -11,8 +11,6 @@ from PIL import Image
 
 from skyproof.errors import SkyproofError, StoredFileError
 
-__all__ = ["LARGEST_PX", "decoded", "open_picture", "read_pixels", "whole_picture"]
-
 LARGEST_PX = 178_956_970
 """The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: what Pillow allows
 at most. A header that claims more is refused before memory is asked for; imagery that is cut into

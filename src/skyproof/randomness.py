@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import torch
 
-__all__ = ["generator_of"]
-
 
 def generator_of(seed: int, *names: str | int) -> torch.Generator:
     """Returns a generator for one purpose.

@@ -17,25 +17,6 @@ from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
 
-__all__ = [
-    "Coordinate",
-    "Count",
-    "FileReference",
-    "Fraction",
-    "GroundResolution",
-    "ImageSide",
-    "Metres",
-    "Name",
-    "Radians",
-    "Risk",
-    "Seed",
-    "WholeNumber",
-    "check_ranges",
-    "check_value",
-    "is_name",
-    "limits_of",
-]
-
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 """How many of something there are, at least one."""
 

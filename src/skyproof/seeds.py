@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = ["next_seed", "numpy_generator"]
-
 
 def numpy_generator(seed: int) -> np.random.Generator:
     """Returns NumPy's generator for a seed; NumPy itself takes no negative ones."""

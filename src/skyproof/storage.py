@@ -16,8 +16,6 @@ from skyproof.documents import parse_document
 from skyproof.errors import NotFiniteError, StoredFileError
 from skyproof.files import to_json, write_bytes
 
-__all__ = ["read_tensors", "tensors_digest", "write_tensors"]
-
 
 def write_tensors(
     path: Path, tensors: Mapping[str, Tensor], record: Mapping[str, Any] | None = None

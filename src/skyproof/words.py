@@ -2,19 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "NAMES",
-    "body_name",
-    "detector_name",
-    "evidence",
-    "interval",
-    "number",
-    "percent",
-    "points",
-    "probability",
-    "renderer_name",
-]
-
 NAMES = {
     "retinanet": "RetinaNet",
     "faster_rcnn": "Faster R-CNN",

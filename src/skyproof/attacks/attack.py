@@ -43,8 +43,6 @@ from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, Part, refuse_other
 from skyproof.storage import tensors_digest
 
-__all__ = ["attack", "attack_weights", "descend", "make_optimiser"]
-
 _LITTLE = 0.02
 """An attack is done when twice the steps hide no larger a share more."""
 

@@ -21,8 +21,6 @@ from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 
-__all__ = ["MOST_NUMBERS", "CoarseChange"]
-
 MOST_NUMBERS = 60
 
 # With as many images, 48 numbers (4 x 4 fields) found nothing better than their start, and 12 (4

@@ -20,8 +20,6 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
 
-__all__ = ["BATCHES", "BATCH_SIZE", "HeldOut", "Judged"]
-
 BATCHES = 8
 BATCH_SIZE = 8
 

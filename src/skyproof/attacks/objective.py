@@ -16,17 +16,6 @@ from skyproof.detectors.matching import CENTRE_DISTANCE_M
 from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
-__all__ = [
-    "OBJECTIVE",
-    "Objective",
-    "balanced_weights",
-    "empty_truth_losses",
-    "frozen",
-    "objective",
-    "objective_and_gradient",
-    "target_scores",
-]
-
 _FOOLED = 0.03
 """A vehicle with so small a share of the loss without camouflage is hidden, more or less; an attack
 leaves it alone."""

@@ -36,8 +36,6 @@ from skyproof.loop import Loop, refuse_other
 from skyproof.randomness import generator_of
 from skyproof.ranges import Fraction
 
-__all__ = ["query_attack"]
-
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
 """Standard deviation of the first candidates, of values that go from 0 to 1."""

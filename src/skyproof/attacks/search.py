@@ -23,8 +23,6 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["Chosen", "choose", "search_step"]
-
 _FIRST_BATCHES = 2
 _FINALISTS = 4
 """One candidate in so many is shown all scenes."""

@@ -10,8 +10,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed, check_ranges
 
-__all__ = ["AttackSettings", "QuerySettings"]
-
 _SEARCH_BATCH_SIZE = 8
 
 

@@ -20,8 +20,6 @@ from skyproof.errors import NotFiniteError
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 
-__all__ = ["sign_test"]
-
 
 def sign_test(
     camouflage: Camouflage,

@@ -25,8 +25,6 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["AttackWorld"]
-
 
 @dataclass(frozen=True)
 class AttackWorld:

@@ -17,8 +17,6 @@ from skyproof.camouflage.shape_measures import measure_shape
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
-__all__ = ["practicality_account"]
-
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:

@@ -11,8 +11,6 @@ from torch import nn
 from skyproof.camouflage.name import CamouflageName
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Camouflage", "random_part"]
-
 
 class Camouflage(nn.Module):
     """Changes vehicles' texture or shape; its parameters, if any, are what an attack optimises.

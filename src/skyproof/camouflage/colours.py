@@ -13,8 +13,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.vehicles.texels import texel_metric
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
-__all__ = ["BINS", "ColourCounts", "count_colours", "worn_area"]
-
 BINS = 16
 """Of a channel's histogram. A channel is at an end in the first and the last of them: within a
 sixteenth of its range."""

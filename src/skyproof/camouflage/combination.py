@@ -13,8 +13,6 @@ from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Combination"]
-
 
 class Combination(Camouflage):
     """A texture and a displacement map on the same vehicles.

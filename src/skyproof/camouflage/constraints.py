@@ -8,8 +8,6 @@ from typing import Literal
 
 from skyproof.errors import ConfigurationError
 
-__all__ = ["TextureConstraints"]
-
 _WORDS = ("Pix", "Lc", "Fc", "Ma")
 _WORD = re.compile("|".join(_WORDS))
 

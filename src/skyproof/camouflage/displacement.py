@@ -16,8 +16,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import Part, Template, VehicleBatch
 
-__all__ = ["DISPLACEMENT_SIZE", "DisplacementMap", "even_shape", "sample_map"]
-
 DISPLACEMENT_SIZE = 64
 
 _START = 0.5  # half-way out, as sigmoid(0) is (section S4.3: "initialised with zeros")

@@ -23,8 +23,6 @@ from skyproof.files import write_beside, write_json
 from skyproof.ranges import Count, Name
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["describe_camouflage", "load_camouflage", "read_record", "save_camouflage"]
-
 _FORMAT = 2
 _REMEDY = "copy the whole folder again, or make the camouflage again"
 

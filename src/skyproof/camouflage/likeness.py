@@ -10,8 +10,6 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_cielab, srgb_to_linear
 
-__all__ = ["SEEN_TEXELS", "Likeness", "Worn", "likeness"]
-
 SEEN_TEXELS = 4
 """Side in texels of the blocks that the renderer reads most: five samples in eight see the mean of
 4 x 4 texels (docs/conventions.md)."""

@@ -19,8 +19,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["measure_looks"]
-
 
 def measure_looks(
     folders: Sequence[Path],

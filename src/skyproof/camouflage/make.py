@@ -16,8 +16,6 @@ from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.randomness import generator_of
 
-__all__ = ["draw_control", "make_camouflage", "make_candidates"]
-
 
 def make_camouflage(
     name: str | CamouflageName,

@@ -17,8 +17,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
-__all__ = ["TextureMeasures", "mean_measures", "measure_texture", "worn_texels"]
-
 _BLOCK_REGIONS = ("roof", "bonnet", "sides")
 _PLAIN = ("painted_area_m2", "colours", "boundary_m", "regions")
 

@@ -10,8 +10,6 @@ from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
-__all__ = ["ASKED", "CHOICES", "IN_WEATHER", "TRANSFER", "CamouflageName", "Choice", "Order"]
-
 Choice = Literal["plain", "best", "search"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
 """How a control is chosen without learning: the best plain one (of 27 paints, a shape being out as

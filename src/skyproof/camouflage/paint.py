@@ -12,8 +12,6 @@ from skyproof.camouflage.texture import UniversalTexture
 from skyproof.vehicles.template import TOPOLOGY_BELT, column_u
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["LATTICE", "TWO_TONES", "Colour", "plain_paint", "two_tone_paint"]
-
 Colour = tuple[int, int, int]
 """sRGB bytes: red, green, blue."""
 

@@ -19,8 +19,6 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of
 from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["fit_palette", "ground_palette", "load_palette"]
-
 _PIXELS_PER_TILE = 4000
 _PIXELS = 400_000
 """Of all tiles together, about: more change no colour, and country-wide ground has many tiles."""

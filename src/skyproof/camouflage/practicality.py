@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from skyproof.camouflage.constraints import TextureConstraints
 
-__all__ = ["PracticalityScore", "Signs", "score_practicality"]
-
 
 @dataclass(frozen=True)
 class Signs:

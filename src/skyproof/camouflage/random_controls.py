@@ -16,8 +16,6 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.coats import varied_colours
 from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["wear_random_controls"]
-
 # Colours of the ground over glass and wheels hide most: twice as many vehicles wear them.
 _TEXTURES = tuple(
     TextureConstraints.parse(name)

@@ -10,8 +10,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, check_ranges
 
-__all__ = ["Blocks", "CamouflageSettings", "Colours"]
-
 _MAP_TEXELS = 512
 
 Colours = Annotated[int, Meta(ge=2, le=256)]

@@ -10,8 +10,6 @@ from skyproof.geometry.intersections import self_intersections
 from skyproof.geometry.meshes import enclosed_volume_m3
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["ShapeMeasures", "measure_shape"]
-
 
 @dataclass(frozen=True)
 class ShapeMeasures:

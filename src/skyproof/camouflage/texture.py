@@ -14,8 +14,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
 
-__all__ = ["UniversalTexture"]
-
 # Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
 _FIRST_TEMPERATURE = 1.0
 _LAST_TEMPERATURE = 0.1

@@ -13,8 +13,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.scenes.sensor import BlurChoice, Noise, chosen_blur_px
 
-__all__ = ["Adjust"]
-
 
 @dataclass(frozen=True)
 class Adjust:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from skyproof.detectors.detector import TrainableDetector
     from skyproof.detectors.loaded import Load
 
-__all__ = ["BEST_OF", "Attack"]
-
 BEST_OF = 32
 """Of how many random draws the best is taken, where it is not said."""
 

@@ -13,8 +13,6 @@ from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.files import new_file, refuse_existing, write_json
 
-__all__ = ["Bench"]
-
 
 @dataclass(frozen=True)
 class Bench(Rendering):

@@ -14,8 +14,6 @@ from skyproof.cycles.settings import CyclesSettings
 from skyproof.cycles.workers import Workers
 from skyproof.render.dataset import render_dataset
 
-__all__ = ["bench_cycles"]
-
 _IMAGES = 64
 
 

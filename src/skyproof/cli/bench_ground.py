@@ -12,8 +12,6 @@ from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
-__all__ = ["BenchGround"]
-
 _TILE_PX = 560
 
 

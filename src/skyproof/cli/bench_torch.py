@@ -28,8 +28,6 @@ from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["bench_torch"]
-
 _DATASET_IMAGES = 24
 _ATTACKS = {
     "texture": "T-U",

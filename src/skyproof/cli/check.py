@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from skyproof.scenes.scene import Scene
     from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["Check"]
-
 
 @dataclass(frozen=True)
 class Check:

@@ -18,8 +18,6 @@ from skyproof.results.checks import Check
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["lines"]
-
 _FEW = 6
 """Up to so many changes are all told; of more, the worst, and the record holds all of them."""
 

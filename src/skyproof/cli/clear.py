@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
-__all__ = ["Clear", "say_light", "warnings"]
-
 _MANY_MORE = 3
 """A detector that finds so many times what is labelled mostly finds what is no vehicle."""
 _LARGE_SHARE = 0.10

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["progress_bar", "say", "say_error"]
-
 # Without a terminal (a log file, CI) a line now and then replaces the moving bar.
 _LINE_EVERY_S = 15.0
 

@@ -9,8 +9,6 @@ from skyproof.errors import ConfigurationError
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["choose_device"]
-
 
 def choose_device(name: str) -> torch.device:
     """Returns the device of that name; "auto" takes a CUDA device where there is one.

@@ -10,8 +10,6 @@ from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
 
-__all__ = ["Export"]
-
 
 @dataclass(frozen=True)
 class Export:

@@ -13,8 +13,6 @@ from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.results.clean import CleanSet
 from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["read_frames"]
-
 
 @dataclass(frozen=True)
 class _Given:

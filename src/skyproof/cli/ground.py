@@ -20,8 +20,6 @@ from skyproof.scenes.splits import SPLITS
 if TYPE_CHECKING:
     from skyproof.imagery.tiles.tiling import TilingRecord
 
-__all__ = ["Ground", "say_record", "tiling_for_images"]
-
 _NOTES_SHOWN = 12
 _FEW_TILES = 12
 """Of as many, a success rate that tiles decide has an interval of some ±30 points."""

@@ -13,8 +13,6 @@ from skyproof.cli.console import say
 from skyproof.files import refuse_existing
 from skyproof.ranges import GroundResolution, Name
 
-__all__ = ["Import"]
-
 
 @dataclass(frozen=True)
 class Import:

@@ -12,8 +12,6 @@ import tyro
 from skyproof.cli.console import progress_bar, say
 from skyproof.generator.settings import LearnSettings
 
-__all__ = ["LearnVehicles"]
-
 
 @dataclass(frozen=True)
 class LearnVehicles:

@@ -9,8 +9,6 @@ from skyproof.cli.console import say
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.errors import ConfigurationError
 
-__all__ = ["Reference"]
-
 
 @dataclass(frozen=True)
 class Reference:

@@ -8,8 +8,6 @@ from pathlib import Path
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.rendering import Rendering
 
-__all__ = ["Render"]
-
 
 @dataclass(frozen=True)
 class Render(Rendering):

@@ -16,8 +16,6 @@ from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["open_renderer", "open_workers"]
-
 
 @contextmanager
 def open_renderer(

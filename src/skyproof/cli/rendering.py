@@ -10,8 +10,6 @@ from msgspec import Meta
 
 from skyproof.cycles.settings import CyclesSettings
 
-__all__ = ["Rendering"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:

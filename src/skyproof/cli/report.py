@@ -8,8 +8,6 @@ from pathlib import Path
 from skyproof.cli.console import say
 from skyproof.ranges import Fraction, Risk
 
-__all__ = ["Report"]
-
 
 @dataclass(frozen=True)
 class Report:

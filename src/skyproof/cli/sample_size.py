@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from skyproof.results.statistics.acceptance import Requirement
     from skyproof.results.statistics.planning import Assumptions
 
-__all__ = ["SampleSize"]
-
 _EASR = 0.8
 _VEHICLES_PER_TILE = 9.0
 _CORRELATION = 0.1

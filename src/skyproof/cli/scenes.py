@@ -11,8 +11,6 @@ from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings
 
-__all__ = ["Scenes"]
-
 
 def _usual_settings() -> SceneSettings:
     return SceneSettings(size_px=192)

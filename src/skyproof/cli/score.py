@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from skyproof.detectors.loaded import Load, LoadedDetector
     from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["Score"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Score(Rendering):

@@ -12,8 +12,6 @@ from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed
 
-__all__ = ["Train"]
-
 
 @dataclass(frozen=True)
 class Train:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from skyproof.vehicles.fleet import Fleet
     from skyproof.vehicles.wrapping.wrap import WrappedVehicle
 
-__all__ = ["Vehicles"]
-
 # Drawn and wrapped vehicles have lower numbers, so that fleets can be mixed.
 _FIRST_LEARNT = 5000
 

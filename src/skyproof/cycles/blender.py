@@ -12,8 +12,6 @@ from tempfile import TemporaryDirectory
 
 from skyproof.errors import ConfigurationError
 
-__all__ = ["Blender", "find_blender", "worker_environment"]
-
 _WANTED = (4, 5)
 _HOW = "run `make blender` in skyproof's checkout, or give --blender the path of a Blender 4.5 LTS"
 _ENVIRONMENT = Path(".venv-blender") / "bin" / "python"

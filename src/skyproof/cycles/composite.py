@@ -13,8 +13,6 @@ from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["composite_crops"]
-
 _LEAST_WEIGHT = 1e-3
 
 

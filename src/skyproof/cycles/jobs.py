@@ -27,8 +27,6 @@ from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Job", "crop_jobs", "crop_windows"]
-
 _WORKER = Path(__file__).with_name("worker.py")
 # Ground around a crop that still sends noticeable light to its vehicles.
 _GROUND_BORDER_M = 2.0

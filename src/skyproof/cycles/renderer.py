@@ -32,8 +32,6 @@ from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["CyclesRenderer"]
-
 
 class CyclesRenderer:
     """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.

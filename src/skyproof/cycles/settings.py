@@ -9,8 +9,6 @@ from msgspec import Meta
 
 from skyproof.ranges import check_ranges
 
-__all__ = ["CyclesSettings"]
-
 
 @dataclass(frozen=True)
 class CyclesSettings:

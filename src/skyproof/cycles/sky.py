@@ -12,8 +12,6 @@ from jaxtyping import Float
 from skyproof.render.sky import CLEAR, OVERCAST, SkyType, relative_luminance
 from skyproof.scenes.scene import Sun
 
-__all__ = ["SUN_DIAMETER_RAD", "Daylight", "daylight"]
-
 SUN_DIAMETER_RAD = math.radians(0.53)
 
 _ROWS, _COLUMNS = 32, 64

@@ -22,8 +22,6 @@ from skyproof.cycles.jobs import Job
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import write_bytes
 
-__all__ = ["WORKER", "Workers"]
-
 WORKER = Path(__file__).with_name("worker.py")
 
 _MARK = "skyproof-worker "

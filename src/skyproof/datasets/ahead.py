@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
-__all__ = ["made_ahead"]
-
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 

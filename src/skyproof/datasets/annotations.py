@@ -22,18 +22,6 @@ from skyproof.ranges import (
     Seed,
 )
 
-__all__ = [
-    "ANNOTATIONS",
-    "REMEDY",
-    "AnnotationFile",
-    "AnnotationRow",
-    "CategoryRow",
-    "ImageRow",
-    "Information",
-    "drop_images",
-    "read_annotations",
-]
-
 ANNOTATIONS = "annotations.json"
 REMEDY = "copy the whole folder again, or make the dataset again"
 

@@ -15,8 +15,6 @@ from torch import Tensor
 
 from skyproof.files import write_json
 
-__all__ = ["DESCRIPTION", "Annotation", "CocoWriter", "encode_rle"]
-
 DESCRIPTION = "skyproof scenes"
 """What `info` says where nobody says otherwise: the images were rendered."""
 

@@ -32,8 +32,6 @@ from skyproof.errors import StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 
-__all__ = ["Dataset"]
-
 # As in labels of imagery: rounding may carry a box over the edge.
 _SLACK = 0.005
 

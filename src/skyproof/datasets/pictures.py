@@ -16,8 +16,6 @@ from torch import Tensor
 from skyproof.datasets.annotations import REMEDY
 from skyproof.pictures import read_pixels
 
-__all__ = ["Picture", "PictureFile", "PictureInMemory", "Window", "tensor_of"]
-
 
 class Window(NamedTuple):
     """A rectangle of whole pixels in a picture."""

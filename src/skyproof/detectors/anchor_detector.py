@@ -15,8 +15,6 @@ from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import pool_finest
 from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
 
-__all__ = ["AnchorDetector", "trainable_architecture"]
-
 # Of release 7.0, for three levels; chosen on COCO. A vehicle of 4 m at 12.5 cm per pixel is of like
 # size (up to four times, down to a fourth) with six of the nine.
 _ANCHORS_PX = (

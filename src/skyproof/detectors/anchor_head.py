@@ -15,8 +15,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.ops import complete_box_iou_loss
 
-__all__ = ["AnchorAnswers", "AnchorHead", "anchor_loss"]
-
 # Its settings for training from nothing, given for three levels and images of 640 px.
 _BOX_GAIN = 0.05
 _USUAL_SIDE_PX = 640

@@ -15,8 +15,6 @@ from torch import Tensor, nn
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.errors import DetectorAnswerError, SkyproofError
 
-__all__ = ["CheckedAnswers", "checked"]
-
 _SHOWN = 200
 _GO_ON = "the same command goes on where it stopped"
 

@@ -9,8 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["jitter", "turn"]
-
 
 def turn(
     image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, quarter_turns: int, mirror: bool

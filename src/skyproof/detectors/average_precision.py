@@ -11,15 +11,6 @@ from jaxtyping import Float, Int
 from skyproof.detectors.detector import LOWEST_SCORE
 from skyproof.detectors.matching import MatchTable
 
-__all__ = [
-    "FLAT_F1",
-    "PrecisionRecall",
-    "average_precision",
-    "best_f1_threshold",
-    "frozen_threshold",
-    "precision_recall",
-]
-
 FLAT_F1 = 0.01
 """Thresholds whose F1 differs by no more are equally good, as far as validation images can tell."""
 

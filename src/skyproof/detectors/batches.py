@@ -14,8 +14,6 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.common import PADDING_GREY
 
-__all__ = ["WINDOW_PX", "training_batch", "training_batches", "window"]
-
 # Larger images are trained on in windows of this size: the paper's tile (section 5.2).
 WINDOW_PX = 384
 

@@ -18,8 +18,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
-__all__ = ["ARCHITECTURES", "HEADS", "Blueprint", "check_layers", "plain_architecture"]
-
 ARCHITECTURES = (
     "fasterrcnn_mobilenet_v3_large_320_fpn",
     "fasterrcnn_mobilenet_v3_large_fpn",

@@ -7,8 +7,6 @@ import torch
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["DETECTOR_NAMES", "build_detector"]
-
 DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 

@@ -24,16 +24,6 @@ from skyproof.ranges import (
     is_name,
 )
 
-__all__ = [
-    "FOLDER_FORMAT",
-    "DetectorCard",
-    "installed_version",
-    "read_card",
-    "read_card_and_digest",
-    "require_detector_name",
-    "write_card",
-]
-
 FOLDER_FORMAT = 1
 _REMEDY = "copy the whole folder again, or train or import the detector again"
 

@@ -19,8 +19,6 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 
-__all__ = ["StandIn", "activations_of", "network_of", "parts_of", "read_checkpoint", "state_of"]
-
 # An averaged network is the one that is used.
 _WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
 # Of a network wrapped for several devices, or compiled.

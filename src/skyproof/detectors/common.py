@@ -11,15 +11,6 @@ from torch.nn import functional
 
 from skyproof.errors import ConfigurationError
 
-__all__ = [
-    "PADDING_GREY",
-    "SMALLEST_IMAGE_PX",
-    "as_targets",
-    "check_images",
-    "check_targets",
-    "pad_to_stride",
-]
-
 SMALLEST_IMAGE_PX = 96
 PADDING_GREY = 0.45
 

@@ -11,15 +11,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torchvision import ops
 
-__all__ = [
-    "LOWEST_SCORE",
-    "SUPPRESSION_IOU",
-    "Candidates",
-    "Detections",
-    "Detector",
-    "TrainableDetector",
-]
-
 LOWEST_SCORE = 0.01
 _MOST_DETECTIONS = 100
 SUPPRESSION_IOU = 0.5

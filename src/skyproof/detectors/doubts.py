@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["LEAST_AP", "LEAST_VEHICLES", "find_doubts"]
-
 LEAST_AP = 0.2
 """Average precision (centre within 1 m) below which a detector is worth nothing.
 

@@ -11,8 +11,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torchvision import ops
 
-__all__ = ["FeatureDetector", "anchor_levels", "area_levels", "pool_boxes", "pool_finest"]
-
 # A vehicle of 36 px spans 4.5 cells of stride 8: one sample in each.
 _SAMPLES = 4
 # Lin et al. 2017, equation 1: a box of 224 px belongs to the level of stride 16.

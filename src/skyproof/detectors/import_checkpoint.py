@@ -25,8 +25,6 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
 from skyproof.ranges import GroundResolution, check_value
 
-__all__ = ["Checkpoint", "import_detector"]
-
 # Published weights whose batch norm was trained with no epsilon (torchvision's `overwrite_eps`).
 _WITHOUT_EPS = {
     "retinanet_resnet50_fpn": detection.RetinaNet_ResNet50_FPN_Weights.COCO_V1,

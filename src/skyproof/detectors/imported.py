@@ -23,8 +23,6 @@ from skyproof.detectors.torchvision_detectors import TorchvisionDetector
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
 from skyproof.errors import ConfigurationError
 
-__all__ = ["ImportedDetector"]
-
 
 class ImportedDetector(TrainableDetector):
     """A network with another's weights: frozen, attacked through its loss against an empty truth.

@@ -21,8 +21,6 @@ from skyproof.detectors.torchvision_detectors import (
 )
 from skyproof.errors import ConfigurationError
 
-__all__ = ["build_torchvision", "count_classes"]
-
 # What torchvision's own transform subtracts and divides by.
 MEAN = (0.485, 0.456, 0.406)
 DEVIATION = (0.229, 0.224, 0.225)

@@ -16,18 +16,6 @@ from skyproof.datasets.pictures import Picture, Window
 from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
-__all__ = [
-    "LARGEST_WHOLE_PX",
-    "WINDOW_OVERLAP_PX",
-    "WINDOW_PX",
-    "covering_windows",
-    "detect_all",
-    "detect_batch",
-    "detect_by_each",
-    "device_of",
-    "to_detector",
-]
-
 LARGEST_WHOLE_PX = 1024
 """Images with a longer side are looked at in windows."""
 

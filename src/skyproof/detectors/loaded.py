@@ -20,16 +20,6 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import inside, write_bytes
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = [
-    "Load",
-    "LoadedDetector",
-    "copy_detector",
-    "load_apart",
-    "load_detector",
-    "load_ensemble",
-    "save_detector",
-]
-
 DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
 
 

@@ -20,16 +20,6 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
-__all__ = [
-    "CENTRE_DISTANCE_M",
-    "MATCH_IOU",
-    "Criterion",
-    "MatchTable",
-    "Matches",
-    "match_detections",
-    "match_images",
-]
-
 Criterion = Literal["centre_1m", "iou_50", "centre_in_box"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from skyproof.detectors.detector import TrainableDetector
     from skyproof.detectors.loaded import LoadedDetector
 
-__all__ = ["REFERENCE_DETECTORS", "REFERENCE_FOLDER", "reference_detector", "reference_folder"]
-
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
 """YOLOv5 is trained on the user's machine, because its library's licence is another one."""
 

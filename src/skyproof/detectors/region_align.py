@@ -12,8 +12,6 @@ from torchvision import ops
 
 from skyproof.detectors.features import area_levels
 
-__all__ = ["CentreAlign"]
-
 
 class CentreAlign(ops.MultiScaleRoIAlign):
     """RoIAlign (He et al. 2017) that looks at the centre of every bin.

@@ -12,15 +12,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
 
-__all__ = [
-    "SIZES",
-    "TRAINING_PRESETS",
-    "Size",
-    "TrainingChanges",
-    "TrainingSettings",
-    "check_size",
-]
-
 # Of our own networks: two for a CPU, one for a GPU.
 Size = Literal["slim", "wide", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)

@@ -10,8 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.ops import FeaturePyramidNetwork
 
-__all__ = ["WIDTHS", "SlimBackbone", "Widths"]
-
 
 @dataclass(frozen=True)
 class Widths:

@@ -14,8 +14,6 @@ from skyproof.detectors.blueprint import plain_architecture
 from skyproof.detectors.checkpoints import StandIn, activations_of, parts_of
 from skyproof.errors import ConfigurationError, StoredFileError
 
-__all__ = ["StoredNetwork", "read_ultralytics"]
-
 _NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
 # Of the repository of 2020, as a checkout and as the package of that name.
 _ANCHOR_NETWORKS = tuple(

@@ -37,13 +37,6 @@ from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import WIDTHS, SlimBackbone
 
-__all__ = [
-    "POSITIVES_PER_VEHICLE",
-    "FasterRcnnDetector",
-    "RetinaNetDetector",
-    "TorchvisionDetector",
-]
-
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the
 # diagonal.
 SLIM_SIDES_PX = ((20.0, 30.0), (28.0, 42.0))

@@ -32,8 +32,6 @@ from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone
 from skyproof.loop import Loop, Part, refuse_other
 
-__all__ = ["check_validation", "train", "validate"]
-
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
 _OTHER = "a training with other settings, another seed or other images"

@@ -33,8 +33,6 @@ from skyproof.detectors.features import pool_finest
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
-__all__ = ["YoloNetwork", "YoloV5Detector", "build_model", "yolov5_architecture"]
-
 # Of the layers in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
 WIDTH_FACTORS = {"slim": 0.25, "wide": 0.375, "full": 0.5}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.

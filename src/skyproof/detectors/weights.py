@@ -6,8 +6,6 @@ from torch import Tensor, nn
 
 from skyproof.storage import tensors_digest
 
-__all__ = ["plain_state", "weights_digest"]
-
 
 def weights_digest(detector: nn.Module) -> str:
     """Computes the SHA-256 over names, shapes and bytes of parameters and buffers.

@@ -40,8 +40,6 @@ from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
 from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["check_detectors", "measured_on"]
-
 Judge = LoadedDetector[Detector]
 
 _BATCH_SIZE = 8

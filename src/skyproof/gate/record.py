@@ -18,17 +18,6 @@ from skyproof.results.checks import Check, StoredCheck, check_of
 from skyproof.results.rows_file import filled_row, nulls_for_undefined, row_form
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = [
-    "RECORD_FILE",
-    "GateRecord",
-    "Kind",
-    "MeasuredOn",
-    "Rate",
-    "read_record",
-    "read_records",
-    "write_record",
-]
-
 RECORD_FILE = "check.json"
 
 _FORMAT = 1

@@ -19,8 +19,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.results.clean import CleanSet
 from skyproof.scenes.backgrounds import BackgroundSet
 
-__all__ = ["empty_tiles", "threshold_of_alarms", "threshold_of_labels"]
-
 Judge = LoadedDetector[Detector]
 
 

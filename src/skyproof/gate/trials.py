@@ -14,8 +14,6 @@ from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, t
 from skyproof.gate.record import Kind
 from skyproof.randomness import generator_of
 
-__all__ = ["BLURS_PX", "CONTROLS", "SUN_ELEVATIONS_DEG", "Trial", "make_trials"]
-
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 """From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
 

@@ -16,20 +16,6 @@ from skyproof.results.checks import Check
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
-__all__ = [
-    "LARGEST_EASR",
-    "LEAST_AP_PHOTOGRAPHS",
-    "LEAST_AP_RENDERED",
-    "Finding",
-    "Outcome",
-    "findings",
-    "misfit_thresholds",
-    "rate_outcome",
-    "rate_words",
-    "verdict",
-    "worst",
-]
-
 LEAST_AP_RENDERED = 0.95
 """Clean average precision (centre within 1 m) on rendered scenes."""
 

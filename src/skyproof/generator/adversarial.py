@@ -19,8 +19,6 @@ from skyproof.generator.sample import Sample
 from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import Part
 
-__all__ = ["AdversarialGenerator", "Network"]
-
 LATENT = 32
 PARTS = len(Part)
 _GRID = (RINGS + 2, COLUMNS // 2 + 1)

@@ -24,8 +24,6 @@ from skyproof.generator.sheets import write_preview
 from skyproof.loop import Loop
 from skyproof.randomness import generator_of
 
-__all__ = ["learn_adversarially"]
-
 _EMA = 0.998
 _CHECKPOINT_EVERY = 100
 _LEAST_SPREAD_M = 0.01

@@ -16,8 +16,6 @@ from skyproof.generator.prototypes import Prototype
 from skyproof.vehicles.bodies import BodyDimensions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["Fit", "Fits", "FittedVehicles", "fitted_texture", "fitted_vehicles"]
-
 LARGEST_MISFIT = 0.05
 """Mean difference in sRGB from which on a fit is dropped: what stands there is no such vehicle, or
 half of it is hidden. Drawn vehicles are fitted to 0.004 to 0.026."""

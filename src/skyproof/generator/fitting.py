@@ -27,8 +27,6 @@ from skyproof.vehicles.painting import GLASS_SRGB
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import Template, VehicleBatch
 
-__all__ = ["Fitter"]
-
 _TEXTURE_PX = 128
 _SUPERSAMPLING = 3
 # Means and standard deviations of what a fit may change, before it sees anything.

@@ -10,8 +10,6 @@ from skyproof.generator.sample import Sample, VehicleGenerator
 from skyproof.vehicles.fleet import Fleet, FleetSettings, exact_share
 from skyproof.vehicles.template import make_template
 
-__all__ = ["fleet_of", "sample_learnt_fleet"]
-
 
 def sample_learnt_fleet(
     vehicles: VehicleGenerator,

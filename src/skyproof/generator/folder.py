@@ -17,8 +17,6 @@ from skyproof.generator.settings import Method
 from skyproof.ranges import Name
 from skyproof.storage import read_tensors, write_tensors
 
-__all__ = ["load_generator", "read_generator_record", "save_generator"]
-
 FORMAT_VERSION = 1
 
 _REMEDY = "copy the whole folder again, or learn the vehicles again"

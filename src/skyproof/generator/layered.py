@@ -23,8 +23,6 @@ from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = ["LayeredGenerator"]
-
 _COMPONENTS = 24
 _BODY_NOISE = 0.35
 _NEIGHBOURS = 3

@@ -29,8 +29,6 @@ from skyproof.loop import Loop, refuse_other
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.bodies import BODY_RANGES
 
-__all__ = ["LEAST_VEHICLES", "Imagery", "learn_vehicles"]
-
 LEAST_VEHICLES = 50
 """Of fewer, a generator would only repeat them."""
 

@@ -10,16 +10,6 @@ from torch import Tensor
 from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
-__all__ = [
-    "MAP_PX",
-    "half_grid",
-    "part_map",
-    "texture_map",
-    "unfolded",
-    "vertices_of",
-    "whole",
-]
-
 MAP_PX = 64
 """Texels along the side of what is learnt: 8 cm, which is as much as such photographs show."""
 

@@ -18,8 +18,6 @@ from skyproof.scenes.places import HeadingFrom, RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.scenes.standing import standing
 
-__all__ = ["Photographed", "photographed_vehicles", "shown_pixels"]
-
 LEAST_PX = 20.0
 """A shorter vehicle shows too little of its panes to tell nose from tail."""
 

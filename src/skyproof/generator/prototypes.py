@@ -15,8 +15,6 @@ from skyproof.vehicles.bodies import BodyDimensions, sample_dimensions
 from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.surface import build_body
 
-__all__ = ["Layers", "Prototype", "draw_prototype", "draw_prototypes"]
-
 _BLACK, _WHITE = torch.zeros(3), torch.ones(3)
 
 

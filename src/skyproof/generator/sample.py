@@ -9,8 +9,6 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-__all__ = ["Sample", "VehicleGenerator"]
-
 
 @dataclass(frozen=True)
 class Sample:

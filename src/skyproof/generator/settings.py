@@ -12,8 +12,6 @@ from msgspec import Meta
 
 from skyproof.ranges import Seed, check_ranges
 
-__all__ = ["AdversarialSettings", "FitSettings", "LearnSettings", "Method"]
-
 Method = Literal["layered", "gan"]
 """Layers between those of fitted vehicles; or a network that is trained on their maps."""
 

@@ -25,8 +25,6 @@ from skyproof.render.turntable import PART_COLOURS
 from skyproof.vehicles.fleet import Fleet, FleetSettings
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["fleet_sheet", "write_fit_sheets", "write_preview", "write_sample_sheets"]
-
 _SIDE_PX = 192
 _CAPTION_PX = 16
 _ROWS = 24

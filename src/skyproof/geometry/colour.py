@@ -11,8 +11,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["cielab_to_srgb", "linear_to_srgb", "srgb_to_cielab", "srgb_to_linear"]
-
 # Linear sRGB to CIE XYZ (IEC 61966-2-1), and its white point D65.
 _TO_XYZ = (
     (0.4124564, 0.3575761, 0.1804375),

@@ -6,8 +6,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-__all__ = ["self_intersections"]
-
 # Volumes below this share of the mesh's own cube count as touching, not crossing; float64 keeps far
 # below it.
 _TOUCHING = 1e-13

@@ -8,8 +8,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["at_corners", "enclosed_volume_m3", "mesh_edges", "vertex_normals"]
-
 
 def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "3 C M"]:
     """Returns what vertices have at the three corners of every face, mesh by mesh: M = N * F.

@@ -6,8 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["project", "rotate_about_vertical"]
-
 
 def rotate_about_vertical(
     points: Float[Tensor, "N V 3"], angle_rad: Float[Tensor, " N"]

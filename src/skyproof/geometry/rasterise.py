@@ -8,8 +8,6 @@ from torch import Tensor
 
 from skyproof.geometry.meshes import at_corners
 
-__all__ = ["Visibility", "barycentric", "face_areas", "rasterise"]
-
 _NOTHING = torch.iinfo(torch.int64).max
 # A key holds the depth in 0.01 mm above these bits, and the face in them.
 _FACE_BITS = 31

@@ -9,8 +9,6 @@ import numpy as np
 from skyproof.ground.canvas import Canvas, Colour, Patch, Place, beside, pick, reflectance, textured
 from skyproof.ground.clutter import add_air_conditioner
 
-__all__ = ["add_building"]
-
 TILE_COLOURS: tuple[Colour, ...] = (
     (168, 84, 58),
     (140, 72, 56),

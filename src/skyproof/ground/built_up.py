@@ -25,8 +25,6 @@ from skyproof.ground.surfaces import (
     pick_asphalt,
 )
 
-__all__ = ["draw_car_park", "draw_crossroads", "draw_street", "draw_yard"]
-
 
 def draw_street(canvas: Canvas) -> None:
     """A residential street: plots with houses, drives, gardens, sheds, hedges, pools."""

@@ -12,8 +12,6 @@ from scipy import ndimage
 
 from skyproof.scenes.directions import direction_values, with_room
 
-__all__ = ["Canvas", "Patch", "beside", "pick", "reflectance", "textured"]
-
 Array = NDArray[np.floating[Any]]
 Colour = tuple[int, int, int]
 Place = tuple[float, float]

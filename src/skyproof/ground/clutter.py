@@ -19,8 +19,6 @@ from skyproof.ground.canvas import (
 )
 from skyproof.vehicles.paints import PAINT_SHARES, PAINT_TONES
 
-__all__ = ["CLUTTER", "add_air_conditioner", "add_clutter", "add_lamp_post", "add_manhole"]
-
 # Things of a car's size wear the vehicles' own paints as often as vehicles do: a colour that only
 # one of the two has would be taken for evidence.
 _PAINT_NAMES = tuple(PAINT_SHARES)

@@ -18,8 +18,6 @@ from skyproof.ground.photograph import GroundSensor, photograph
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["GROUND_KINDS", "KIND_SHARES", "Ground", "draw_ground", "draw_ground_and_sun"]
-
 
 @dataclass(frozen=True)
 class Ground:

@@ -8,8 +8,6 @@ import numpy as np
 
 from skyproof.ground.canvas import Array, Canvas, Colour, Patch, Place, beside, pick
 
-__all__ = ["mark", "mark_arrow", "mark_bays", "mark_guides", "mark_lanes"]
-
 _WHITE: Colour = (228, 226, 218)
 _YELLOW: Colour = (226, 206, 116)
 

@@ -19,8 +19,6 @@ from skyproof.ground.surfaces import (
     lay_soil,
 )
 
-__all__ = ["draw_fields", "draw_park", "draw_village"]
-
 
 def draw_fields(canvas: Canvas) -> None:
     """Crops, meadow and soil divided by a track with bushes along it."""

@@ -13,8 +13,6 @@ from scipy import ndimage
 from skyproof.ground.canvas import Canvas
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 
-__all__ = ["GroundSensor", "Photograph", "photograph", "sunlight"]
-
 Array = NDArray[np.floating[Any]]
 
 _SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)

@@ -8,8 +8,6 @@ import numpy as np
 
 from skyproof.ground.canvas import Array, Canvas, Colour, Place, pick
 
-__all__ = ["add_bush", "add_hedge", "add_stand", "add_tree"]
-
 CROWN_COLOURS: tuple[Colour, ...] = (
     (70, 92, 48),
     (58, 82, 50),

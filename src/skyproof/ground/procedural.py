@@ -14,8 +14,6 @@ from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["write_procedural_backgrounds"]
-
 
 def write_procedural_backgrounds(
     folder: Path,

@@ -11,21 +11,6 @@ from skyproof.ground.clutter import add_lamp_post, add_manhole
 from skyproof.ground.markings import mark_arrow, mark_bays, mark_lanes
 from skyproof.ground.plants import add_tree
 
-__all__ = [
-    "CONCRETE",
-    "PAVING",
-    "SOIL",
-    "add_pavement",
-    "add_road",
-    "add_street_furniture",
-    "allow_lanes",
-    "lay_asphalt",
-    "lay_grass",
-    "lay_paving",
-    "lay_soil",
-    "pick_asphalt",
-]
-
 ASPHALT: tuple[Colour, ...] = (
     (108, 108, 110),
     (92, 92, 95),

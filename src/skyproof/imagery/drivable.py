@@ -14,8 +14,6 @@ from torch import Tensor
 
 from skyproof.scenes.directions import direction_values, with_room
 
-__all__ = ["drivable_directions"]
-
 _Grid = NDArray[np.floating[Any]]
 _Mask = NDArray[np.bool_]
 

@@ -18,8 +18,6 @@ from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.scenes.light import Light, rounded_levels
 
-__all__ = ["ground_pixels", "measure_exposure", "some_of"]
-
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
 

@@ -19,8 +19,6 @@ from skyproof.imagery.labels.label import GroundLabels, require_classes, require
 from skyproof.imagery.tiles.georeference import image_name
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
-__all__ = ["BORDER_PX", "read_frames_folder"]
-
 # Frames are decoded by Pillow, which reads fewer forms than what cuts tiles.
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _REMEDY = "replace it, leave it out, or cut it into smaller frames"

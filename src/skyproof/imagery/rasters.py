@@ -15,8 +15,6 @@ from rasterio.io import DatasetReader
 from skyproof.errors import ImageryError
 from skyproof.pictures import LARGEST_PX
 
-__all__ = ["LARGEST_RASTER_PX", "RASTER_SUFFIXES", "open_raster"]
-
 RASTER_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2", ".vrt")
 """How names of images end, where images are looked for in folders or beside labels."""
 

@@ -16,8 +16,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, GroundResolution, check_ranges
 from skyproof.scenes.splits import SPLITS, Split
 
-__all__ = ["ClearSettings", "LabelSettings", "SourceSettings", "TilingSettings"]
-
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
 _Score = Annotated[float, Meta(gt=0, le=1)]
 

@@ -20,8 +20,6 @@ from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["measure_sensor", "sensor_of_tiles"]
-
 EDGES_PER_IMAGE = 400
 LEAST_EDGES = 100
 LEAST_STEP = 0.08

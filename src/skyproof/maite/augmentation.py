@@ -24,8 +24,6 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 
-__all__ = ["CamouflageAugmentation"]
-
 
 class CamouflageAugmentation:
     """Draws the vehicles of rendered images again, camouflaged, and labels them anew.

@@ -22,14 +22,6 @@ from skyproof.maite.metric import HiddenVehicles
 from skyproof.maite.targets import batches
 from skyproof.results.pairs.outcomes import Match
 
-__all__ = [
-    "SkyproofCamouflage",
-    "SkyproofCamouflageConfig",
-    "SkyproofCamouflageOutputs",
-    "SkyproofCamouflageRun",
-    "exports",
-]
-
 
 class SkyproofCamouflageConfig(CapabilityConfigBase):
     """How vehicles count as found."""

@@ -15,8 +15,6 @@ from skyproof.datasets.pictures import PictureFile
 from skyproof.maite.targets import LABELS, Target
 from skyproof.scenes.scene import Scene
 
-__all__ = ["VehicleDataset"]
-
 
 class VehicleDataset:
     """A dataset folder of ours as a MAITE object-detection dataset, field by field, too.

@@ -24,8 +24,6 @@ from skyproof.results.statistics.rates import (
 from skyproof.results.statistics.sample import Sample
 from skyproof.seeds import numpy_generator
 
-__all__ = ["HiddenVehicles"]
-
 _RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")
 _NO_PIXELS = torch.zeros(3, 0, 0, dtype=torch.uint8)
 # Which vehicle: its image's id, and its number in the scene or among the boxes.

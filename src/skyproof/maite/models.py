@@ -27,8 +27,6 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 from skyproof.maite.targets import LABELS, Target, bytes_of, found_vehicles
 
-__all__ = ["DetectorModel", "ModelDetector", "is_maite_model"]
-
 
 class DetectorModel:
     """A detector of ours as a MAITE object-detection model.

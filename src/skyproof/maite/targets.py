@@ -17,8 +17,6 @@ from torch import Tensor
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
-__all__ = ["LABELS", "Batch", "Target", "batches", "bytes_of", "found_vehicles"]
-
 LABELS = {0: "vehicle"}
 """Our detectors and datasets know one class."""
 

@@ -21,15 +21,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
 
-__all__ = [
-    "Agreement",
-    "is_copy",
-    "percentile_interval",
-    "rank_agreement",
-    "rank_correlations",
-    "renderer_agreement",
-]
-
 _FEWEST = 3
 
 

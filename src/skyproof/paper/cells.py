@@ -12,22 +12,6 @@ from typing import Any
 from skyproof.results.rows import Row
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = [
-    "Block",
-    "Figure",
-    "Grid",
-    "Heading",
-    "Table",
-    "as_markdown",
-    "bracket",
-    "in_percent",
-    "interval_cells",
-    "number",
-    "sign",
-    "span",
-    "word",
-]
-
 _STAR = re.compile(r"(?<!\*)\*(?!\*)")
 _RATES = (
     "easr",

@@ -14,8 +14,6 @@ from skyproof.paper.cells import Block, Figure, Grid, Heading, Table, number, sp
 from skyproof.paper.reproduction import Reproduction
 from skyproof.results.looks import TextureLooks
 
-__all__ = ["CHANNELS", "colour_histograms", "colour_tables", "colours_section"]
-
 CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
 _MISSING = (

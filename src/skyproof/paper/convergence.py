@@ -7,8 +7,6 @@ from typing import Any
 from skyproof.paper.cells import Block, Grid, Heading, Table, number
 from skyproof.paper.reproduction import Reproduction
 
-__all__ = ["convergence_section", "convergence_table"]
-
 
 def convergence_table(run: Reproduction) -> Table:
     """Gives per attack and seed what it hid half-way and at the end, on scenes of its own world."""

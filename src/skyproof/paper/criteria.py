@@ -11,8 +11,6 @@ from skyproof.paper.reproduction import Reproduction
 from skyproof.results.rows import LENIENT_MATCH, Row
 from skyproof.words import detector_name
 
-__all__ = ["criteria_section", "criteria_table"]
-
 _OVERLAP = "iou_50"
 _LENIENT = f"easr_{LENIENT_MATCH}"
 

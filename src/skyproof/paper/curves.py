@@ -18,8 +18,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
 
-__all__ = ["Curve", "Point", "curve_families", "p1_score", "practicality_curve"]
-
 
 @dataclass(frozen=True)
 class Point:

@@ -27,15 +27,6 @@ from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name
 
-__all__ = [
-    "ALONE",
-    "alone_on_cycles",
-    "cycles_columns",
-    "cycles_section",
-    "cycles_tables",
-    "rates_under",
-]
-
 ALONE = "‡"
 
 _COLUMNS = ("easr", "random_", "net_easr", "unlearnt_", "net_unlearnt_easr", "apd")

@@ -31,8 +31,6 @@ from skyproof.results.pairs.features import GROUND, Features
 from skyproof.results.pairs.sets import ORIGINAL
 from skyproof.words import detector_name
 
-__all__ = ["EVERY", "embeddings_section", "embeddings_tables", "shown_name"]
-
 EVERY = "all"
 """Stands for all that is shown together in the table's last row of a detector."""
 

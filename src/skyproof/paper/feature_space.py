@@ -10,8 +10,6 @@ from jaxtyping import Bool, Float, Int
 
 from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
 
-__all__ = ["Embedding", "Shown", "embed"]
-
 _FOLDS = 5
 _SEED = 0
 _PERPLEXITY = 30.0

@@ -29,8 +29,6 @@ from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MEAN
 from skyproof.words import detector_name
 
-__all__ = ["judge_names", "judged_rows", "judges_section", "judges_tables"]
-
 _WEAK = 80.0
 """Below this AP, in percent, rates rest on the vehicles that are found at all, and say little."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from skyproof.paper.cells import Block, Figure, Heading
 
-__all__ = ["looks_section"]
-
 
 def looks_section() -> list[Block]:
     """Names the figures; those that a run lacks are left out of its page."""

@@ -18,8 +18,6 @@ from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction, point_name
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["TEXTURE", "comparison", "order_section", "order_table"]
-
 TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
 
 _RENDERER = "our EASR and the paper’s on its renderer"

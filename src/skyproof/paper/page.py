@@ -34,8 +34,6 @@ from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name, probability
 
-__all__ = ["paper_sections", "shape_table", "standing", "texture_table"]
-
 _SURE = 0.05
 
 

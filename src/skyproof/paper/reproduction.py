@@ -20,8 +20,6 @@ from skyproof.results.rows import MAIN_MATCH, Row
 from skyproof.results.stored import AttackRecord, Practicality
 from skyproof.results.trainings import Training, read_trainings
 
-__all__ = ["Reproduction", "point_name"]
-
 _FEWEST = 3
 
 

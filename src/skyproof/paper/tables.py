@@ -24,8 +24,6 @@ from skyproof.paper.variability import variability_tables
 from skyproof.paper.weather import weather_tables
 from skyproof.results.stored import Discretisation
 
-__all__ = ["reproduction_tables"]
-
 _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 

@@ -25,8 +25,6 @@ from skyproof.results.statistics.sample import Sample
 from skyproof.results.trainings import Training
 from skyproof.words import detector_name
 
-__all__ = ["trainings_section", "trainings_tables"]
-
 
 def trainings_tables(run: Reproduction) -> list[Table]:
     """Gives EASR and net EASR of every attack that was learnt on every training.

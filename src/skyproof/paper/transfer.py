@@ -10,8 +10,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.results.rows import MAIN_MATCH, MEAN, Row
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["Cell", "transfer_matrix"]
-
 
 @dataclass(frozen=True)
 class Cell:

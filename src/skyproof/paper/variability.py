@@ -28,8 +28,6 @@ from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["most_starts", "variability_section", "variability_tables"]
-
 _LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
 _MISSING = (
     "How alike repeats of an attack are was not measured in this run; skyproof score without "

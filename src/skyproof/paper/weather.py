@@ -31,8 +31,6 @@ from skyproof.results.rows import MEAN
 from skyproof.results.statistics.contrasts import difference_interval, mean_interval
 from skyproof.scenes.weather import CONDITIONS
 
-__all__ = ["CLEAR", "EVERY_WEATHER", "weather_section", "weather_tables"]
-
 CLEAR = "clear"
 EVERY_WEATHER = "all weathers"
 """All but clear days together."""

@@ -15,8 +15,6 @@ from skyproof.layout import Layout
 from skyproof.plans.suite import Suite
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["say_answers", "say_expected", "say_verdict"]
-
 
 class _Answer(Struct, frozen=True):
     """What is said of one row of `results.json`."""

@@ -20,8 +20,6 @@ from skyproof.scenes.places import Places
 if TYPE_CHECKING:
     from skyproof.detectors.loaded import LoadedDetector
 
-__all__ = ["Asked", "Frozen", "Query"]
-
 
 @dataclass(frozen=True)
 class Asked:

@@ -29,8 +29,6 @@ from skyproof.ranges import Fraction, GroundResolution, Risk, Seed, check_ranges
 if TYPE_CHECKING:
     from skyproof.detectors.detector import Detector
 
-__all__ = ["Assess", "assess"]
-
 _SEVERAL = ("label_classes", "vehicle_classes")
 _Class = Annotated[str, Meta(max_length=200)]
 

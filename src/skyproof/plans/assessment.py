@@ -33,8 +33,6 @@ from skyproof.plans.suite import Suite
 from skyproof.plans.world import WorldSizes, render_step, scene_step, vehicles_step, world_steps
 from skyproof.scenes.places import Places
 
-__all__ = ["Given", "assessment_plan"]
-
 _SCORED_AT_ONCE = 24
 # Of train, validation, attack and test: as many tiles as the suite draws, roughly.
 _SHARES = (0.0, 0.25, 0.25, 0.5)

@@ -8,8 +8,6 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import BEST_OF
 
-__all__ = ["AttackJob"]
-
 _PAINTS = 27
 _CHOICE_SCENES = 32
 """On average: all are shown 16, the best quarter of them 64 more."""

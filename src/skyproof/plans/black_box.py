@@ -21,8 +21,6 @@ from skyproof.plans.suite import Suite
 from skyproof.plans.world import GSD_M
 from skyproof.scenes.places import Places
 
-__all__ = ["ByAnswers"]
-
 _ASK_S = 0.03
 
 

@@ -36,9 +36,6 @@ from skyproof.ranges import Count, GroundResolution, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.seeds import next_seed
 
-__all__ = ["Demo", "check_detectors", "demo_plan"]
-
-
 TEXTURES = ("T-U", "T-PixFcMa")
 """What the demo learns: without any constraint, and in blocks of ground colours on paint alone."""
 

@@ -11,8 +11,6 @@ from skyproof.files import write_json
 from skyproof.ranges import Fraction, Risk
 from skyproof.words import percent
 
-__all__ = ["Enough", "refuse_what_scenes_cannot_show"]
-
 
 @dataclass(frozen=True)
 class Enough:

@@ -12,8 +12,6 @@ from skyproof.plans.preset import Preset
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 
-__all__ = ["Jobs"]
-
 _PARALLEL = ("Fc", "PixFc")
 
 

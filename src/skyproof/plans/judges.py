@@ -21,8 +21,6 @@ from skyproof.plans.preset import Preset
 from skyproof.plans.world import GSD_M
 from skyproof.words import detector_name
 
-__all__ = ["Judge", "new_judges", "read_judges", "store_judges", "stored_judges"]
-
 _TABLE = "judges"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
 

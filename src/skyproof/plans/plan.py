@@ -14,8 +14,6 @@ from typing import Protocol, runtime_checkable
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.ranges import check_ranges
 
-__all__ = ["START_S", "Command", "Plan", "Step"]
-
 # What a process costs before it works, seconds on one core.
 START_S = 5.0
 

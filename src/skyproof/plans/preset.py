@@ -22,8 +22,6 @@ from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
 from skyproof.scenes.sensor import BlurChoice
 
-__all__ = ["PRESETS", "AttackSteps", "Preset", "Resources", "read_preset"]
-
 PRESETS = {
     name: Path(__file__).with_name(f"{name}.json")
     for name in ("quick", "paper", "reference", "trainings")

@@ -8,8 +8,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FailedJob", "FinishedJob", "failed_job", "finished_jobs"]
-
 # What a cluster said may have lines of its own, up to the next message with its time.
 _FAILED = re.compile(
     r"^Error in (?:rule|group) [^\n]*:\n(?P<said>(?:(?!\[|Error in )[^\n]*\n)*?)"

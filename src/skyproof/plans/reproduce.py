@@ -21,8 +21,6 @@ from skyproof.plans.plan import Plan
 if TYPE_CHECKING:
     from skyproof.plans.judges import Judge
 
-__all__ = ["Reproduce"]
-
 
 @dataclass(frozen=True)
 class Reproduce:

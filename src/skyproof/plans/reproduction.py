@@ -27,8 +27,6 @@ from skyproof.plans.steps import (
 from skyproof.plans.trainings import training_steps
 from skyproof.plans.world import RENDERED, render_step, scene_step, world_steps
 
-__all__ = ["plan_of_config", "reproduction_plan"]
-
 
 def plan_of_config(config: Mapping[str, Any]) -> Plan:
     """Returns the plan that a run folder's config.json stands for, with paths inside that folder.

@@ -30,8 +30,6 @@ from skyproof.plans.progress import FinishedJob
 from skyproof.plans.sources import read_otherwise
 from skyproof.results.stored import read_environment, read_timings
 
-__all__ = ["RunFolder"]
-
 _REMEDY = "move it away and give the same command again"
 
 _LONGEST_COMMAND = 2000

@@ -6,8 +6,6 @@ from skyproof.cli.console import say
 from skyproof.plans.plan import Plan
 from skyproof.plans.run_folder import RunFolder
 
-__all__ = ["run_serially"]
-
 
 def run_serially(plan: Plan, run: RunFolder) -> None:
     """Does every step that is not finished yet, and says how long the rest may take."""

@@ -15,8 +15,6 @@ from pathlib import Path
 from skyproof.cli.console import say
 from skyproof.errors import ConfigurationError, RunFolderError
 
-__all__ = ["check_slurm", "slurm_words", "wait_for_earlier_jobs"]
-
 _PLUGIN = "snakemake_executor_plugin_slurm"
 _COMMANDS = ("sbatch", "squeue", "scancel", "sinfo")
 _ANSWER_S = 60.0

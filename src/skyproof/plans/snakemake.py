@@ -23,15 +23,6 @@ from skyproof.plans.run_folder import RunFolder
 from skyproof.plans.serial import duration
 from skyproof.plans.words import command_words
 
-__all__ = [
-    "SNAKEFILE",
-    "output_of",
-    "run_side_by_side",
-    "shell_line",
-    "snakemake_words",
-    "step_words",
-]
-
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 
 _POLL_S = 1.0

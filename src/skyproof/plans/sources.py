@@ -10,8 +10,6 @@ from typing import Any
 from skyproof.files import file_digest
 from skyproof.plans.plan import Plan
 
-__all__ = ["SOURCES", "read_otherwise", "source_digests"]
-
 SOURCES = "sources_sha256"
 """Where a run folder's config keeps the digests, by path."""
 

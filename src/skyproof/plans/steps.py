@@ -23,17 +23,6 @@ from skyproof.plans.plan import START_S, Step
 from skyproof.plans.world import WorldSizes, render_s
 from skyproof.scenes.places import Places
 
-__all__ = [
-    "attack_step",
-    "check_step",
-    "control_step",
-    "looks_step",
-    "reference_step",
-    "report_step",
-    "score_step",
-    "train_step",
-]
-
 # Seconds on one core for a million pixels before one detector; for the time left alone.
 _TRAIN_S = 2.0
 _ATTACK_S = 4.0

@@ -22,8 +22,6 @@ from skyproof.plans.preset import AttackSteps
 from skyproof.plans.world import WorldSizes
 from skyproof.ranges import Count
 
-__all__ = ["SUITE", "Expected", "Suite", "read_suite", "suite_digest", "texture_under"]
-
 SUITE = Path(__file__).with_name("suite.json")
 
 _STRIDE_PX = 32

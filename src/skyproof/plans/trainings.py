@@ -12,8 +12,6 @@ from skyproof.plans.preset import Preset
 from skyproof.plans.steps import attack_step, score_step, train_step
 from skyproof.seeds import next_seed
 
-__all__ = ["training_steps"]
-
 
 def training_steps(
     layout: Layout,

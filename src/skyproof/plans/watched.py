@@ -15,8 +15,6 @@ import subprocess
 import sys
 from types import FrameType
 
-__all__ = ["watch"]
-
 _POLL_S = 0.5
 _PATIENCE_S = 20.0
 

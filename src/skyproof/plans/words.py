@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any
 
-__all__ = ["command_words"]
-
 
 def command_words(name: str, command: Any) -> list[str]:
     """Returns `skyproof`'s arguments that stand for a command's settings.

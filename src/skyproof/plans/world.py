@@ -25,17 +25,6 @@ from skyproof.scenes.splits import Split
 from skyproof.scenes.weather import CONDITIONS, MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
-__all__ = [
-    "GSD_M",
-    "RENDERED",
-    "Rendered",
-    "WorldSizes",
-    "render_s",
-    "render_step",
-    "scene_step",
-    "world_steps",
-]
-
 GSD_M = 0.125
 
 Rendered = Literal["train", "validation", "test", "empty", "weather"]

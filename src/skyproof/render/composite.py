@@ -15,8 +15,6 @@ from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["composite"]
-
 
 def composite(
     photographs: Float[Tensor, "B 3 H W"],

@@ -12,8 +12,6 @@ from skyproof.render.placed import Placed
 from skyproof.render.shade import Lighting
 from skyproof.render.windows import Windows
 
-__all__ = ["contact_shadows", "ground_shadows", "surrounded"]
-
 # A box under a Gaussian of this many heights, times this share because its sides give light back,
 # is within 0.02 of what path tracing takes from ground beside vehicles under an overcast sky.
 _SPREAD = 0.45

@@ -14,8 +14,6 @@ from skyproof.render.placed import Placed
 from skyproof.render.windows import windows_around
 from skyproof.scenes.scene import BackgroundWindow, Scene
 
-__all__ = ["covers", "hidden"]
-
 Cut = Callable[[BackgroundWindow, int], Tensor | None]
 """Gives the part of each pixel of a window that crowns and roofs cover, `[H, W]`, or None."""
 

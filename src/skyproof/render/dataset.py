@@ -23,8 +23,6 @@ from skyproof.storage import tensors_digest
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["ground_corners", "in_threads", "placed_vehicles", "render_dataset"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

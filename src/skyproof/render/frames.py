@@ -12,8 +12,6 @@ from torch import Tensor
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Frames", "Renderer"]
-
 
 @dataclass(frozen=True)
 class Frames:

@@ -20,8 +20,6 @@ from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["GeometryBuffer", "GeometryBuffers"]
-
 _SAMPLE_BYTES, _FACE_BYTES = 76, 68
 
 

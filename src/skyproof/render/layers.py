@@ -20,14 +20,6 @@ from skyproof.render.sun_view import SunView
 from skyproof.render.windows import Windows
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = [
-    "Layers",
-    "SeenBodies",
-    "draw_bodies",
-    "draw_shadows",
-    "see_bodies",
-]
-
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
 # average, but a single hit outweighs the whole body. Below this width the derivative is held at
 # what this width would give.

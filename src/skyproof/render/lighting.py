@@ -15,8 +15,6 @@ from skyproof.render.sky import CLEAR, mean_luminance
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 
-__all__ = ["SceneLights", "lighting", "scene_lights", "sky_light"]
-
 _LEAST_ROOM = 1e-3
 _NEARLY_WHITE = 0.98
 # A sky that gives more of the light than this has clouds in it.

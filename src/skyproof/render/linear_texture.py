@@ -16,8 +16,6 @@ from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.materials import reflectance
 from skyproof.vehicles.vehicle import Overlay
 
-__all__ = ["LinearTexture"]
-
 
 class LinearTexture:
     """What textures reflect, as a pyramid of halved sizes, read at the level that fits.

@@ -8,8 +8,6 @@ from torch import Tensor
 
 from skyproof.vehicles.vehicle import Part, VehicleBatch
 
-__all__ = ["CAMOUFLAGE", "gloss_table", "material_labels", "material_table", "reflectance"]
-
 CAMOUFLAGE = len(Part)
 """Label of texels that a camouflage covers, beside the parts' own."""
 

@@ -16,8 +16,6 @@ from skyproof.render.windows import Windows, windows_around
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["Placed", "label", "nothing_placed", "place", "visible_samples"]
-
 
 @dataclass(frozen=True)
 class Placed:

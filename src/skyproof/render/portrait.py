@@ -17,8 +17,6 @@ from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["close_up", "portrait"]
-
 _PORTRAIT_SIDE_M = 6.0
 _SHADOW_M = 0.4
 _SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))

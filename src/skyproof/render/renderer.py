@@ -29,15 +29,6 @@ from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = [
-    "Backgrounds",
-    "TorchRenderer",
-    "photographed_lights",
-    "photographs",
-    "sensor_record",
-    "sensors",
-]
-
 _Read = TypeVar("_Read")
 
 

@@ -16,8 +16,6 @@ from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["SAMPLES", "sample_strips", "sensor_strips"]
-
 SAMPLES = 6
 """Scenes of a sheet."""
 

@@ -10,8 +10,6 @@ from torch import Tensor
 
 from skyproof.scenes.sensor import Sensor
 
-__all__ = ["blurred", "sensor_noise"]
-
 # Sensor noise repeats after this many pixels; only vehicles, far smaller, show it.
 _NOISE_TILE_PX = 64
 # The blur of a large picture is worked out in bands of this many rows.

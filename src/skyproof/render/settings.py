@@ -12,8 +12,6 @@ from skyproof.ranges import Fraction, check_ranges
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Blur, Noise, Sensor
 
-__all__ = ["RenderSettings"]
-
 _Samples = Annotated[int, Meta(ge=1, le=32)]
 
 # Edges of real bodies are rounder than those of meshes: on photographs at 12.5 cm the outlines and

@@ -11,8 +11,6 @@ from torch import Tensor
 from skyproof.render.settings import RenderSettings
 from skyproof.render.sky import CLEAR, OVERCAST, mean_luminance, relative_luminance
 
-__all__ = ["Lighting", "light"]
-
 # Of the change from mirrored sky to mirrored ground, around the horizon.
 _HORIZON_SHARPNESS = 12.0
 # What of the vehicle hides the sun hides the brighter half of a clear sky, too, from what faces it:

@@ -11,8 +11,6 @@ from torch import Tensor
 from skyproof.geometry.meshes import mesh_edges
 from skyproof.geometry.rasterise import Visibility, face_areas
 
-__all__ = ["SilhouettePoints", "silhouette_points"]
-
 
 @dataclass(frozen=True)
 class SilhouettePoints:

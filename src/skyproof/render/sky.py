@@ -9,8 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["CLEAR", "OVERCAST", "SkyType", "mean_luminance", "relative_luminance"]
-
 SkyType = tuple[float, float, float, float, float]
 """Coefficients a, b, c, d, e of the CIE standard general sky (ISO 15469:2004)."""
 

@@ -13,8 +13,6 @@ from skyproof.geometry.rasterise import Visibility, at_corners, rasterise
 from skyproof.render.placed import Placed
 from skyproof.render.windows import Windows
 
-__all__ = ["SunView", "see_from_sun"]
-
 # Metres. The view has one depth for each of its samples, of a surface that it may see aslant. So
 # what is tested stands a little off its surface, and is lit a little behind that depth, too.
 _OFF_SURFACE_M = 0.05

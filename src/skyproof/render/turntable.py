@@ -16,8 +16,6 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
-__all__ = ["PART_COLOURS", "turntable_row", "turntable_sheet"]
-
 PART_COLOURS = {
     Part.BODY: (200, 200, 200),
     Part.GLASS: (60, 110, 200),

@@ -16,8 +16,6 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.weather import Weather
 
-__all__ = ["AIRLIGHT", "finish_images", "jpeg", "wet", "wet_grounds"]
-
 AIRLIGHT = (0.42, 0.47, 0.54)
 """Linear light of haze seen from above, before black ground: grey with a little blue."""
 

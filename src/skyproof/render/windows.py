@@ -8,8 +8,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["Windows", "windows_around"]
-
 
 @dataclass(frozen=True)
 class Windows:

@@ -31,8 +31,6 @@ from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_sho
 from skyproof.scenes.scene import Scene, read_scenes, scenes_digest
 from skyproof.words import body_name, detector_name, percent, renderer_name
 
-__all__ = ["Acceptance", "Ruling", "read_requirement", "rule", "write_verdict"]
-
 _REMEDY = "move it away, or report again with --accept and --reject"
 
 

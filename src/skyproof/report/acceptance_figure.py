@@ -8,8 +8,6 @@ from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_svg
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.compliance import DecisionChances
 
-__all__ = ["chances_figure"]
-
 
 def chances_figure(chances: DecisionChances, requirement: Requirement) -> str:
     """Draws the chances of both answers against the share lost, with the requirement's points."""

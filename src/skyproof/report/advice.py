@@ -11,8 +11,6 @@ from skyproof.layout import Layout
 from skyproof.results.results import Results
 from skyproof.results.rows import MEAN, Headline
 
-__all__ = ["advice", "limits"]
-
 _FEW_TILES = 20
 _MUCH_BY_CHANCE = 0.1
 

@@ -12,8 +12,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.worst import WorstCase
 from skyproof.words import detector_name, interval, percent, points, renderer_name
 
-__all__ = ["answer", "worst_case"]
-
 _THIN = "\u202f"
 _WORTH_SAYING = 0.05
 

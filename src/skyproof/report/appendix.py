@@ -10,8 +10,6 @@ from skyproof.results.results import Results
 from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, Row
 from skyproof.words import renderer_name
 
-__all__ = ["flat_settings", "full_tables"]
-
 
 def full_tables(results: Results) -> list[tuple[str, list[Row]]]:
     """Groups the rows by match criterion and renderer, with headings; the main criterion first."""

@@ -19,8 +19,6 @@ from skyproof.results.checks import Check
 from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["CheckedSet", "Standing", "checked_sets", "standing"]
-
 _FEW_FOUND = 0.8
 """Below this AP a detector misses or invents so many real vehicles that its rates say little about
 real imagery."""

@@ -17,8 +17,6 @@ from skyproof.paper.colours import CHANNELS, colour_histograms
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.figures import GREY, STYLE, as_files
 
-__all__ = ["colour_figure"]
-
 _COLUMNS = 6
 # Told apart by their lines, too.
 _LINES: Any = (("#c0392b", "-"), ("#1e8449", "--"), ("#1f5fa8", ":"))

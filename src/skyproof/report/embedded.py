@@ -11,8 +11,6 @@ from PIL import Image
 from skyproof.errors import StoredFileError
 from skyproof.pictures import open_picture, read_pixels
 
-__all__ = ["embedded", "embedded_jpeg"]
-
 _REMEDY = "copy the whole folder again, or score again"
 
 

@@ -20,8 +20,6 @@ from skyproof.results.pairs.features import GROUND
 from skyproof.results.pairs.sets import ORIGINAL
 from skyproof.words import detector_name
 
-__all__ = ["embedding_figure"]
-
 
 def embedding_figure(points: Table, numbers: Table) -> dict[str, bytes]:
     """Draws one line of two pictures per camouflage and detector; SVG or PNG by file ending."""

@@ -19,8 +19,6 @@ from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
-__all__ = ["as_files", "as_svg", "condition_figure", "forest_figure", "loss_figure", "many_figure"]
-
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
 BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
     "#0072B2",

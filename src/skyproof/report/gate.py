@@ -21,8 +21,6 @@ from skyproof.results.results import Results
 from skyproof.scenes.scene import read_scenes, scenes_digest
 from skyproof.words import detector_name, interval, percent
 
-__all__ = ["Gate", "Swatch", "read_gate"]
-
 _STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole vehicle"}
 _BRIGHT = 128
 

@@ -16,8 +16,6 @@ from skyproof.results.results import Results
 from skyproof.results.rows import Headline
 from skyproof.scenes.scene import read_scenes
 
-__all__ = ["Hardening", "hardening", "readings"]
-
 _STRONGEST = 2
 # Of a check, the kinds of change that are coats of paint.
 _COATS = ("paint_body", "paint_whole", "two_tone", "control")

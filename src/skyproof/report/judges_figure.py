@@ -20,8 +20,6 @@ from skyproof.paper.reproduction import Reproduction
 from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
 from skyproof.words import detector_name
 
-__all__ = ["judges_figure"]
-
 _RENDERERS = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}
 _LOWEST = -30.0
 """Where the axis ends at the latest: intervals of rates below zero may go far."""

@@ -22,8 +22,6 @@ from skyproof.pictures import read_pixels
 from skyproof.report.figures import BLUE, INK, ORANGE, STYLE, as_files
 from skyproof.results.looks import Strip, read_looks
 
-__all__ = ["looks_figures"]
-
 _REMEDY = "copy the whole folder again, or score again"
 _ACROSS = 12
 # Of a portrait: its second row shows the camouflage from above.

@@ -10,8 +10,6 @@ from skyproof.results.results import Results
 from skyproof.results.rows import Headline
 from skyproof.results.stored import read_log
 
-__all__ = ["attack_loss", "training_loss"]
-
 
 def attack_loss(results: Results, headline: Headline) -> Markup | None:
     """Draws the losses of an attack against its steps; None where they are not kept."""

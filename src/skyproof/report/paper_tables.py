@@ -22,8 +22,6 @@ from skyproof.report.variability_figure import variability_figure
 from skyproof.report.weather_figure import weather_figure
 from skyproof.results.results import Results
 
-__all__ = ["PaperPart", "paper_part"]
-
 
 @dataclass(frozen=True)
 class PaperPart:

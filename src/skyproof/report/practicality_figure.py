@@ -19,8 +19,6 @@ from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.figures import GREY, INK, STYLE, as_files
 
-__all__ = ["easr_against_practicality"]
-
 # Okabe and Ito's colours, safe for colour-blind readers; markers differ as well.
 _TEXTURES = {
     "O": (INK, "o", "original texture (S-O)"),

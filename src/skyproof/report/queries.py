@@ -17,8 +17,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import interval, percent, points
 
-__all__ = ["ByAnswers", "by_answers"]
-
 _QUANTILE = 1.96
 _KEPT = re.compile(rf"{ASKED}(?P<images>\d+)")
 

@@ -11,8 +11,6 @@ import matplotlib.pyplot as plt
 from skyproof.report.figures import BLUE, GREY, STYLE, as_svg
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["Curve", "queries_figure"]
-
 _WIDTH_IN = 2.7
 _ROW_IN = 2.3
 _COLUMNS = 3

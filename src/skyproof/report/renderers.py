@@ -10,8 +10,6 @@ from skyproof.results.results import Change, Results
 from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["Compared", "compare_renderers", "survival"]
-
 
 @dataclass(frozen=True)
 class Compared:

@@ -42,8 +42,6 @@ from skyproof.results.rows import Headline
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.worst import worst_cases
 
-__all__ = ["write_report"]
-
 _SEED = 20240
 _PAIRS_OF_SECOND = 3
 _FEW = 4

@@ -9,8 +9,6 @@ from pathlib import Path
 import trimesh
 from trimesh.viewer import scene_to_html
 
-__all__ = ["PLACE_OF_MODEL", "model", "viewer"]
-
 PLACE_OF_MODEL = "@MODEL@"
 """Stands in the viewer where the model goes, in base64."""
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from skyproof.results.results import Results
 from skyproof.results.rows import Headline, Row
 
-__all__ = ["ErrorRow", "error_rows", "left_out"]
-
 
 @dataclass(frozen=True)
 class ErrorRow:

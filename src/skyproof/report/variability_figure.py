@@ -18,8 +18,6 @@ from skyproof.pictures import read_pixels
 from skyproof.report.figures import STYLE, as_files
 from skyproof.words import percent
 
-__all__ = ["variability_figure"]
-
 _REMEDY = "copy the whole folder again, or make the camouflage again"
 _COLUMNS = 6
 

@@ -15,8 +15,6 @@ from skyproof.paper.weather import EVERY_WEATHER
 from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
 from skyproof.results.rows import MEAN
 
-__all__ = ["weather_figure"]
-
 _SERIES = (
     ("clear", "o", BLUE, -0.2, "learnt on clear days"),
     ("all", "^", ORANGE, 0.0, "learnt in all weathers"),

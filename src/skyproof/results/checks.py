@@ -15,8 +15,6 @@ from skyproof.ranges import Fraction, Name, WholeNumber
 from skyproof.results.rows_file import nulls_for_undefined, read_rows
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["BestF1", "Check", "StoredCheck", "check_of", "f1", "read_checks", "write_checks"]
-
 _FAR = 0.03
 """A frozen threshold that costs more of F1 than this does not carry over."""
 

@@ -26,8 +26,6 @@ from skyproof.results.statistics.intervals import (
 )
 from skyproof.results.statistics.rates import false_alarms_per_km2
 
-__all__ = ["CleanSet", "ap_interval", "check_clean", "threshold_intervals"]
-
 
 @dataclass(frozen=True)
 class CleanSet:

@@ -20,8 +20,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.sample import Sample
 from skyproof.words import body_name
 
-__all__ = ["Bin", "Panel", "condition_panels", "shared_groups"]
-
 
 @dataclass(frozen=True)
 class Bin:

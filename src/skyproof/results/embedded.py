@@ -21,8 +21,6 @@ from skyproof.randomness import generator_of
 from skyproof.results.pairs.features import GROUND, Features
 from skyproof.results.pairs.sets import ORIGINAL
 
-__all__ = ["MOST_SCENES", "gather_features"]
-
 MOST_SCENES = 200
 """Of so many scenes, the first, features are stored: some 600 vehicles, as many as a picture of
 points can show. Scenes are drawn independently, so the first are a fair sample."""

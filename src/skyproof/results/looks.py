@@ -11,8 +11,6 @@ from skyproof.documents import read_document
 from skyproof.ranges import FileReference, Fraction, Name, WholeNumber
 from skyproof.results.stored import Label
 
-__all__ = ["Looks", "PairLooks", "Strip", "TextureLooks", "read_looks"]
-
 _Correlation = Annotated[float, Meta(ge=-1, le=1)]
 _Distance = Annotated[float, Meta(ge=0, le=1000)]
 _Bins = Annotated[list[Fraction], Meta(min_length=1, max_length=256)]

@@ -14,8 +14,6 @@ from skyproof.results.pairs.sets import ORIGINAL, SetScore, read_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
 from skyproof.results.score_folder import ScoreFolder
 
-__all__ = ["merge_counts"]
-
 
 def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
     """Reads the counts and set scores of several score folders that share scenes and detectors.

@@ -12,8 +12,6 @@ from PIL import Image, ImageDraw
 
 from skyproof.results.pairs.outcomes import Outcome
 
-__all__ = ["FALSE_ALARM", "FOUND", "MISSED", "choose_scenes", "draw_scene"]
-
 # Green, vermilion and yellow of Okabe and Ito; line style tells them apart without colour.
 FOUND = "#00C48C"
 MISSED = "#FF6A00"

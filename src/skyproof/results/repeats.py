@@ -5,8 +5,6 @@ from __future__ import annotations
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.statistics.repeats import DRAWS, SEEDS, Repeat
 
-__all__ = ["repeat_of"]
-
 
 def repeat_of(camouflage: str) -> Repeat:
     """Says which repeat of what a camouflage is, by its name: "R-U-1" is a draw of "R-U"."""

@@ -42,8 +42,6 @@ from skyproof.results.stored import (
 from skyproof.results.summary import summarise
 from skyproof.seeds import numpy_generator
 
-__all__ = ["CYCLES", "RENDERER", "Change", "Results"]
-
 RENDERER = "torch"
 """The renderer that attacks go through."""
 

@@ -10,8 +10,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
-__all__ = ["LENIENT_MATCH", "MAIN_MATCH", "MEAN", "Contrast", "Headline", "Row"]
-
 MEAN = "mean"
 MAIN_MATCH = "centre_1m"
 LENIENT_MATCH = "centre_in_box"

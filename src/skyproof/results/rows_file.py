@@ -15,8 +15,6 @@ from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.ranges import limits_of
 
-__all__ = ["filled_row", "nulls_for_undefined", "read_rows", "row_form", "write_rows"]
-
 T = TypeVar("T")
 
 

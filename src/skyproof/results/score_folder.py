@@ -24,8 +24,6 @@ from skyproof.ranges import FileReference, Name, Seed, WholeNumber
 from skyproof.results.pairs.features import Features, read_features
 from skyproof.results.stored import Label, Practicality, Text
 
-__all__ = ["Pair", "ScoreFolder", "ScoreRecord", "is_pictured", "write_pairs", "write_record"]
-
 
 @dataclass(frozen=True)
 class ScoreRecord:

@@ -35,8 +35,6 @@ from skyproof.results.score_folder import (
 from skyproof.results.statistics.rates import false_alarms_per_km2
 from skyproof.seeds import numpy_generator
 
-__all__ = ["score_detectors"]
-
 Judge = LoadedDetector[Detector]
 
 

@@ -13,26 +13,6 @@ from skyproof.documents import check_document, read_document, read_lines
 from skyproof.errors import StoredFileError
 from skyproof.ranges import Fraction, Name, Seed, WholeNumber
 
-__all__ = [
-    "AttackRecord",
-    "DetectorFacts",
-    "Discretisation",
-    "Finite",
-    "Label",
-    "LogRow",
-    "Practicality",
-    "RunConfig",
-    "Text",
-    "Timing",
-    "read_config",
-    "read_detectors",
-    "read_environment",
-    "read_log",
-    "read_records",
-    "read_sources",
-    "read_timings",
-]
-
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """Any number that a table can show."""
 

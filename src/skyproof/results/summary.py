@@ -26,8 +26,6 @@ from skyproof.results.statistics.rates import (
 )
 from skyproof.results.statistics.sample import Sample
 
-__all__ = ["summarise"]
-
 
 def summarise(
     tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator

@@ -17,8 +17,6 @@ from skyproof.results.pairs.tiles import Cell, TileCounts
 from skyproof.results.score_folder import ScoreFolder
 from skyproof.results.stored import DetectorFacts, read_detectors
 
-__all__ = ["Training", "read_trainings"]
-
 _REMEDY = "put only trainings of one recipe on the same images into one run"
 
 

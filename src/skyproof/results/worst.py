@@ -23,8 +23,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, Repeat
 
-__all__ = ["WorstCase", "worst_cases"]
-
 
 @dataclass(frozen=True)
 class WorstCase:

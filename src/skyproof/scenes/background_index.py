@@ -23,17 +23,6 @@ from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.splits import Split
 
-__all__ = [
-    "REMEDY",
-    "BackgroundIndex",
-    "BackgroundTile",
-    "change_sensors",
-    "read_index",
-    "save_map",
-    "save_tile",
-    "write_index",
-]
-
 FORMAT_VERSION: Literal[1] = 1
 
 _INDEX = "index.json"

@@ -22,8 +22,6 @@ from skyproof.scenes.scene import BackgroundWindow
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["BackgroundSet", "on_tile"]
-
 CACHE_BYTES = 256 * 2**20
 
 

@@ -14,8 +14,6 @@ from jaxtyping import Bool, UInt8
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["direction_values", "with_room"]
-
 _Grid = NDArray[np.floating[Any]]
 
 HALF_WIDTH_M = 1.25

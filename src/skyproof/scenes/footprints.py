@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 from skyproof.scenes.scene import Placement
 
-__all__ = ["Rectangle", "Sizes", "footprint", "rectangles_overlap"]
-
 Rectangle = tuple[float, float, float, float, float]
 """Centre x, centre y, heading, length, width; metres and radians."""
 

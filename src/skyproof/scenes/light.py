@@ -11,8 +11,6 @@ from msgspec import Meta
 from skyproof.ranges import Fraction, Radians, check_ranges
 from skyproof.scenes.scene import Sun, SunElevation
 
-__all__ = ["CLEAR_SKY", "Light", "SunEstimate", "rounded_levels"]
-
 CLEAR_SKY = (0.206, 0.253, 0.351)
 """A quarter of the light on level ground, in a clear sky's colour, linear sRGB.
 

@@ -9,8 +9,6 @@ from msgspec import Meta
 
 from skyproof.ranges import Coordinate, Radians
 
-__all__ = ["DIRECTIONS", "HeadingFrom", "Places", "RemovedVehicle"]
-
 DIRECTIONS = 180
 """The highest value in a map of drivable ground; see `skyproof.scenes.directions`."""
 

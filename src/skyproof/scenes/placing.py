@@ -15,8 +15,6 @@ from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
 
-__all__ = ["Place", "drivable_places", "place_vehicles", "removed_places"]
-
 SHIFT_M = 0.3
 TURN_RAD = math.radians(3)
 """Standard deviations of a vehicle's place and heading about those that it is given."""

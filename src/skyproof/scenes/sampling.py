@@ -17,8 +17,6 @@ from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.standing import standing
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
-__all__ = ["sample_scenes"]
-
 TRIES = 2000
 
 WIDEST_GAP_M = (0.6, 1.5)

@@ -19,20 +19,6 @@ from skyproof.files import write_jsonl
 from skyproof.ranges import Coordinate, Fraction, GroundResolution, ImageSide, Name, Radians, Seed
 from skyproof.scenes.weather import CLEAR, Weather
 
-__all__ = [
-    "MOST_PLACEMENTS",
-    "BackgroundWindow",
-    "Camera",
-    "Placement",
-    "Scene",
-    "Sun",
-    "SunElevation",
-    "Tilt",
-    "read_scenes",
-    "scenes_digest",
-    "write_scenes",
-]
-
 MOST_PLACEMENTS = 1000
 """Vehicles in one scene."""
 

@@ -10,8 +10,6 @@ from msgspec import Meta
 
 from skyproof.ranges import check_ranges
 
-__all__ = ["PAPER_BLUR_SIGMA_PX", "Blur", "BlurChoice", "Noise", "Sensor", "chosen_blur_px"]
-
 PAPER_BLUR_SIGMA_PX = 2.4
 """What the paper found best for its own imagery (figure S5)."""
 

@@ -14,8 +14,6 @@ from skyproof.scenes.places import Places
 from skyproof.scenes.scene import MOST_PLACEMENTS, SunElevation, Tilt
 from skyproof.scenes.weather import CONDITIONS
 
-__all__ = ["SceneSettings"]
-
 _Vehicles = Annotated[int, Meta(ge=0, le=MOST_PLACEMENTS)]
 _TILT_RAD = math.radians(20)
 _LOWEST_SUN_RAD = math.radians(25)

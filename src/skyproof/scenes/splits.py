@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-__all__ = ["SPLITS", "Split"]
-
 Split = Literal["train", "validation", "attack", "test"]
 
 SPLITS: tuple[Split, ...] = get_args(Split)

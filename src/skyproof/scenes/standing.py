@@ -14,8 +14,6 @@ from skyproof.scenes.backgrounds import BackgroundSet, on_tile
 from skyproof.scenes.footprints import Sizes, footprint
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
-__all__ = ["standing"]
-
 _ALONG, _ACROSS = 9, 5
 """Points of a vehicle's footprint at which the maps are read."""
 

@@ -12,15 +12,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, check_ranges
 
-__all__ = [
-    "CLEAR",
-    "CONDITIONS",
-    "LOW_SUN_ELEVATION_RAD",
-    "MIXED_CONDITIONS",
-    "Weather",
-    "draw_weather",
-]
-
 LOW_SUN_ELEVATION_RAD = (math.radians(8), math.radians(20))
 """Under "low_sun" the sun's elevation is uniform between these, instead of the usual range."""
 

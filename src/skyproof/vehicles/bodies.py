@@ -8,8 +8,6 @@ import torch
 
 from skyproof.errors import ConfigurationError
 
-__all__ = ["BODY_RANGES", "BodyDimensions", "BodyRanges", "sample_dimensions"]
-
 Range = tuple[float, float]
 
 

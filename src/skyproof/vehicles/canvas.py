@@ -13,8 +13,6 @@ from skyproof.vehicles.surface import Body
 from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
-__all__ = ["Canvas", "Colour", "Mask", "between", "open_canvas"]
-
 Mask = Bool[Tensor, "512 256"]
 Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 

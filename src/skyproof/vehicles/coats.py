@@ -17,8 +17,6 @@ from skyproof.vehicles.canvas import Canvas, between
 from skyproof.vehicles.paints import DARKEST, LIGHTEST
 from skyproof.vehicles.vehicle import Part
 
-__all__ = ["Coat", "lay_coat", "varied_colours"]
-
 Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 """How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
 `skyproof.camouflage.random_controls` lays over a catalogue paint."""

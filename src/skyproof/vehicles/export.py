@@ -13,8 +13,6 @@ from PIL import Image
 from skyproof.files import write_bytes
 from skyproof.vehicles.vehicle import VehicleBatch
 
-__all__ = ["export_glb", "export_view"]
-
 _VIEW_RAD = (0.7, -0.45, 0.0)
 """Where the camera of a view stands: turned about the vehicle, then raised."""
 

@@ -27,8 +27,6 @@ from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 
-__all__ = ["Fleet", "FleetSettings", "exact_share", "mix_fleets", "sample_fleet"]
-
 _FORMAT_VERSION = 1
 _USUAL: Coat = "catalogue"
 _REMEDY = "copy the whole folder again, or make the fleet again"

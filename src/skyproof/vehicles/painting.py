@@ -13,8 +13,6 @@ from skyproof.vehicles.surface import Body
 from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
-__all__ = ["GLASS_SRGB", "paint_vehicle"]
-
 GLASS_SRGB = (0.115, 0.140, 0.165)
 """Panes from outside; those of single vehicles are 0.75 to 1.45 times as bright."""
 

@@ -6,8 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["DARKEST", "LIGHTEST", "PAINT_SHARES", "PAINT_TONES", "sample_paint"]
-
 DARKEST, LIGHTEST = 0.03, 0.97
 """Nothing paints blacker or whiter, sRGB."""
 

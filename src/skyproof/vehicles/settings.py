@@ -14,8 +14,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
 
-__all__ = ["CATALOGUE_PAINTS", "Axis", "PaintVariety", "VehicleCount", "WrapSettings"]
-
 VehicleCount = Annotated[int, Meta(ge=1, le=10_000)]
 """How many vehicles are drawn at once; each takes 1 MB of memory."""
 

@@ -18,8 +18,6 @@ from skyproof.vehicles.template import (
     column_u,
 )
 
-__all__ = ["Body", "build_body", "interpolate"]
-
 _HALF = COLUMNS // 2
 _CAP_RINGS = 2  # rings inside each bumper's face
 _CAP_SCALES = (0.45, 0.86)

@@ -8,17 +8,6 @@ from torch import Tensor
 
 from skyproof.vehicles.vehicle import Template
 
-__all__ = [
-    "COLUMNS",
-    "RINGS",
-    "TOPOLOGY_BELT",
-    "TOPOLOGY_RAIL",
-    "TOPOLOGY_SILL",
-    "column_u",
-    "make_template",
-    "row_v",
-]
-
 RINGS = 31
 COLUMNS = 32
 

@@ -16,8 +16,6 @@ from skyproof.vehicles.template import (
 )
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
-__all__ = ["texel_metric", "texel_regions", "texel_sizes"]
-
 _ROWS = TEXTURE_SIZE // (RINGS + 1)  # texels between two rings; whole, because rings are even in v
 
 

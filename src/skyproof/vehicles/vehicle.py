@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-__all__ = ["TEXTURE_SIZE", "Overlay", "Part", "Template", "VehicleBatch"]
-
 TEXTURE_SIZE = 512
 
 

@@ -16,8 +16,6 @@ from torch import Tensor
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.scenes.light import Light, SunEstimate
 
-__all__ = ["CastShadow", "find_cast_shadows", "light_left", "shade_map"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -47,8 +47,6 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["Cleared", "clear_backgrounds"]
-
 
 @dataclass
 class Cleared:

@@ -16,8 +16,6 @@ from skyproof.scenes.background_index import write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["drop_tiles"]
-
 _REMEDY = "copy the whole folder again, or clear the imagery again"
 
 

@@ -14,8 +14,6 @@ from scipy.sparse.linalg import splu
 
 from skyproof.ranges import Fraction, check_ranges
 
-__all__ = ["ExemplarSettings", "fill_by_exemplar"]
-
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shift = tuple[int, int]

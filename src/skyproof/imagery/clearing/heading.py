@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-__all__ = ["estimate_stance"]
-
 _Grid = NDArray[np.floating[Any]]
 _Box = tuple[float, float, float, float]
 

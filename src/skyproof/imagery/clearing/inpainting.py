@@ -15,14 +15,6 @@ from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.imagery.clearing.exemplar import ExemplarSettings, fill_by_exemplar
 from skyproof.ranges import check_ranges
 
-__all__ = [
-    "Diffusion",
-    "Exemplar",
-    "Inpainting",
-    "apply_inpainting",
-    "inpainting_record",
-]
-
 
 @runtime_checkable
 class Inpainting(Protocol):

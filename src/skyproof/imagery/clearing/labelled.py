@@ -23,8 +23,6 @@ from skyproof.ranges import Coordinate
 from skyproof.scenes.places import HeadingFrom, RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
-__all__ = ["TileLabels", "read_labels_of_tiles", "removed_vehicles"]
-
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 

@@ -17,8 +17,6 @@ from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError
 
-__all__ = ["LearntInpainting"]
-
 _DOMAINS = ("", "ai.onnx")
 _ARCHIVES = (b"PK\x03\x04", b"\x80")
 _NO_LOGS = 4

@@ -18,8 +18,6 @@ from skyproof.scenes.background_index import BackgroundTile, save_map
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
 
-__all__ = ["lights_record", "shaded_tiles"]
-
 
 def shaded_tiles(backgrounds: BackgroundSet) -> list[BackgroundTile]:
     """Returns a set's tiles with maps of shadows, written to its folder, and with the sky's light.

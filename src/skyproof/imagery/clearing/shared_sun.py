@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from skyproof.scenes.light import SunEstimate
 
-__all__ = ["FEWEST_TO_SHARE", "KNOWN_FROM", "shared_sun", "turned"]
-
 FEWEST_TO_SHARE = 3
 """Photographs that must agree before the light of others is taken from them."""
 WITHIN_RAD = math.radians(20)

@@ -15,8 +15,6 @@ from torch import Tensor
 
 from skyproof.files import write_beside, write_bytes
 
-__all__ = ["ContactSheet", "SheetRow"]
-
 LARGEST_SIDE_PX = 640
 GAP_PX = 8
 _PAGE = Path(__file__).with_name("sheet.html")

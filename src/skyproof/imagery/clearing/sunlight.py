@@ -34,19 +34,6 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.places import RemovedVehicle
 
-__all__ = [
-    "OVERCAST_SKY",
-    "Footprints",
-    "by_picture",
-    "casts_no_shadow",
-    "estimate_sun",
-    "measured_lights",
-    "picture_of",
-    "shadow_light",
-    "sky_of",
-    "with_sky",
-]
-
 Array = NDArray[np.float64]
 
 HEIGHT_M = 1.5

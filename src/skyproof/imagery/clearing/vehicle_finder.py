@@ -14,8 +14,6 @@ from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 
-__all__ = ["VehicleFinder", "check_resolution", "grown_to_what_is_seen", "other_vehicles"]
-
 SAME_VEHICLE_IOU = 0.3
 
 

@@ -12,18 +12,6 @@ from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = [
-    "Shadow",
-    "arrival",
-    "covered_ground",
-    "darkness_profiles",
-    "estimate_shadow",
-    "shadow_side",
-    "stack_profiles",
-    "vehicle_mask",
-    "window_around",
-]
-
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 

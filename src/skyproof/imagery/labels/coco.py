@@ -15,8 +15,6 @@ from skyproof.imagery.labels.text import name_once
 from skyproof.imagery.tiles.georeference import image_name
 from skyproof.ranges import Coordinate
 
-__all__ = ["read_coco_labels"]
-
 # Tools count, or give every row a name of its own.
 _Id = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)] | Annotated[str, Meta(max_length=200)]
 _Side = Annotated[float, Meta(ge=0, le=1e6)]

@@ -9,8 +9,6 @@ from skyproof.imagery.labels.label import ImageLabels, Label, bounds, require_in
 from skyproof.imagery.labels.text import finite_numbers, image_of, image_size_px, text_lines
 from skyproof.imagery.tiles.georeference import image_name
 
-__all__ = ["is_dota_line", "read_dota_labels"]
-
 _HEADERS = ("imagesource:", "gsd:")
 
 

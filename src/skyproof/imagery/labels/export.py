@@ -31,8 +31,6 @@ from skyproof.imagery.tiles.grid import Extent
 from skyproof.imagery.tiles.tile_index import GROUND_INDEX, read_places
 from skyproof.ranges import Coordinate, ImageSide, Seed
 
-__all__ = ["LABEL_FORMS", "Exported", "export_labels"]
-
 
 class _Outline(msgspec.Struct):
     """Uncompressed COCO run lengths, as the renderer writes them."""

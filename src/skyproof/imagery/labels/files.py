@@ -16,8 +16,6 @@ from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.labels.text import IMAGE_FOLDER, LABEL_FOLDERS, text_lines
 from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
 
-__all__ = ["read_labels"]
-
 _FORMS = (
     "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
     "YOLO text with a .names file or data.yaml, or a folder of DOTA text"

@@ -14,8 +14,6 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import GroundLabels, Label, Point
 from skyproof.imagery.labels.text import LARGEST_NUMBER
 
-__all__ = ["CLASS_KEYS", "UNNAMED", "read_ground_labels"]
-
 CLASS_KEYS = ("class", "category", "label", "type")
 """Properties that may say an object's class; the first that is there counts."""
 # How GeoPackages and Shapefiles begin; everything else is GeoJSON.

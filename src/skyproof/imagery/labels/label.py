@@ -13,22 +13,6 @@ from torch import Tensor
 
 from skyproof.errors import ImageryError
 
-__all__ = [
-    "GroundLabels",
-    "ImageLabels",
-    "Label",
-    "Labels",
-    "Point",
-    "border_strips",
-    "bounds",
-    "corners_lengthwise",
-    "is_oriented",
-    "pieces_of",
-    "require_classes",
-    "require_inside",
-    "sort_labels",
-]
-
 Point = tuple[float, float]
 
 _MOST_PIECES = 2_000

@@ -12,18 +12,6 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from skyproof.errors import ImageryError
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 
-__all__ = [
-    "IMAGE_FOLDER",
-    "LABEL_FOLDERS",
-    "LARGEST_NUMBER",
-    "finite_numbers",
-    "image_of",
-    "image_size_px",
-    "name_once",
-    "read_text",
-    "text_lines",
-]
-
 LARGEST_NUMBER = 1e9
 """Pixels, metres or degrees: no label lies farther away."""
 

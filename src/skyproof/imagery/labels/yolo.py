@@ -20,8 +20,6 @@ from skyproof.imagery.labels.text import (
 )
 from skyproof.imagery.tiles.georeference import image_name
 
-__all__ = ["class_file", "read_yolo_labels"]
-
 
 def class_file(folder: Path) -> Path | None:
     """Finds the file that names a YOLO folder's classes: `data.yaml`, or its one `.names` file.

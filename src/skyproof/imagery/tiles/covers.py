@@ -16,8 +16,6 @@ from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
 from skyproof.imagery.tiles.warp import CellImage, read_source
 
-__all__ = ["cover_of", "find_covers"]
-
 
 def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> list[Source]:
     """Finds the mask of each source: an image of its name and its size, lying where it lies.

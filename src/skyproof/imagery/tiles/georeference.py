@@ -16,17 +16,6 @@ from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
 
-__all__ = [
-    "Georeference",
-    "image_name",
-    "is_true_to_scale",
-    "map_tile",
-    "outline",
-    "read_georeference",
-    "system_of",
-    "to_reference_system",
-]
-
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
 TRUE_TO_SCALE = 0.0015

@@ -23,8 +23,6 @@ from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import is_name
 from skyproof.scenes.splits import Split
 
-__all__ = ["Cell", "Extent", "Grid", "cells_of", "extent_of", "lay_grids", "plane_of"]
-
 FULL_SHARE = 0.98
 MOST_CELLS = 500_000
 """Tiles of one grid, as many as a thousand square kilometres have at the usual size."""

@@ -23,8 +23,6 @@ from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate
 
-__all__ = ["lit_tiles", "sun_over"]
-
 _DEGREES = CRS.from_epsg(4326)
 _NORTH_M = 100.0
 # A sun that is lower lights no photograph that one would count vehicles in.

@@ -37,8 +37,6 @@ from skyproof.imagery.tiles.georeference import (
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
-__all__ = ["PlacedLabels"]
-
 BIN_M = 64.0
 FARTHEST_PX = 1e6
 _NAMED = 3

@@ -30,15 +30,6 @@ from skyproof.imagery.tiles.georeference import (
     read_georeference,
 )
 
-__all__ = [
-    "Source",
-    "SourceReader",
-    "find_images",
-    "gdal_limits",
-    "inspect_source",
-    "read_mask",
-]
-
 GDAL_CACHE_MB = 256
 OPEN_AT_ONCE = 8
 

@@ -10,8 +10,6 @@ import torch
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.splits import Split
 
-__all__ = ["assign_splits"]
-
 WANTED_BLOCKS = 24
 DEFAULT_BLOCK_M = 400.0
 

@@ -24,15 +24,6 @@ from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import Split
 
-__all__ = [
-    "GROUND_INDEX",
-    "cells_like",
-    "copy_ground_index",
-    "read_places",
-    "settings_like",
-    "write_ground_index",
-]
-
 GROUND_INDEX = "index.geojson"
 
 _REMEDY = "copy the whole folder again, or cut the imagery again"

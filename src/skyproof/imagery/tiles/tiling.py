@@ -40,8 +40,6 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
 
-__all__ = ["TilingRecord", "tile_imagery"]
-
 _WAITING = "waiting"
 _SAME_NOTES = 8
 

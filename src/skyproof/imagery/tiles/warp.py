@@ -21,8 +21,6 @@ from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
 from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
 
-__all__ = ["CellImage", "read_cell", "read_source"]
-
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
 

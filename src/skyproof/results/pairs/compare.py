@@ -16,8 +16,6 @@ from skyproof.detectors.matching import MatchTable
 from skyproof.results.pairs.outcomes import Outcome
 from skyproof.scenes.scene import Scene
 
-__all__ = ["Comparison", "compare"]
-
 
 @dataclass(frozen=True)
 class Comparison:

@@ -19,8 +19,6 @@ from skyproof.files import write_beside
 from skyproof.ranges import Name, WholeNumber
 from skyproof.results.pairs.parquet import REMEDY, read_table
 
-__all__ = ["GROUND", "Features", "read_features", "write_features"]
-
 GROUND = "ground"
 """Stands where a camouflage's name would: no vehicle is in the box."""
 

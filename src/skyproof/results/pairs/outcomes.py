@@ -18,8 +18,6 @@ from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Metres, Name, WholeNumber, limits_of
 from skyproof.results.pairs.parquet import read_table
 
-__all__ = ["MATCHES", "Match", "Outcome", "read_outcomes", "write_outcomes"]
-
 Match = Literal["centre_1m", "iou_50", "centre_in_box"]
 """How a detection and a vehicle are paired, as `match_detections` says."""
 

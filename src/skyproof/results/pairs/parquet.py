@@ -13,8 +13,6 @@ import pyarrow.parquet as pq
 
 from skyproof.errors import StoredFileError
 
-__all__ = ["REMEDY", "read_table"]
-
 REMEDY = "copy the whole folder again, or score again"
 """What is advised where a table of scores is not as it was written."""
 

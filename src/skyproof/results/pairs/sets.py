@@ -15,8 +15,6 @@ from msgspec import Meta
 from skyproof.ranges import Fraction, Name
 from skyproof.results.rows_file import read_rows, write_rows
 
-__all__ = ["ORIGINAL", "SetScore", "read_sets", "write_sets"]
-
 ORIGINAL = "original"
 
 

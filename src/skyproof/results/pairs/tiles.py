@@ -23,16 +23,6 @@ from skyproof.results.pairs.outcomes import Match, Outcome
 from skyproof.results.pairs.parquet import REMEDY, read_table
 from skyproof.results.statistics.rates import column_of_pair
 
-__all__ = [
-    "Cell",
-    "Series",
-    "TileCounts",
-    "count_cells",
-    "count_tiles",
-    "read_tiles",
-    "write_tiles",
-]
-
 Cell = tuple[str, str]
 """A background tile, and a vehicle of the fleet that stands on it once or more."""
 

@@ -25,18 +25,6 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Risk, check_ranges
 
-__all__ = [
-    "Answer",
-    "Decision",
-    "Evidence",
-    "Requirement",
-    "decide",
-    "evidence_above",
-    "evidence_below",
-    "fewest_tiles",
-    "requirement_of",
-]
-
 Answer = Literal["accepted", "rejected", "undecided"]
 
 # Shares of the largest safe bet: more of them large, which decide soonest (measured on simulated

@@ -18,17 +18,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
 from skyproof.results.statistics.planning import Assumptions
 
-__all__ = [
-    "Chances",
-    "DecisionChances",
-    "FixedPlan",
-    "SequentialPlan",
-    "chances_on_tiles",
-    "fixed_plan",
-    "sequential_plan",
-    "tiles_to_decide",
-]
-
 _MOST_TRIALS = 20_000
 _RUNS = 400
 _DECIDED = 0.9

@@ -27,8 +27,6 @@ from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import Repeat, spread_of_repeats
 from skyproof.results.statistics.sample import Sample
 
-__all__ = ["Group", "difference_interval", "mean_interval"]
-
 Rate = Callable[[np.ndarray], np.ndarray]
 
 

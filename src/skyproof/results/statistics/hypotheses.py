@@ -12,8 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-__all__ = ["control_p", "holm", "mcnemar_p", "unchanged_p"]
-
 _EXACT_TILES = 12
 _FLIPS = 10_000
 

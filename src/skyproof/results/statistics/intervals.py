@@ -26,19 +26,6 @@ import numpy as np
 from jaxtyping import Float, Int, Num
 from scipy import special
 
-__all__ = [
-    "REPLICATES",
-    "Interval",
-    "LeftOut",
-    "bootstrap_interval",
-    "cluster_interval",
-    "effective_limits",
-    "is_unanimous",
-    "resample",
-    "resampled",
-    "unanimous_margin",
-]
-
 REPLICATES = 2000
 _TAIL = 0.025
 

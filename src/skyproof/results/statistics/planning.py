@@ -23,16 +23,6 @@ from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Kind, expected_margin
 from skyproof.results.statistics.sample import Sample
 
-__all__ = [
-    "Assumptions",
-    "Need",
-    "assume_from_pilot",
-    "expected_half_width",
-    "parts_of_width",
-    "tiles_to_show",
-    "vehicles_needed",
-]
-
 SMALLEST = 0.001
 _MOST_TILES = 10**9
 

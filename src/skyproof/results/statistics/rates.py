@@ -11,14 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float, Num
 
-__all__ = [
-    "attack_success_rate",
-    "column_of_pair",
-    "enhancement_rate",
-    "false_alarms_per_km2",
-    "overall_attack_success_rate",
-]
-
 
 def column_of_pair(*, before: bool, after: bool) -> int | None:
     """Says in which of (both, lost, gained) a vehicle counts that was found, or not, in two images.

@@ -10,17 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-__all__ = [
-    "DRAWS",
-    "SEEDS",
-    "TRAININGS",
-    "Kind",
-    "Repeat",
-    "Spread",
-    "expected_margin",
-    "spread_of_repeats",
-]
-
 _TAIL = 0.025
 
 

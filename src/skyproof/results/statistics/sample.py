@@ -11,8 +11,6 @@ from jaxtyping import Float, Int, Num
 
 from skyproof.results.statistics.intervals import REPLICATES, resample, resampled
 
-__all__ = ["Sample"]
-
 
 @dataclass(frozen=True)
 class Sample:

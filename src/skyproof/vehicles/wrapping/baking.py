@@ -18,8 +18,6 @@ from skyproof.vehicles.wrapping.outer import Outer
 from skyproof.vehicles.wrapping.surface import Wrapping
 from skyproof.vehicles.wrapping.views import parallel_view
 
-__all__ = ["Texels", "bake", "to_bytes"]
-
 # How many metres apart a point counts that faces the opposite way: two thin walls are not mixed up.
 _TURN_M = 0.15
 _NEIGHBOURS = 3

@@ -21,9 +21,6 @@ from skyproof.vehicles.wrapping.meshes import (
     open_texture,
 )
 
-__all__ = ["read_collada"]
-
-
 # As COLLADA weighs the colours of `transparent`.
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
 

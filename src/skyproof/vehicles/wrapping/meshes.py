@@ -14,18 +14,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.pictures import decoded, open_picture
 
-__all__ = [
-    "GREY",
-    "PICTURES",
-    "Material",
-    "Size",
-    "SourceMesh",
-    "find_texture",
-    "is_picture",
-    "open_texture",
-    "picture_bytes",
-]
-
 PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif")
 """How the files of textures end."""
 

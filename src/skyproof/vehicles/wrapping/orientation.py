@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 
-__all__ = ["AXES", "orient"]
-
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 # Lengths, widths and heights of road vehicles from a small car to a coach, with and without
 # mirrors.

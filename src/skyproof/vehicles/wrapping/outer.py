@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float, Int
 
 from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
-__all__ = ["Outer", "look_around"]
-
 # Azimuth and elevation in degrees: above, four sides, six slanting views, four from near the
 # ground, and below.
 _VIEWS = (

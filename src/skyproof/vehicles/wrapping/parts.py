@@ -16,8 +16,6 @@ from skyproof.vehicles.wrapping.baking import Texels
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.surface import Wrapping
 
-__all__ = ["PLAIN_COLOURS", "label_parts", "name_part"]
-
 # What a mesh without colours is painted in.
 PLAIN_COLOURS = {
     Part.BODY: (0.66, 0.67, 0.69),

@@ -12,8 +12,6 @@ from skyproof.vehicles.wrapping.outer import Outer, look_around
 from skyproof.vehicles.wrapping.surface import Wrapping
 from skyproof.vehicles.wrapping.views import parallel_view, view_axes
 
-__all__ = ["measure_wrapping", "outline_iou"]
-
 _PIXEL_M = 0.01
 _EVERY = 5  # points are dense enough for one in five
 

@@ -34,8 +34,6 @@ from skyproof.vehicles.wrapping.meshes import (
     picture_bytes,
 )
 
-__all__ = ["read_mesh"]
-
 # What else trimesh opens are archives, documents with programs, and forms without triangles.
 _FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000

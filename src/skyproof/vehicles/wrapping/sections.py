@@ -14,8 +14,6 @@ from scipy.ndimage import binary_opening, grey_closing, grey_opening, label, med
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.views import parallel_view
 
-__all__ = ["DIRECTIONS", "Hull", "Sections", "cut_sections", "find_hull", "no_body"]
-
 DIRECTIONS = 360  # around the axis: one degree, 16 mm at 0.9 m
 _CELL_M = 0.01
 _THIN_M = 0.32  # what stands out of the outline and is narrower: mirrors, aerials

@@ -27,8 +27,6 @@ from skyproof.vehicles.wrapping.sections import (
     no_body,
 )
 
-__all__ = ["Wrapping", "wrap_surface"]
-
 _CAP_RINGS = 2  # rings inside each bumper's face, as on drawn bodies
 _CAP_SCALES = (0.45, 0.86)
 _BODY_RINGS = RINGS - 2 * _CAP_RINGS

@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 
 from skyproof.geometry.rasterise import barycentric, rasterise
 
-__all__ = ["View", "parallel_view", "view_axes"]
-
 
 @dataclass(frozen=True)
 class View:

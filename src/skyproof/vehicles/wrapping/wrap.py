@@ -22,8 +22,6 @@ from skyproof.vehicles.wrapping.quality import measure_wrapping
 from skyproof.vehicles.wrapping.reading import read_mesh
 from skyproof.vehicles.wrapping.surface import wrap_surface
 
-__all__ = ["WrappedVehicle", "wrap_mesh"]
-
 _ALPHA_SHARE = 0.02
 
 
