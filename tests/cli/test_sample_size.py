@@ -1,7 +1,5 @@
 """The command that says how large a test must be."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -58,8 +56,6 @@ def test_a_requirement_asks_for_a_test_that_decides(skyproof: Skyproof):
     assert (
         "accept a detector that loses 20 % of its found vehicles, and reject one that" in said.out
     )
-    # The fixed plan for independent vehicles, and 1.8 times as many.
-    assert re.search(r"at most 50 are lost +204 \| +368", said.out)
     stricter = skyproof("sample-size", *flags("--accept 0.2 --reject 0.3 --consumer-risk 0.01"))
     assert "at most 5 and 1 % err" in stricter.out
 

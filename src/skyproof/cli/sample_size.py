@@ -117,12 +117,8 @@ class SampleSize:
         )
 
     def _say_what_decides(self, requirement: Requirement) -> None:
-        """Prints the test of a requirement, and the plans of the standard."""
-        from skyproof.results.statistics.compliance import (
-            fixed_plan,
-            sequential_plan,
-            tiles_to_decide,
-        )
+        """Prints how large a test decides about a requirement."""
+        from skyproof.results.statistics.compliance import tiles_to_decide
 
         assumptions, source = self._assumptions()
         tiles = tiles_to_decide(requirement, assumptions)
@@ -133,18 +129,6 @@ class SampleSize:
             f"{good} of its found vehicles, and reject one that loses {bad}; at most "
             f"{100 * self.producer_risk:.3g} and {100 * self.consumer_risk:.3g} % err."
         )
-        fixed = fixed_plan(requirement)
-        sequential = sequential_plan(requirement, fixed)
-        effect = assumptions.design_effect
-        say("")
-        say("Plans after IEC 61123, in vehicles found before, were they independent | like these:")
-        for name, trials in (
-            (f"all at once, accepted if at most {fixed.most_lost} are lost", fixed.trials),
-            (f"one by one, on average at {good}", sequential.chances(requirement.accept).trials),
-            (f"one by one, on average at {bad}", sequential.chances(requirement.reject).trials),
-            ("one by one, at most", sequential.last),
-        ):
-            say(f"  {name:<52} {math.ceil(trials):>6,} | {math.ceil(trials * effect):>6,}")
         say("")
         say(f"For one detector, {source}: {_tiles_told(assumptions)}.")
 
