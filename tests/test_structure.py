@@ -22,11 +22,13 @@ FLOORS = [
     {"paper"},
     {"report"},
     {"cli"},
-    {"plans"},
+    {"assessment"},
+    {"reproduction"},
     {"main", "__init__"},
     {"__main__"},
 ]
 BLENDER_WORKER = "cycles.worker"
+PRINTING = ("cli", "assessment", "reproduction", "__main__")
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 
@@ -116,7 +118,8 @@ def printers(modules):
     spared = {
         module
         for module in found
-        if module.split(".")[0] in ("cli", "plans", "__main__") or module == BLENDER_WORKER
+        if module.split(".")[0] in ("cli", "assessment", "reproduction", "__main__")
+        or module == BLENDER_WORKER
     }
     return sorted({*found} - spared)
 

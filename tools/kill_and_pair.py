@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-TINY_PRESET = Path(__file__).parents[1] / "tests" / "plans" / "tiny.json"
+TINY_PRESET = Path(__file__).parents[1] / "tests" / "reproduction" / "tiny.json"
 DEMO = (
     "demo --sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 "
     "--sizes.training-images 12 --sizes.validation-images 6 --sizes.test-images 6 "

@@ -32,8 +32,8 @@ from skyproof.errors import ConfigurationError
 from skyproof.gate.record import read_record
 from skyproof.gate.verdict import findings, verdict
 from skyproof.layout import Layout
-from skyproof.plans.preset import Preset
-from skyproof.plans.reproduction import reproduction_plan
+from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.workflow import reproduction_plan
 from skyproof.results.stored import read_environment
 from skyproof.storage import write_tensors
 from skyproof.words import detector_name, percent
@@ -62,7 +62,7 @@ python tools/ship_reference.py runs/reference
 
 in a checkout. No data and no weights of others went in.
 
-- Seed {seed}; all settings: [reference.json](../../plans/reference.json).
+- Seed {seed}; all settings: [reference.json](../../reproduction/reference.json).
 - Versions: {versions}.
 - Processor: {cpu}. Another one, or another version, ends in somewhat other weights.
 - Weights are stored in half precision and computed with in single precision. Threshold, validation

@@ -2,6 +2,7 @@
 
 __version__: str
 
+from .assessment.command import assess as assess
 from .attacks.attack import attack as attack
 from .attacks.queries import query_attack as query_attack
 from .attacks.settings import AttackSettings as AttackSettings
@@ -41,7 +42,6 @@ from .gate.check import check_detectors as check_detectors
 from .gate.record import GateRecord as GateRecord
 from .gate.verdict import findings as findings
 from .gate.verdict import verdict as verdict
-from .plans.assess import assess as assess
 from .render.dataset import render_dataset as render_dataset
 from .render.renderer import TorchRenderer as TorchRenderer
 from .report.report import write_report as write_report

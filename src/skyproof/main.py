@@ -18,9 +18,9 @@ from skyproof.ranges import check_ranges
 # A command is imported when it is asked for: help and a wrong option must answer at once.
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
-        "demo": "skyproof.plans.demo:Demo",
-        "assess": "skyproof.plans.assess:Assess",
-        "reproduce": "skyproof.plans.reproduce:Reproduce",
+        "demo": "skyproof.assessment.demo:Demo",
+        "assess": "skyproof.assessment.command:Assess",
+        "reproduce": "skyproof.reproduction.command:Reproduce",
         "report": "skyproof.cli.report:Report",
     },
     "Ground and vehicles": {

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import pytest
 
+from skyproof.assessment import command as assess
+from skyproof.assessment import run_folder
+from skyproof.assessment.answers import say_answers, say_expected
+from skyproof.assessment.enough import Enough
+from skyproof.assessment.suite import Expected, read_suite
 from skyproof.attacks.settings import QuerySettings
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.main import run
-from skyproof.plans import assess, run_folder
-from skyproof.plans.answers import say_answers, say_expected
-from skyproof.plans.enough import Enough
-from skyproof.plans.suite import Expected, read_suite
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.scenes.scene import read_scenes
 from tests.cli.conftest import Skyproof, bytes_of
@@ -197,7 +198,7 @@ def test_what_is_hidden_is_printed_beside_what_half_a_vehicle_would_find(
     (row,) = [each for each in rows if (each["camouflage"], each["match"]) == ("T-U", "centre_1m")]
     beside = {**row, "match": "centre_in_box", "easr": 0.02}
     said = []
-    monkeypatch.setattr("skyproof.plans.answers.say", said.append)
+    monkeypatch.setattr("skyproof.assessment.answers.say", said.append)
     for written in ([row, beside], [row]):
         write_json(layout.results, {"rows": written})
         say_answers(layout, ["T-U"])
@@ -212,7 +213,7 @@ def test_attacks_on_a_reference_detector_are_compared_with_what_is_expected(
     folder = tmp_path / "run"
     shutil.copytree(assessed / "run", folder)
     said = []
-    monkeypatch.setattr("skyproof.plans.answers.say", said.append)
+    monkeypatch.setattr("skyproof.assessment.answers.say", said.append)
     expected = {"retinanet": {"T-U": Expected(easr=1.02, low=low, high=1.03)}}
     say_expected(Layout(folder), replace(TINY, expected=expected))
     rows = json.loads((folder / "suite.json").read_text())["rows"]

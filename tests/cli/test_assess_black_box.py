@@ -16,10 +16,10 @@ import torch
 from PIL import Image
 
 import skyproof as sp
+from skyproof.assessment import command as assess_module
 from skyproof.camouflage.folder import read_record
 from skyproof.detectors.reference_detectors import reference_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError
-from skyproof.plans import assess as assess_module
 from tests.cli.test_assess import TINY
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "detections_over_http.py"

@@ -1,6 +1,6 @@
 """`skyproof reproduce`: refusals, a dry run, a failing job and an interruption.
 
-The whole of it is tested in tests/plans.
+The whole of it is tested in tests/reproduction.
 """
 
 import json
@@ -21,7 +21,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from tests.cli.conftest import Skyproof
 
-TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
+TINY = Path(__file__).parents[1] / "reproduction" / "tiny.json"
 
 
 def test_dry_run_says_what_would_be_done_and_writes_nothing(
@@ -89,7 +89,9 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     done = {"ground/ground": 3.0, "score/000": 5.0, "score/001": 6.0, "report/report": 2.0}
     write_benchmarks(out, done, 1000)
     stub_blender(monkeypatch, Path("/blender"))
-    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", stub_snakemake(tmp_path, out))
+    monkeypatch.setattr(
+        "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
+    )
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 2)
     assert answer.code == 0, answer.err
     assert "4 steps were finished before" in answer.out
@@ -134,7 +136,7 @@ def test_bad_input_is_refused_before_anything_is_written(
     other = tmp_path / "other.json"
     other.write_text(json.dumps({**json.loads(TINY.read_text()), "detectors": ["ssd"]}))
     skyproof("reproduce", "--preset", other, "--out", out).refused("ssd")
-    monkeypatch.setattr("skyproof.plans.reproduce.find_spec", lambda name: None)
+    monkeypatch.setattr("skyproof.reproduction.command.find_spec", lambda name: None)
     skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 2).refused(
         "pip install 'skyproof[reproduce]'", "--cores 1"
     )
@@ -182,7 +184,9 @@ def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
 ) -> None:
     out = tmp_path / "run"
     first = judge(tmp_path / "first", "photographs")
-    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", stub_snakemake(tmp_path, out))
+    monkeypatch.setattr(
+        "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
+    )
     given = ("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
     answer = skyproof(*given, "--judges", first)
     assert answer.code == 0, answer.err

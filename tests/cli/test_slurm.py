@@ -1,6 +1,6 @@
 """`skyproof reproduce --slurm-jobs`: refusals, where scripts answer in place of Slurm.
 
-Real jobs are in tests/plans/test_slurm.py.
+Real jobs are in tests/reproduction/test_slurm.py.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pytest
 
 from tests.cli.conftest import Skyproof
 
-TINY = Path(__file__).parents[1] / "plans" / "tiny.json"
+TINY = Path(__file__).parents[1] / "reproduction" / "tiny.json"
 COMMANDS = ("sbatch", "squeue", "scancel", "sinfo")
 
 
@@ -26,7 +26,7 @@ def slurm_stub(monkeypatch: pytest.MonkeyPatch, folder: Path, queue: str) -> Non
         script.chmod(0o755)
     monkeypatch.setenv("PATH", str(folder))
     monkeypatch.setattr(
-        "skyproof.plans.slurm.find_spec", lambda name: ModuleSpec(name, loader=None)
+        "skyproof.reproduction.slurm.find_spec", lambda name: ModuleSpec(name, loader=None)
     )
 
 
@@ -44,7 +44,7 @@ def test_without_slurm_nothing_begins(asked, tmp_path, monkeypatch):
     asked().refused("Slurm", "sbatch", "leave --slurm-jobs out")
     asked("--dry-run").refused("sbatch")
     monkeypatch.setattr(
-        "skyproof.plans.slurm.find_spec",
+        "skyproof.reproduction.slurm.find_spec",
         lambda name: ModuleSpec(name, loader=None) if name == "snakemake" else None,
     )
     asked().refused("plug-in", "pip install 'skyproof[slurm]'")
@@ -55,7 +55,7 @@ def test_a_slurm_that_does_not_answer(asked, tmp_path, monkeypatch):
     said = "squeue: error: Unable to contact slurm controller (connect failure)"
     slurm_stub(monkeypatch, tmp_path / "bin", f"echo '{said}' >&2; exit 1")
     asked().refused(said, "sinfo")
-    monkeypatch.setattr("skyproof.plans.slurm._ANSWER_S", 1.0)
+    monkeypatch.setattr("skyproof.reproduction.slurm._ANSWER_S", 1.0)
     slurm_stub(monkeypatch, tmp_path / "bin", "exec /bin/sleep 5")
     asked().refused("squeue says: nothing for 1 s")
     assert not (tmp_path / "run").exists()
@@ -74,8 +74,8 @@ def test_jobs_of_an_earlier_call_are_waited_for(asked, tmp_path, monkeypatch):
     slurm_stub(
         monkeypatch, tmp_path / "bin", f"{elsewhere}; echo '12 {tmp_path}/link'; echo '13_4 {run}'"
     )
-    monkeypatch.setattr("skyproof.plans.slurm._PATIENCE_S", 0.2)
-    monkeypatch.setattr("skyproof.plans.slurm._POLL_S", 0.1)
+    monkeypatch.setattr("skyproof.reproduction.slurm._PATIENCE_S", 0.2)
+    monkeypatch.setattr("skyproof.reproduction.slurm._POLL_S", 0.1)
     answer = asked()
     answer.refused("an earlier call", str(run), "(scancel 12 13_4)")
     assert "Waiting a minute" in answer.out
@@ -86,7 +86,7 @@ def test_jobs_of_an_earlier_call_are_waited_for(asked, tmp_path, monkeypatch):
         tmp_path / "bin",
         f"{elsewhere}; [ -e {tmp_path}/seen ] || echo '12 {run}'; : > {tmp_path}/seen",
     )
-    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", lambda *_: ["/bin/true"])
+    monkeypatch.setattr("skyproof.reproduction.snakemake.snakemake_words", lambda *_: ["/bin/true"])
     answer = asked()
     assert answer.code == 0, answer.err
     assert "2 jobs of Slurm" in answer.out
@@ -98,7 +98,7 @@ def test_where_the_steps_run_is_not_left_to_a_profile(asked, skyproof, tmp_path,
     script = tmp_path / "script"
     script.write_text(f'#!/bin/sh\necho "$@" > {told}\n')
     script.chmod(0o755)
-    monkeypatch.setattr("skyproof.plans.snakemake.snakemake_words", lambda *_: [str(script)])
+    monkeypatch.setattr("skyproof.reproduction.snakemake.snakemake_words", lambda *_: [str(script)])
     skyproof("reproduce", "--preset", TINY, "--out", tmp_path / "here", "--cores", 2)
     assert "--executor local --cores 2" in told.read_text()
     slurm_stub(monkeypatch, tmp_path / "bin", "exit 0")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-import skyproof.plans.reproduce
+import skyproof.reproduction.command
 from tests.hostile.documents import try_any_json, try_damage, try_mutations
 from tests.hostile.kinds import PRESETS
 from tests.hostile.sandbox import Sandbox
@@ -26,7 +26,7 @@ def no_snakemake(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     names = {name: getattr(subprocess, name) for name in ("Popen", "PIPE", "DEVNULL", "STDOUT")}
     shim = SimpleNamespace(run=run, **names)
-    monkeypatch.setattr(skyproof.plans.reproduce, "subprocess", shim)
+    monkeypatch.setattr(skyproof.reproduction.command, "subprocess", shim)
     return asked
 
 

@@ -20,7 +20,7 @@ from skyproof.generator.folder import save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.prototypes import draw_prototypes
 from skyproof.main import run
-from skyproof.plans.preset import PRESETS
+from skyproof.reproduction.preset import PRESETS
 from skyproof.results.checks import Check
 from skyproof.results.statistics.intervals import Interval
 from tests.barely_trained import everything_counts
@@ -55,7 +55,7 @@ DOTA_TEXT = (
 @contextmanager
 def one_texture() -> Iterator[None]:
     """Within it a demo has T-U alone: T-PixFcMa would be in no document of another form."""
-    with patch("skyproof.plans.demo.TEXTURES", ("T-U",)):
+    with patch("skyproof.assessment.demo.TEXTURES", ("T-U",)):
         yield
 
 

@@ -17,6 +17,7 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
+from skyproof.assessment.command import Assess
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
@@ -28,7 +29,6 @@ from skyproof.maite import (
     Target,
     VehicleDataset,
 )
-from skyproof.plans.assess import Assess
 from skyproof.render.settings import RenderSettings
 from skyproof.results.pairs.tiles import read_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate

@@ -67,15 +67,15 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
     assert inside == files
     assert inside >= {
         "skyproof/py.typed",
-        "skyproof/plans/Snakefile",
-        "skyproof/plans/quick.json",
-        "skyproof/plans/paper.json",
+        "skyproof/reproduction/Snakefile",
+        "skyproof/reproduction/quick.json",
+        "skyproof/reproduction/paper.json",
         "skyproof/detectors/reference/README.md",
         "skyproof/detectors/reference/retinanet/check.json",
         "skyproof/detectors/reference/retinanet/detector.json",
         "skyproof/detectors/reference/retinanet/weights.safetensors",
         "skyproof/detectors/reference/faster_rcnn/weights.safetensors",
-        "skyproof/plans/reference.json",
+        "skyproof/reproduction/reference.json",
         "skyproof/report/report.html.j2",
         "skyproof/cycles/worker.py",
     }

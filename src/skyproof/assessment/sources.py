@@ -1,0 +1,60 @@
+"""What a run read of the user's own files, so that a file replaced since is noticed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from skyproof.assessment.plan import Plan
+from skyproof.files import file_digest
+
+SOURCES = "sources_sha256"
+"""Where a run folder's config keeps the digests, by path."""
+
+_READ = (".txt", ".yaml", ".json", ".geojson")
+"""What is read of a folder of labels, and of a detector's; the card holds its weights' digest."""
+
+_SIDES = (".shp", ".dbf", ".prj")
+"""What belongs to a Shapefile."""
+
+
+def source_digests(paths: Iterable[Path]) -> dict[str, str]:
+    """Gives the SHA-256 of checkpoints, detector folders, and labels in a file or a folder.
+
+    Records that skyproof adds to a detector's folder later, as `check` does, do not count.
+    """
+    return {str(path): _digest(path) for path in paths}
+
+
+def read_otherwise(stored: dict[str, Any], config: dict[str, Any], plan: Plan) -> list[str]:
+    """Gives the files of which begun steps have read another content than they hold now.
+
+    Args:
+        stored: the config of the run as it is.
+        config: of the same run, given again.
+        plan: its steps.
+    """
+    before, after = stored.get(SOURCES, {}), config.get(SOURCES, {})
+    if not isinstance(before, dict):
+        return []
+    read = {str(path) for step in plan.steps if step.is_begun() for path in step.inputs}
+    return sorted(path for path in read & {*before} & {*after} if before[path] != after[path])
+
+
+def _digest(path: Path) -> str:
+    total = hashlib.sha256()
+    for file in _files(path):
+        total.update(f"{file.name} {file_digest(file)}\n".encode())
+    return total.hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    if (path / "detector.json").is_file():
+        return [path / "detector.json"]
+    if path.is_dir():
+        return sorted(each for each in path.iterdir() if each.suffix.lower() in _READ)
+    if path.suffix.lower() == ".shp":
+        return [side for suffix in _SIDES if (side := path.with_suffix(suffix)).is_file()]
+    return [path]

@@ -1,0 +1,231 @@
+"""`skyproof reproduce`: the paper's tables and its figure, from nothing."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from msgspec import Meta
+
+from skyproof.assessment.plan import Plan
+from skyproof.cli.console import say
+from skyproof.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from skyproof.reproduction.held_out_detectors import Judge
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Runs every attack of the paper with random controls, and compares the numbers.
+
+    It ends in report.html and in tables/README.md: both tables and the figure of EASR against
+    practicality. Stop it whenever you like and give the same command again: finished steps are
+    kept, training and attacks go on from their last checkpoint.
+
+    On a cluster with Slurm: give --slurm-jobs. For another one give --dry-run, which prints the
+    plain snakemake command, and add the options of your executor. Every step that computes much
+    says what memory, time and GPU it asks for (docs/cluster.md).
+
+    Attributes:
+        preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), reference
+            (training and check of the detectors that skyproof brings along), trainings (the
+            headline attacks on three short trainings of each detector), or a JSON file like theirs.
+        out: run folder.
+        cores: CPU cores to use; all where not given. With 1, the steps are done one after the other
+            in this process, without Snakemake.
+        slurm_jobs: do the steps as jobs of Slurm instead, so many at once. Account and partition
+            stand in the Snakemake profile that SNAKEMAKE_PROFILE names.
+        device: auto, cpu or cuda.
+        cycles: also score finished attacks and random controls as Blender's path tracer Cycles
+            draws them, the paper's "Blender" column. A finished run may be given again with it:
+            only that column is added then.
+        judges: further detectors that only judge, [TABLE=]FOLDER, such as some that learnt from
+            photographs: no attack learns on them. Detectors of one TABLE have learnt from the same
+            images, and have a mean. They are copied into the run folder and stay in its report; a
+            finished run may be given again with more of them: only their part is added then.
+        blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not
+            given, what `make blender` made, then `blender` on the PATH.
+        dry_run: only check, and say what would be done and how.
+    """
+
+    preset: str = "quick"
+    out: Path = Path("runs/reproduce")
+    cores: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+    slurm_jobs: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+    device: str = "auto"
+    cycles: bool = False
+    judges: tuple[str, ...] = ()
+    blender: Path | None = None
+    dry_run: bool = False
+
+    def run(self) -> None:
+        """Runs what is not finished yet."""
+        from skyproof.assessment.demo import check_detectors
+        from skyproof.assessment.run_folder import RunFolder
+        from skyproof.assessment.serial import run_serially
+        from skyproof.cli.device import choose_device
+        from skyproof.files import alone
+        from skyproof.layout import Layout
+        from skyproof.reproduction.held_out_detectors import (
+            new_judges,
+            read_judges,
+            store_judges,
+            stored_judges,
+        )
+        from skyproof.reproduction.preset import Preset, read_preset
+        from skyproof.reproduction.slurm import wait_for_earlier_jobs
+        from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
+        from skyproof.reproduction.workflow import reproduction_plan
+
+        name, path, values, preset = read_preset(self.preset)
+        cores = self._side_by_side()
+        choose_device(self.device)
+        check_detectors(preset.detectors, preset.size)
+        more = self._cycles()
+        blender = Path(more["blender"]) if more else None
+        layout = Layout(self.out)
+        judges = read_judges(self.judges)
+        added = new_judges(layout, preset, judges)
+        names = {table: sorted(judge.name for judge in its) for table, its in added.items()}
+        tables = dict(sorted({**stored_judges(layout), **names}.items()))
+
+        def plan_of(config: Mapping[str, Any]) -> Plan:
+            return reproduction_plan(
+                Preset.parse(config),
+                self.out,
+                device=self.device,
+                cycles=self.cycles,
+                blender=blender,
+                judges=tables,
+            )
+
+        config = {"preset": name, **values}
+        plan = plan_of(config)
+        run = RunFolder(self.out, config, plan, plan_of)
+        if self.dry_run:
+            self._check(path, plan, more, added)
+            return
+        with alone(self.out) as hold:
+            if self.slurm_jobs is not None:
+                wait_for_earlier_jobs(self.out)
+            # Somebody else may have begun meanwhile.
+            run = RunFolder(self.out, config, plan, plan_of)
+            run.start(self.device)
+            store_judges(layout, new_judges(layout, preset, judges))
+            where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
+            say(
+                f"skyproof reproduce, preset {name}: {_listed(plan)}; {where}, "
+                f"run folder {self.out}"
+            )
+            if cores == 1 and self.slurm_jobs is None:
+                run_serially(plan, run)
+            else:
+                more = {"device": self.device, **more}
+                command = snakemake_words(self.out, self.out / "config.json", more)
+                # Marks left by a kill must not stop the next try; our own lock keeps a second run
+                # away.
+                command += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
+                command += self._executor(cores)
+                if self.slurm_jobs is None and preset.resources.gpu:
+                    command += ["--resources", "gpu=1"]
+                run_side_by_side(plan, run, command, cores, hold)
+            run.finish()
+        page = self.out / "tables" / "README.md"
+        # A run without textures has none of the paper's tables.
+        if page.exists():
+            say(f"Tables: {page.resolve()}")
+        say(f"Report: {(self.out / 'report.html').resolve()}")
+
+    def _side_by_side(self) -> int:
+        """How many steps run at once, on this machine or in Slurm.
+
+        Raises:
+            ConfigurationError: what they need is not there.
+        """
+        from skyproof.reproduction.slurm import check_slurm
+
+        if self.slurm_jobs is not None:
+            if self.cores is not None:
+                raise ConfigurationError(
+                    "--cores is for the steps on this machine, --slurm-jobs for those on a "
+                    "cluster; give one of the two."
+                )
+            check_slurm()
+            return self.slurm_jobs
+        cores = len(os.sched_getaffinity(0)) if self.cores is None else self.cores
+        if (cores > 1 or self.dry_run) and find_spec("snakemake") is None:
+            raise ConfigurationError(
+                "skyproof reproduce on several cores needs Snakemake; run pip install "
+                "'skyproof[reproduce]' first, or give --cores 1."
+            )
+        return cores
+
+    def _executor(self, count: int) -> list[str]:
+        """Snakemake's words for where the steps run; a user's profile does not decide that."""
+        from skyproof.reproduction.slurm import slurm_words
+
+        if self.slurm_jobs is not None:
+            return slurm_words(count)
+        return ["--executor", "local", "--cores", str(count)]
+
+    def _cycles(self) -> dict[str, str]:
+        """What the workflow is told of the Cycles column, which is no setting of the run folder.
+
+        Raises:
+            ConfigurationError: there is no usable Blender, or it is given for nothing.
+        """
+        from skyproof.cycles.blender import find_blender
+
+        if not self.cycles:
+            if self.blender is not None:
+                raise ConfigurationError(
+                    "--blender is for the Cycles column; give --cycles too, or leave it out."
+                )
+            return {}
+        # Not resolved: the Python of a virtual environment is a link, and loses its packages when
+        # followed.
+        return {"cycles": "1", "blender": str(find_blender(self.blender).path.absolute())}
+
+    def _check(
+        self,
+        path: Path,
+        plan: Plan,
+        more: Mapping[str, str],
+        added: Mapping[str, Sequence[Judge]],
+    ) -> None:
+        from skyproof.layout import Layout
+        from skyproof.reproduction.slurm import slurm_words
+        from skyproof.reproduction.snakemake import snakemake_words
+
+        with tempfile.TemporaryDirectory() as empty:
+            place = self.out if self.out.exists() else Path(empty)
+            words = snakemake_words(place, path, more)
+            words += ["--cores", "1", "--dry-run", "--nolock", "--quiet", "all"]
+            done = subprocess.run(words, capture_output=True, text=True)
+        if done.returncode:
+            said = " ".join(done.stderr.split())[-400:]
+            raise ConfigurationError(
+                f"Snakemake refuses this plan ({said.rstrip('.')}); mend what it names."
+            )
+        say(f"Steps: {_listed(plan)}.")
+        say("By hand, or with options for a cluster's executor:")
+        for table, judges in added.items():
+            folder = Layout(self.out).judged(table).detectors
+            say("  " + shlex.join(["mkdir", "-p", str(folder)]))
+            for judge in judges:
+                say("  " + shlex.join(["cp", "-r", str(judge.folder), str(folder / judge.name)]))
+        where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
+        say("  " + shlex.join([*snakemake_words(self.out, path, more), *where]))
+
+
+def _listed(plan: Plan) -> str:
+    counts = ", ".join(f"{kind} {count}" for kind, count in plan.counts.items())
+    return f"{len(plan.steps)} steps ({counts})"

@@ -1,0 +1,191 @@
+"""The plan of a reproduction: every attack of the paper with its random controls, scored by all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from skyproof.assessment.plan import Plan, Step
+from skyproof.assessment.steps import (
+    attack_step,
+    check_step,
+    control_step,
+    looks_step,
+    reference_step,
+    report_step,
+    score_step,
+    train_step,
+)
+from skyproof.assessment.world import RENDERED, render_step, scene_step, world_steps
+from skyproof.cli.rendering import Rendering
+from skyproof.layout import Layout
+from skyproof.reproduction.further_trainings import training_steps
+from skyproof.reproduction.held_out_detectors import stored_judges
+from skyproof.reproduction.jobs import Jobs
+from skyproof.reproduction.preset import Preset
+
+
+def plan_of_config(config: Mapping[str, Any]) -> Plan:
+    """Returns the plan that a run folder's config.json stands for, with paths inside that folder.
+
+    It is read where the folder is the current one: the detectors that only judge are those that
+    lie in it.
+
+    Args:
+        config: the preset's values; also "device", "cycles" (1 for the Cycles column) and
+            "blender", which are no settings of a run, because they can change from call to call.
+
+    Raises:
+        ConfigurationError: a setting is missing, unknown, or cannot be.
+    """
+    told = {name: config[name] for name in ("device", "cycles", "blender") if name in config}
+    settings = {name: value for name, value in config.items() if name not in told}
+    blender = told.get("blender")
+    return reproduction_plan(
+        Preset.parse(settings, "The run's config.json"),
+        Path(),
+        device=str(told.get("device", "auto")),
+        cycles=str(told.get("cycles", 0)) == "1",
+        blender=Path(str(blender)) if blender else None,
+        judges=stored_judges(Layout(Path())),
+    )
+
+
+def reproduction_plan(
+    preset: Preset,
+    folder: Path,
+    *,
+    device: str = "auto",
+    cycles: bool = False,
+    blender: Path | None = None,
+    judges: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Plan:
+    """Returns a preset, expanded to steps.
+
+    Args:
+        preset: what is reproduced.
+        folder: the run folder, as the steps are to name it.
+        device: auto, cpu or cuda.
+        cycles: whether finished attacks and random controls are also scored on Cycles.
+        blender: which Blender draws them.
+        judges: by table, the detectors that only judge.
+    """
+    layout = Layout(folder)
+    sizes = preset.world
+    jobs = Jobs(preset)
+    trained = [name for name in preset.detectors if name not in preset.reference]
+    steps = world_steps(
+        layout,
+        sizes,
+        preset.seed,
+        splits=(*(RENDERED if trained else ("test",)), "empty"),
+        blur_sigma_px=preset.blur_sigma_px,
+        device=device,
+    )
+    steps += [reference_step(layout, name, check=True) for name in preset.reference]
+    steps += [
+        train_step(
+            layout,
+            sizes,
+            name,
+            preset.size,
+            preset.training.get(name, {}),
+            preset.seed,
+            device=device,
+        )
+        for name in trained
+    ]
+    checked = trained if preset.check_scenes else []
+    if checked:
+        steps.append(
+            check_step(
+                layout,
+                sizes,
+                checked,
+                preset.check_scenes,
+                preset.draws,
+                preset.seed,
+                device=device,
+            )
+        )
+    steps.append(control_step(layout, jobs.controls, preset.seed))
+    steps += [
+        attack_step(layout, job, preset.attack_image_px, places=sizes.test_places, device=device)
+        for job in (*jobs.attacks.values(), *jobs.chosen.values())
+    ]
+    steps += [
+        control_step(layout, names, preset.seed, texture=texture)
+        for texture, names in jobs.shapes.items()
+    ]
+    scores: list[Step] = []
+
+    def score(
+        name: str,
+        folders: Sequence[str],
+        rendering: Rendering | None = None,
+        table: str | None = None,
+    ) -> None:
+        scores.append(
+            score_step(
+                layout,
+                sizes,
+                name,
+                folders,
+                judges[table] if table else preset.detectors,
+                preset.seed,
+                empty=not scores,
+                # Attacked detectors on the attacks' own renderer are enough to look at.
+                features=[each for each in folders if each in jobs.featured]
+                if rendering is None and table is None
+                else [],
+                rendering=rendering,
+                judged=layout.judged(table) if table else None,
+                device=device,
+            )
+        )
+
+    for name, folders in jobs.batches.items():
+        score(name, folders)
+    rendering = None
+    if cycles:
+        rendering = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
+        steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
+        for name, folders in jobs.cycles_batches.items():
+            score(f"cycles-{name}", folders, rendering)
+    for table in judges:
+        for name, folders in jobs.judged_batches.items():
+            score(name, folders, table=table)
+        if cycles:
+            for name, folders in jobs.cycles_batches.items():
+                score(f"cycles-{name}", folders, rendering, table)
+    if jobs.weather_batches:
+        weather = replace(sizes, test_images=preset.weather_images)
+        steps.append(scene_step(layout, weather, "weather", preset.seed))
+        steps.append(render_step(layout, weather, "weather", device=device))
+        scores += [
+            score_step(
+                layout,
+                weather,
+                name,
+                folders,
+                preset.detectors,
+                preset.seed,
+                weather=True,
+                device=device,
+            )
+            for name, folders in jobs.weather_batches.items()
+        ]
+    if jobs.looked_at:
+        scores.append(looks_step(layout, jobs.looked_at, preset.seed))
+    steps += scores
+    for number in range(1, preset.trainings):
+        further = training_steps(
+            layout, preset, number, jobs.repeated, jobs.repeated_batches, device=device
+        )
+        steps += further
+        scores += [step for step in further if step.kind == "score"]
+    steps.append(report_step(layout, scores, checked))
+    return Plan(steps, threads=preset.threads, resources=preset.resources.asked())

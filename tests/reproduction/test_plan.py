@@ -1,0 +1,660 @@
+"""What a preset expands to: names by hand, and the same jobs in Snakemake's eyes."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import get_type_hints, is_typeddict
+
+import pytest
+import tyro
+
+from skyproof.assessment.demo import Demo, demo_plan
+from skyproof.assessment.plan import Plan, Step
+from skyproof.assessment.world import WorldSizes
+from skyproof.camouflage.name import CamouflageName
+from skyproof.cli.ground import Ground
+from skyproof.cli.scenes import Scenes
+from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.layout import Layout
+from skyproof.main import load_command
+from skyproof.ranges import Fraction
+from skyproof.reproduction.jobs import Jobs
+from skyproof.reproduction.preset import PRESETS, Preset, read_preset
+from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line, step_words
+from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
+from skyproof.scenes.weather import CONDITIONS
+
+TINY_FILE = Path(__file__).with_name("tiny.json")
+TINY = json.loads(TINY_FILE.read_text())
+
+
+def jobs(**changes):
+    return Jobs(Preset.parse({**TINY, **changes}))
+
+
+def read(preset):
+    return json.loads(PRESETS[preset].read_text())
+
+
+def test_tiny_by_hand():
+    tiny = jobs()
+    assert list(tiny.attacks) == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
+    assert tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
+    texture = tiny.attacks["T-Fc-0"]
+    assert texture.texture is None
+    assert (texture.settings.steps, texture.settings.keep_at) == (8, (1,))
+    assert texture.folders == (
+        "T-Fc-0",
+        "T-Fc-0/snapshots/T-Fc_step1-0",
+        "T-Fc-0/snapshots/T-Fc_relaxed-0",
+    )
+    # Its texture is finished: there is nothing to round.
+    sequential = tiny.attacks["C-Fc-seq@0.4-0"]
+    assert sequential.texture == "T-Fc-0"
+    assert sequential.kept == ("C-Fc-seq@0.4_step1-0",)
+    # Random controls are scored by themselves: they wait for no attack.
+    assert tiny.batches["000"] == tiny.controls
+    assert list(tiny.batches) == ["000", "001"]
+    assert len(tiny.batches["001"]) == 3 + 2 + 2 + 3
+
+
+def test_on_cycles_are_finished_attacks_and_controls_alone():
+    assert jobs().cycles_batches == {
+        "000": ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0"),
+        "001": ("T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"),
+    }
+    # One more step for the original images, and one for each batch; only where they are asked for.
+    without = reproduction_plan(Preset.parse(TINY), Path())
+    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
+    added = {step.id for step in plan.steps} - {step.id for step in without.steps}
+    assert added == {"render/test-cycles", "score/cycles-000", "score/cycles-001"}
+    assert plan.steps[-1].id == "report/report"
+    # Neither transfers nor copies kept on the way.
+    wide = jobs(detectors=["retinanet", "faster_rcnn"], textures=["U"], transfer=["T-U"])
+    assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
+    # The first repeats and draws of each.
+    more = {"textures": ["U"], "repeats": 3, "draws": 4, "cycles_repeats": 2, "score_batch": 16}
+    # A quarter of a batch of the renderer, so that no core waits long for another at the end.
+    assert jobs(**more).cycles_batches == {
+        "000": ("R-U-0", "R-U-1", "R-S-O@0.4-0", "R-S-O@0.4-1"),
+        "001": ("R-C-U@0.4-0", "R-C-U@0.4-1"),
+        "002": ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0", "T-U-1"),
+        "003": ("S-O@0.4-1", "C-U-seq@0.4-1"),
+    }
+
+
+def test_the_cycles_column_has_more_of_the_headlines():
+    more = {"textures": ["U", "Ma"], "magnitudes": [], "repeats": 3, "draws": 5, "best_of": 4}
+    batches = jobs(**more, cycles_headlines=["T-Ma"], score_batch=50).cycles_batches
+    # As many draws as repeats, and what was chosen; of all else the first.
+    assert batches == {
+        "000": ("R-U-0", "R-Ma-0", "R-Ma-1", "R-Ma-2"),
+        "001": (
+            *("T-U-0", "T-Ma-0", "T-Ma-1", "T-Ma-2"),
+            *("R-Ma_plain", "R-Ma_best", "R-Ma_search"),
+        ),
+    }
+    for wrong in ("R-U", "T-U-0", "T-U_on_yolov5"):
+        with pytest.raises(ConfigurationError, match=f"cycles_headlines expects .* '{wrong}'"):
+            Preset.parse({**TINY, "cycles_headlines": [wrong]})
+
+
+def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
+    none = jobs()
+    assert (none.chosen, none.shapes) == ({}, {})
+    more = {"textures": ["Fc"], "repeats": 2, "draws": 5, "best_of": 7}
+    own = jobs(**more, detectors=["retinanet", "faster_rcnn"], transfer=["T-Fc"])
+    # One of each for all repeats, and none for attacks on some detectors alone.
+    assert list(own.chosen) == [
+        *("R-U_plain", "R-Fc_best", "R-Fc_search"),
+        *("R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"),
+        *("R-C-U@0.4_plain", "R-C-Fc@0.4_best", "R-C-Fc@0.4_search"),
+    ]
+    # As many steps as texture and shape of the sequential attack together, more than the parallel.
+    steps = {name: job.settings.steps for name, job in own.chosen.items()}
+    assert steps["R-Fc_search"] == 8
+    assert steps["R-C-Fc@0.4_search"] == 8 + 2
+    assert {job.best_of for job in own.chosen.values()} == {7}
+    assert {job.detectors for job in own.chosen.values()} == {("retinanet", "faster_rcnn")}
+    assert own.shapes == {
+        "T-Fc-0": ["R-C-Fc-seq@0.4-0", "R-C-Fc-seq@0.4-2", "R-C-Fc-seq@0.4-4"],
+        "C-Fc-par@0.4-0": ["R-C-Fc-par@0.4-0", "R-C-Fc-par@0.4-2", "R-C-Fc-par@0.4-4"],
+        "T-Fc-1": ["R-C-Fc-seq@0.4-1", "R-C-Fc-seq@0.4-3"],
+        "C-Fc-par@0.4-1": ["R-C-Fc-par@0.4-1", "R-C-Fc-par@0.4-3"],
+    }
+    scored = {folder for batch in own.batches.values() for folder in batch}
+    assert {*own.chosen, *own.shapes["T-Fc-0"]} <= scored
+    plan = reproduction_plan(Preset.parse({**TINY, **more}), Path("run"))
+    drawn = next(step for step in plan.steps if step.id == "control/shapes-T-Fc-1")
+    assert drawn.command.texture == Path("run/camouflages/T-Fc-1")
+    assert Path("run/camouflages/T-Fc-1/camouflage.json") in drawn.inputs
+    (best,) = (step for step in plan.steps if step.id == "choose/R-Fc_best")
+    assert best.command.draws == 7
+
+
+def test_further_trainings_repeat_the_attacks_on_the_same_world():
+    more = {"trainings": 3, "seed": 7, "repeats": 2, "best_of": 4, "transfer": ["T-Fc"]}
+    detectors = {"detectors": ["retinanet", "faster_rcnn"]}
+    once = reproduction_plan(Preset.parse({**TINY, **more, **detectors, "trainings": 1}), Path("r"))
+    plan = reproduction_plan(Preset.parse({**TINY, **more, **detectors}), Path("r"))
+    # The run itself is the first training, and stays as it is but for the report.
+    before = {step.id: step for step in once.steps}
+    assert [step for step in plan.steps if step.id in before and step != before[step.id]] == [
+        plan.steps[-1]
+    ]
+    steps = {step.id: step for step in plan.steps}
+    attacks = ("T-Fc", "S-O@0.4", "C-Fc-seq@0.4", "C-Fc-par@0.4")
+    # Neither transfers nor controls, which are drawn once and chosen for the first alone.
+    assert [name for name in steps if name not in before] == [
+        f"{kind}/training-{number}-{name}"
+        for number in (1, 2)
+        for kind, names in (
+            ("train", ("retinanet", "faster_rcnn")),
+            ("attack", [f"{attack}-{repeat}" for repeat in (0, 1) for attack in attacks]),
+            ("score", ("000", "001")),
+        )
+        for name in names
+    ]
+    # From the same images, and from another seed each.
+    trained = [steps[f"train/{prefix}retinanet"].command for prefix in ("", "training-1-")]
+    assert [command.seed for command in trained] == [7, 8]
+    assert {command.data for command in trained} == {Path("r/datasets/train")}
+    assert trained[1].out == Path("r/trainings/1/detectors/retinanet")
+    names = [f"{prefix}T-Fc-{repeat}" for prefix in ("", "training-2-") for repeat in (0, 1)]
+    learnt = [steps[f"attack/{name}"].command for name in names]
+    assert [command.settings.seed for command in learnt] == [7, 8, 11, 12]
+    assert [command.settings.keep_at for command in learnt] == [(1,), (), (), ()]
+    sequential = steps["attack/training-2-C-Fc-seq@0.4-1"].command
+    assert sequential.texture == Path("r/trainings/2/camouflages/T-Fc-1")
+    assert sequential.detectors[1] == Path("r/trainings/2/detectors/faster_rcnn")
+    assert sequential.fleet == Path("r/fleets/attack")
+    scored = steps["score/training-2-000"].command
+    assert scored.out == Path("r/trainings/2/scores/000")
+    assert scored.original == Path("r/datasets/test")
+    # Draws of the controls are those of the run.
+    assert scored.camouflages[0] == Path("r/camouflages/R-Fc-0")
+    assert Path("r/camouflages/R-Fc-0/camouflage.json") in steps["score/training-2-000"].inputs
+    assert Path("r/trainings/2/scores/001") in plan.steps[-1].inputs
+
+
+def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
+    more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
+    plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
+    asked = {step.name: step.command.features for step in plan.steps if step.kind == "score"}
+    # Each in the batch in which it is scored anyway: nothing is rendered for it.
+    assert asked["000"] == ("R-Ma-0",)
+    assert sorted(name for names in asked.values() for name in names) == [
+        "R-Ma-0",
+        "R-Ma_plain",
+        "T-Ma-0",
+    ]
+    assert not any(
+        step.command.features
+        for step in reproduction_plan(Preset.parse(TINY), Path(), cycles=True).steps
+        if step.kind == "score"
+    )
+    for wrong in ("R-U", "S-O@0.4", "T-U-0"):
+        with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
+            Preset.parse({**TINY, "features": [wrong]})
+
+
+def test_weather_is_learnt_in_and_judged_apart():
+    more = {"textures": ["U", "Fc"], "repeats": 2, "draws": 3, "magnitudes": [], "score_batch": 4}
+    preset = Preset.parse({**TINY, **more, "weather": ["T-U"], "weather_images": 7})
+    own = Jobs(preset)
+    learnt = own.attacks["T-U_weather-1"]
+    clear = own.attacks["T-U-1"]
+    # The same but for the weather; no copies on the way.
+    assert learnt.conditions == tuple(CONDITIONS)
+    assert clear.conditions == own.attacks["T-Fc-0"].conditions == ("clear",)
+    assert (learnt.settings, learnt.detectors) == (clear.settings, clear.detectors)
+    assert own.attacks["T-U_weather-0"].kept == ()
+    assert own.weather_batches == {
+        "000": ("R-U-0", "R-U-1", "R-U-2"),
+        "001": ("T-U-0", "T-U_weather-0", "T-U-1", "T-U_weather-1"),
+    }
+    # It is scored on clear days, too, and has the control of its texture.
+    assert "T-U_weather-0" in {name for batch in own.batches.values() for name in batch}
+    assert not any("weather" in name for name in own.controls)
+    plan = reproduction_plan(preset, Path("run"), cycles=True)
+    steps = {step.id: step for step in plan.steps}
+    assert steps["attack/T-U_weather-0"].command.conditions == tuple(CONDITIONS)
+    drawn = steps["scenes/weather"].command
+    usual = steps["scenes/test"].command
+    assert set(drawn.settings.conditions) == {*CONDITIONS} - {"clear"}
+    # But for the weather they are the usual scenes.
+    assert replace(drawn.settings, conditions=("clear",)) == usual.settings
+    assert (drawn.seed, drawn.split, drawn.count) == (usual.seed, "test", 7)
+    scored = steps["score/weather-001"]
+    assert scored.outputs == (Path("run/weather/scores/001"),)
+    assert scored.command.original == Path("run/datasets/weather")
+    assert set(scored.outputs) <= set(plan.steps[-1].inputs)
+    assert Jobs(Preset.parse(TINY)).weather_batches == {}
+    with pytest.raises(ConfigurationError, match="weather names T-Pix, but textures has no Pix"):
+        Preset.parse({**TINY, "weather": ["T-Pix"]})
+
+
+def test_textures_with_more_repeats_than_the_rest():
+    more = {"textures": ["U", "Fc"], "repeats": 2, "draws": 2, "texture_repeats": {"U": 4}}
+    wide = jobs(**more, magnitudes=[], transfer=["T-U"], detectors=["retinanet", "faster_rcnn"])
+    free = [name for name in wide.attacks if name.startswith("T-U")]
+    assert free == [
+        *("T-U-0", "T-U_on_retinanet-0", "T-U_on_faster_rcnn-0"),
+        *("T-U-1", "T-U_on_retinanet-1", "T-U_on_faster_rcnn-1"),
+        *("T-U-2", "T-U-3"),
+    ]
+    assert wide.attacks["T-U-3"].settings.seed == 3
+    assert wide.attacks["T-U-3"].kept == ()
+    assert [name for name in wide.attacks if name.startswith("T-Fc")] == ["T-Fc-0", "T-Fc-1"]
+    # All textures are looked at, learnt and drawn.
+    drawn = ("R-U-0", "R-U-1", "R-Fc-0", "R-Fc-1")
+    learnt = tuple(name for name in wide.attacks if name.startswith("T-"))
+    assert wide.looked_at == (*learnt, *drawn)
+    plan = reproduction_plan(Preset.parse({**TINY, **more}), Path("run"))
+    looks = next(step for step in plan.steps if step.id == "looks/looks")
+    assert Path("run/camouflages/T-U-3/camouflage.json") in looks.inputs
+    assert looks.outputs[0] in plan.steps[-1].inputs
+    with pytest.raises(ConfigurationError, match="texture_repeats expects at least the 2 repeats"):
+        jobs(repeats=2, texture_repeats={"U": 1})
+
+
+def test_repeats_seeds_transfer_and_masked():
+    wide = jobs(
+        seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],
+        repeats=2, draws=2,
+        transfer=["T-U"], magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]},
+        score_batch=4, ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
+        attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
+    )  # fmt: skip
+    first = [
+        "T-U", "T-PixFcMa", "T-U_on_retinanet", "T-U_on_faster_rcnn", "T-U_on_yolov5",
+        "T-U_without_retinanet", "T-U_without_faster_rcnn", "T-U_without_yolov5",
+        "S-O@0.5", "S-O@1", "C-U-seq@0.5", "C-U-seq@1", "C-PixFcMa-seq@0.2",
+    ]  # fmt: skip
+    assert list(wide.attacks) == [f"{name}-{repeat}" for repeat in (0, 1) for name in first]
+    assert {wide.attacks[f"{name}-1"].settings.seed for name in first} == {8}
+    assert wide.attacks["T-U_without_faster_rcnn-0"].detectors == ("retinanet", "yolov5")
+    assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
+    # Copies are kept below the last step, of the first repeat, at one magnitude, and not of
+    # transfers.
+    attacks = wide.attacks.items()
+    kept = {name: job.settings.keep_at for name, job in attacks if job.settings.keep_at}
+    assert kept == {
+        "T-U-0": (1, 5),
+        "T-PixFcMa-0": (1, 5),
+        "S-O@0.5-0": (1,),
+        "C-U-seq@0.5-0": (1, 5),
+    }
+    scored = [folder for batch in wide.batches.values() for folder in batch]
+    assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
+    assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
+    # Two detectors: all but one is the other one, which is there already.
+    pair = jobs(detectors=["retinanet", "faster_rcnn"], transfer=["T-U"])
+    on_one = [name for name in pair.attacks if "_" in name]
+    assert on_one == ["T-U_on_retinanet-0", "T-U_on_faster_rcnn-0"]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_name_can_be_made_and_has_its_control(preset):
+    settings = Preset.parse(read(preset))
+    full = Jobs(settings)
+    attacks = {CamouflageName.parse(name): job for name, job in full.attacks.items()}
+    textures = {name.pooled for name in attacks if name.kind == "texture" and not name.variant}
+    # All of the paper's, but of detectors that are to be shipped only what is told of them, and of
+    # several trainings the headlines and the texture that lies under one of them.
+    count = {"reference": 2, "trainings": 4}.get(preset, 12)
+    assert len(textures) == len(set(settings.textures)) == count
+    controls = {CamouflageName.parse(name) for name in full.controls}
+    assert all(name.random for name in controls)
+    pooled = {name.pooled for name in controls}
+    for name, job in attacks.items():
+        assert not name.random
+        assert (name.order == "seq") == (job.texture is not None)
+        assert name.control in pooled
+    # One attack of each is enough to say what a detector is like, and too little for a table.
+    # With every training comes one from another seed.
+    repeats = settings.repeats * settings.trainings
+    assert repeats >= (1 if preset == "reference" else 3)
+    assert settings.draws >= 3
+
+
+@pytest.mark.parametrize("reference", [[], ["retinanet"]])
+def test_images_to_train_on_are_drawn_where_something_is_trained(reference):
+    changes = {"detectors": ["retinanet"], "reference": reference}
+    plan = reproduction_plan(Preset.parse({**TINY, **changes}), Path())
+    drawn = {step.name for step in plan.steps if step.kind == "render"}
+    assert drawn == ({"test", "empty"} if reference else {"train", "validation", "test", "empty"})
+
+
+@pytest.mark.parametrize("blur_sigma_px", [None, 1.25, "paper"])
+def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
+    plan = reproduction_plan(Preset.parse({**TINY, "blur_sigma_px": blur_sigma_px}), Path())
+    (ground,) = (step.command for step in plan.steps if isinstance(step.command, Ground))
+    assert ground.blur_sigma_px == blur_sigma_px
+    with pytest.raises(ConfigurationError, match="paper"):
+        Preset.parse({**TINY, "blur_sigma_px": "sharp"})
+
+
+def test_a_preset_says_where_vehicles_stand():
+    world = {**TINY["world"], "training_places": "removed", "test_places": "drivable"}
+    plan = reproduction_plan(Preset.parse({**TINY, "world": world}), Path())
+    drawn = {
+        step.command.split: step.command.settings
+        for step in plan.steps
+        if isinstance(step.command, Scenes)
+    }
+    assert {split: settings.places for split, settings in drawn.items()} == {
+        "train": "removed",
+        "validation": "drivable",
+        "test": "drivable",
+    }
+    # Rows of parked vehicles are for uniform places, which are the default.
+    assert drawn["train"].parked_share == 0
+    assert WorldSizes().scenes("train").parked_share == 0.5
+    learnt = [step.command for step in plan.steps if step.kind == "attack"]
+    assert {command.places for command in learnt} == {"drivable"}
+    for split in ("train", "validation", "attack", "test"):
+        assert WorldSizes().scenes(split).places == "uniform"
+    with pytest.raises(ConfigurationError, match="roofs"):
+        Preset.parse({**TINY, "world": {**world, "test_places": "roofs"}})
+
+
+PLANS = {
+    "demo": demo_plan(Demo(), Layout(Path("runs/demo"))),
+    "demo on imagery": demo_plan(
+        Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1, blur_sigma_px="paper"),
+        Layout(Path("runs/a b")),
+    ),
+    "demo that trains": demo_plan(Demo(train=True, cycles=True), Layout(Path("runs/a b"))),
+    "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
+    "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
+    "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),
+    "reference": reproduction_plan(Preset.parse(read("reference")), Path()),
+    "trainings": reproduction_plan(Preset.parse(read("trainings")), Path("run")),
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_step_can_be_done_by_hand(name):
+    """The words of its command line, parsed again, are the very command."""
+    for step in PLANS[name].steps:
+        words = step_words(step)
+        assert tyro.cli(load_command(words[0]), args=words[1:]) == step.command, step.id
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_step_comes_after_what_it_needs(name):
+    steps = PLANS[name].steps
+    made = {output for step in steps for output in step.outputs}
+    needed = {path for step in steps for path in step.inputs} - {Path("a.tif")}
+    assert needed <= made
+    # What nothing needs is what the user reads.
+    assert made - needed == set(steps[-1].outputs)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    def run(self):
+        pass
+
+
+def step(name, inputs=(), outputs=(), **more):
+    return Step("kind", name, Nothing(), tuple(inputs), tuple(outputs), **more)
+
+
+def test_a_plan_in_the_wrong_order_is_refused():
+    first = step("first", outputs=[Path("a")])
+    second = step("second", inputs=[Path("a")])
+    Plan([first, second])
+    with pytest.raises(RunFolderError, match="kind/second needs a"):
+        Plan([second, first])
+    with pytest.raises(RunFolderError, match="kind/first"):
+        Plan([first, first])
+
+
+def test_finished_is_what_left_its_outputs(tmp_path):
+    needed = tmp_path / "needed"
+    outputs = [tmp_path / "one", tmp_path / "two"]
+    kept = step("kept", [needed], outputs)
+    renewed = step("renewed", [needed], outputs, renewed=True)
+    outputs[0].touch()
+    assert not kept.is_finished()
+    outputs[1].touch()
+    for age, path in enumerate([needed, *outputs]):
+        if path.exists():
+            os.utime(path, (1000 + age, 1000 + age))
+    assert kept.is_finished()
+    assert renewed.is_finished()
+    needed.touch()
+    assert kept.is_finished()
+    assert not renewed.is_finished()
+
+
+def test_time_left_by_effort():
+    plan = Plan(
+        [step(str(number), effort_s=effort) for number, effort in enumerate((1.0, 1999.0, 5000.0))]
+    )
+    assert plan.time_left_s({}) is None
+    # Half as fast as thought: 10,000 s are left for one core.
+    seconds = {"kind/0": 2.0, "kind/1": 3998.0}
+    assert plan.time_left_s(seconds) == pytest.approx(10_000, rel=0.03)
+    assert plan.time_left_s(seconds, cores=2) == plan.time_left_s(seconds) / 2
+    # A first short step that took ten times as long says little about the others.
+    assert plan.time_left_s({"kind/0": 10.0}) == pytest.approx(7_000, rel=0.2)
+
+
+def test_what_most_steps_wait_for_comes_first(tmp_path):
+    plan = plan_of_config(TINY)
+    waiting = plan.waiting
+    # All that comes after, at second hand, too: the report waits for all, and nothing for it.
+    assert waiting["report/report"] == 0
+    assert waiting["score/001"] == 1
+    # The sequential attack on it, its scores, its picture, the report.
+    assert waiting["attack/T-Fc-0"] == 4
+    # Every attack, two batches of scores, pictures, the report.
+    assert waiting["train/retinanet"] == 4 + 2 + 1 + 1
+    _, said = dry_run(tmp_path, TINY_FILE)
+    rules = re.findall(r"^rule ([a-z]+)_(\d+):((?:\n    .*)+)", said, re.MULTILINE)
+    told = {}
+    for _, number, lines in rules:
+        priority = re.search(r"priority: (\d+)", lines)
+        told[plan.steps[int(number)].id] = int(priority[1]) if priority else 0
+    assert told == waiting
+
+
+def dry_run(folder, preset, *more):
+    """Snakemake's steps by kind, and all it says."""
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder]
+    command += ["--dry-run", "--printshellcmds", "--cores", "2", "--rerun-triggers", "mtime"]
+    done = subprocess.run([*command, "--configfile", preset, *more], capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    # The table may be printed twice; every step is a rule of its own.
+    rules = dict(re.findall(r"^([a-z]+(?:_\d+)?) +(\d+)$", said, re.MULTILINE))
+    counts = Counter()
+    for rule, count in rules.items():
+        counts[rule.partition("_")[0]] += int(count)
+    return counts, said
+
+
+@pytest.mark.parametrize(
+    ("preset", "cycles"), [*((name, True) for name in PRESETS), ("quick", False)]
+)
+def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
+    counted, _ = dry_run(tmp_path, PRESETS[preset], *(["--config", "cycles=1"] if cycles else []))
+    plan = plan_of_config({**read(preset), "cycles": int(cycles)})
+    assert counted == {**plan.counts, "all": 1, "total": len(plan.steps) + 1}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
+    plain, more = (plan_of_config({**read(preset), "cycles": cycles}) for cycles in (0, 1))
+    added = {step.id: step for step in more.steps}
+    assert len(added) > len(plain.steps)
+    for step in plain.steps:
+        if step.kind != "report":
+            assert added[step.id] == step
+
+
+def test_snakemake_takes_no_report_away_that_is_to_be_renewed():
+    # Tables without the results beside them are taken for somebody else's, and refused.
+    report = plan_of_config(TINY).steps[-1]
+    kept = output_of(report, str, lambda path: f"kept {path}")
+    assert kept == ["kept results.json", "kept report.html"]
+
+
+def test_commands_on_cycles(tmp_path):
+    more = ("--config", "cycles=1", "blender=/opt/my blender/python")
+    _, said = dry_run(tmp_path, TINY_FILE, *more)
+    commands = [line for line in said.splitlines() if "--renderer cycles" in line]
+    assert len(commands) == 3
+    wanted = "--renderer cycles --blender '/opt/my blender/python' --workers 1 "
+    assert all(wanted in line for line in commands)
+    drawn = next(line for line in commands if "skyproof render" in line)
+    assert "--scenes scenes/test.jsonl" in drawn
+    assert "--out datasets/test-cycles" in drawn
+    attacks = next(line for line in commands if "T-Fc-0" in line)
+    assert "--out scores/cycles-001 --original datasets/test-cycles" in attacks
+    assert "snapshots" not in attacks
+    _, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    assert "--renderer cycles --workers 1" in said
+
+
+def test_snakemake_looks_at_waiting_steps_when_one_ends_and_not_between(tmp_path):
+    config = tmp_path / "config.json"
+    config.write_text(TINY_FILE.read_text())
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--verbose"]
+    command += ["--directory", tmp_path, "--configfile", config, "--cores", "1"]
+    command += ["--config", "device=cpu", "--scheduler", "greedy"]
+    done = subprocess.run([*command, "fleets", "backgrounds"], capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    # Each takes some seconds, in which one of them waits.
+    assert said.count("Finished jobid") == 2
+    assert len(re.findall(r"^Ready jobs: [12]$", said, re.MULTILINE)) == 2
+
+
+def leave(folder, steps, age):
+    """Leaves a step's outputs, as old as they would be."""
+    for path in (folder / output for step in steps for output in step.outputs):
+        (path.parent if path.suffix else path).mkdir(parents=True, exist_ok=True)
+        if path.suffix:
+            path.touch()
+        os.utime(path, (age, age))
+
+
+def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
+    plan = plan_of_config(TINY)
+    for age, finished in enumerate(plan.steps):
+        leave(tmp_path, [finished], 1000 + age)
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    assert counted == {"render": 1, "score": 2, "report": 1, "all": 1, "total": 5}, said
+    # Finished too, then stopped before the report was written again.
+    wide = plan_of_config({**TINY, "cycles": 1})
+    known = {step.id for step in plan.steps}
+    leave(tmp_path, [step for step in wide.steps if step.id not in known], 2000)
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    assert counted == {"report": 1, "all": 1, "total": 2}, said
+    # Without the flag nothing of it is asked for or taken away.
+    counted, said = dry_run(tmp_path, TINY_FILE)
+    assert counted == {}, said
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"repeats": 0}, "repeats"),
+        ({"cycles_repeats": 0}, "cycles_repeats"),
+        ({"reference": ["retinanet", "retinanet"]}, "each detector once"),
+        ({"detectors": []}, "detector"),
+        ({"sun": 1}, "no field 'sun'"),
+        ({"world": {**TINY["world"], "image_px": 31}}, "image_px"),
+        ({"world": {**TINY["world"], "; touch x": 1}}, "no field '; touch x'"),
+        ({"attack": {"--out /elsewhere": 1}}, "no field"),
+        ({"training": {"retinanet": {"steps; touch x": 4}}}, "no field"),
+        ({"training": {"$(touch x)": {}}}, "training"),
+        ({"attack_image_px": "96; touch x"}, "attack_image_px"),
+        ({"attack_image_px": 400}, "attack_image_px"),
+        ({"resources": {"gpu": "1 --shell x"}}, "resources.gpu"),
+        ({"resources": {"shell": 1}}, "no field 'shell'"),
+        ({"seed": 2**63}, "64 bits"),
+        ({"repeats": 10**9}, "repeats"),
+        ({"trainings": 0}, "trainings"),
+        ({"trainings": 11}, "trainings"),
+        ({"trainings": 2, "reference": ["retinanet"]}, "retinanet comes trained once; take it out"),
+        ({"transfer": ["T-U_x; touch y"]}, "transfer"),
+        ({"magnitudes": [1e-320, 1e300]}, "magnitudes"),
+        ({"combined_magnitudes": {"{x}": [0.2]}}, "constraints"),
+        ({"magnitudes": [0.2, 1.5]}, r"magnitudes\[1\]"),
+        ({"magnitudes": [0]}, r"magnitudes\[0\]"),
+        ({"textures": ["LcFc"]}, "Lc and Fc"),
+        ({"attack_steps": {"texture": 1}}, "attack_steps"),
+    ],
+)
+def test_impossible_presets_are_refused(changes, word):
+    with pytest.raises(ConfigurationError, match=word):
+        jobs(**changes)
+
+
+def test_presets_by_name_or_file(tmp_path):
+    assert read_preset("quick")[:2] == ("quick", PRESETS["quick"])
+    own = tmp_path / "mine.json"
+    own.write_text(json.dumps(TINY))
+    assert read_preset(str(own)) == ("mine", own, TINY, Preset.parse(TINY))
+    own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
+    with pytest.raises(ConfigurationError, match="no field 'sed'"):
+        read_preset(str(own))
+    with pytest.raises(ConfigurationError, match="quick, paper, reference"):
+        read_preset("quik")
+
+
+NASTY = ["a b", "a'b", 'a"b', "a;touch x", "$(touch x)", "`touch x`", "a\nb", "{x}", "*", "~", "-"]
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_every_word_of_a_step_reaches_the_command_as_it_is(name):
+    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True, blender=Path(f"/{name}"))
+    for step in plan.steps:
+        line = shell_line(step)(None)
+        said = subprocess.run(
+            ["sh", "-c", f"printf '%s\\0' {line}"], capture_output=True, text=True, check=True
+        ).stdout.split("\0")[:-1]
+        assert said == [sys.executable, "-m", "skyproof", *step_words(step)]
+
+
+def test_names_of_options_come_from_fields_alone():
+    def known(kind, prefix=""):
+        for each in fields(kind):
+            yield f"--{prefix}{each.name}".replace("_", "-")
+            yield f"--{prefix}no-{each.name}".replace("_", "-")
+            value = get_type_hints(kind)[each.name]
+            if is_dataclass(value):
+                yield from known(value, f"{each.name}.")
+            if is_typeddict(value):
+                yield from (
+                    f"--{each.name}.{key}".replace("_", "-") for key in get_type_hints(value)
+                )
+
+    of_command = cache(lambda kind: set(known(kind)))
+    for preset in PRESETS:
+        for step in reproduction_plan(Preset.parse(read(preset)), Path(), cycles=True).steps:
+            options = {word for word in step_words(step) if word.startswith("--")}
+            assert options <= of_command(type(step.command)), step.id
+
+
+def test_a_plan_refuses_what_a_later_step_would_refuse():
+    @dataclass(frozen=True)
+    class Late:
+        share: Fraction = 2.0
+
+        def run(self):
+            raise AssertionError
+
+    with pytest.raises(ConfigurationError, match="share expects"):
+        Plan([Step("late", "late", Late(), (), (Path("x"),))])
