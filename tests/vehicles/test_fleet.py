@@ -1,17 +1,14 @@
-"""Fleets: from a seed, to disk and back, and out as GLB."""
+"""Fleets: from a seed, and to disk and back."""
 
 import json
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-import trimesh
 from safetensors.torch import load_file, save_file
 
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.vehicles.export import export_glb
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 
 
@@ -121,48 +118,6 @@ def test_damaged_folders_are_named_in_one_sentence(tmp_path: Path, damage: str) 
     with pytest.raises(StoredFileError, match=folder.name) as caught:
         Fleet.load(folder)
     assert "\n" not in str(caught.value)
-
-
-def test_glb_round_trip(tmp_path: Path) -> None:
-    fleet = _fleet()
-    batch = fleet.batch(fleet.ids)
-    export_glb(batch, 1, tmp_path / "vehicle.glb")
-    mesh = next(iter(trimesh.load_scene(tmp_path / "vehicle.glb").geometry.values()))
-
-    template = batch.template
-    wanted = batch.vertices[1][template.faces].numpy()[..., [1, 2, 0]]
-    np.testing.assert_allclose(mesh.vertices[mesh.faces], wanted, atol=1e-5)
-    assert mesh.volume > 0
-    image = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
-    np.testing.assert_array_equal(image, fleet.textures[1].permute(1, 2, 0).numpy())
-    uv = np.asarray(mesh.visual.uv)[mesh.faces]
-    wanted_uv = template.uvs[template.face_uvs].numpy()
-    # In memory trimesh counts v from the bottom.
-    np.testing.assert_allclose(uv[..., 0], wanted_uv[..., 0], atol=1e-6)
-    np.testing.assert_allclose(1 - uv[..., 1], wanted_uv[..., 1], atol=1e-6)
-
-
-def test_glb_file_counts_v_from_the_top(tmp_path: Path) -> None:
-    """Read without trimesh: glTF 2.0, 3.8.1.3: UV (0, 0) is the upper left corner of the image."""
-    fleet = _fleet()
-    export_glb(fleet.batch(fleet.ids[:1]), 0, tmp_path / "vehicle.glb")
-    data = (tmp_path / "vehicle.glb").read_bytes()
-    length = int.from_bytes(data[12:16], "little")
-    gltf, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
-    attributes = gltf["meshes"][0]["primitives"][0]["attributes"]
-
-    def read(name: str, width: int) -> np.ndarray:
-        accessor = gltf["accessors"][attributes[name]]
-        view = gltf["bufferViews"][accessor["bufferView"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        return np.frombuffer(binary, np.float32, accessor["count"] * width, start).reshape(
-            -1, width
-        )
-
-    position, uv = read("POSITION", 3), read("TEXCOORD_0", 2)
-    nose, tail = position[:, 2].argmax(), position[:, 2].argmin()
-    assert uv[nose, 1] == pytest.approx(0.0, abs=1e-6)
-    assert uv[tail, 1] == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -273,7 +273,6 @@ class Score(Rendering):
         from skyproof.files import inside, write_beside, write_bytes, write_json
         from skyproof.render.portrait import portrait
         from skyproof.results.score_folder import is_pictured
-        from skyproof.vehicles.export import export_view
         from skyproof.vehicles.fleet import Fleet
 
         pictured = [
@@ -291,8 +290,6 @@ class Score(Rendering):
             picture = portrait(fleet, camouflage)
             with write_beside(folder / "patterns" / place.name / "on_vehicle.png") as temporary:
                 Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
-            worn = camouflage(fleet.batch(fleet.ids[:1]))
-            export_view(worn, 0, folder / "patterns" / place.name / "vehicle.glb")
             for file in ("texture.png", "steps.jsonl"):
                 if (place / file).exists():
                     path = folder / "patterns" / place.name / file

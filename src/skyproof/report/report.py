@@ -34,7 +34,6 @@ from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.queries import by_answers
 from skyproof.report.renderers import Compared, compare_renderers, survival
-from skyproof.report.turnable import PLACE_OF_MODEL, model, viewer
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.results import Results
@@ -81,7 +80,6 @@ class _Section:
     pairs_detector: str
     texture: str | None
     on_vehicle: str | None
-    model: str | None
     loss: Markup | None
     conditions: Markup | None
     readings: Sequence[str]
@@ -95,7 +93,6 @@ class _Exhibit:
     headline: Headline
     pair: _Picture | None
     on_vehicle: str | None
-    model: str | None
 
 
 def write_report(run_folder: str | Path, requirement: Requirement | None = None) -> Path:
@@ -178,8 +175,6 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             exhibits=exhibits,
             # One camouflage alone needs no name in every heading.
             named=len(sections) > 1 or bool(exhibits),
-            viewer=viewer,
-            place_of_model=PLACE_OF_MODEL,
             overviews=[] if few else _overviews(results),
             worst=[worst_case(case) for case in worst],
             first=every[0][0] if every else None,
@@ -253,7 +248,6 @@ def _section(results: Results, headline: Headline, second: Headline | None = Non
         pairs_detector=headline.detectors[0],
         texture=embedded(results.pattern(name, "texture.png")),
         on_vehicle=embedded(results.pattern(name, "on_vehicle.png")),
-        model=model(results.pattern(name, "vehicle.glb")),
         loss=attack_loss(results, headline),
         conditions=Markup(condition_figure(panels)) if panels else None,
         readings=readings(panels),
@@ -301,8 +295,7 @@ def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Ex
         pairs = _pairs(results, headline, count=1)
         path = results.pattern(headline.camouflage, "on_vehicle.png")
         sheet = embedded(path, lossless=False)
-        glb = model(results.pattern(headline.camouflage, "vehicle.glb"))
-        exhibits.append(_Exhibit(headline, pairs[0] if pairs else None, sheet, glb))
+        exhibits.append(_Exhibit(headline, pairs[0] if pairs else None, sheet))
     return exhibits
 
 
