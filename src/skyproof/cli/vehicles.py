@@ -46,7 +46,7 @@ class Vehicles:
     how well each fits, and turntable.png shows them.
 
     Attributes:
-        sources: mesh files (OBJ, GLB or DAE) to wrap, and fleet folders to mix in; without any,
+        sources: mesh files (OBJ, GLB) to wrap, and fleet folders to mix in; without any,
             fleets are drawn.
         out: folder to write: one fleet, or the four fleets train, validation, attack and test.
         counts: how many vehicles are drawn per split (train, validation, attack, test), where no

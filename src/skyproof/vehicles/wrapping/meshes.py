@@ -12,7 +12,7 @@ from PIL import Image
 
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.pictures import decoded, open_picture
+from skyproof.pictures import decoded
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif")
 """How the files of textures end."""
@@ -215,18 +215,8 @@ def is_picture(name: str) -> bool:
     return Path(name).suffix.lower() in PICTURES
 
 
-def open_texture(path: Path) -> UInt8[np.ndarray, "H W C"]:
-    """Opens a picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
-
-    Raises:
-        ConfigurationError: it cannot be read, or is too large.
-    """
-    with open_picture(path, _REMEDY, error=ConfigurationError, also=("TGA", "GIF")) as image:
-        return picture_bytes(image, str(path))
-
-
 def picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
-    """Decodes a picture that is open, as `open_texture` does.
+    """Decodes a picture that is open as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
 
     Args:
         image: perhaps opened by a library, out of a mesh file.

@@ -1,4 +1,4 @@
-"""Reads a textured mesh file: OBJ, GLB, glTF and others through trimesh, COLLADA by ourselves."""
+"""Reads a textured mesh file through trimesh: OBJ, GLB, glTF and others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from trimesh.resolvers import Resolver
 from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb
-from skyproof.vehicles.wrapping.collada import read_collada
 from skyproof.vehicles.wrapping.meshes import (
     GREY,
     Material,
@@ -35,7 +34,7 @@ from skyproof.vehicles.wrapping.meshes import (
 )
 
 # What else trimesh opens are archives, documents with programs, and forms without triangles.
-_FORMATS = (".obj", ".glb", ".gltf", ".dae", ".ply", ".stl", ".off")
+_FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
 _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
@@ -146,7 +145,7 @@ class _Neighbours(Resolver):
 
 
 def read_mesh(path: Path) -> SourceMesh:
-    """Reads OBJ, GLB, glTF, DAE, PLY, STL or OFF; all objects of a scene become one.
+    """Reads OBJ, GLB, glTF, PLY, STL or OFF; all objects of a scene become one.
 
     Nothing in the file runs, and of other files only those that `find_texture` finds are read.
 
@@ -155,11 +154,11 @@ def read_mesh(path: Path) -> SourceMesh:
     """
     path = Path(path)
     if not path.is_file():
-        raise ConfigurationError(f"{path} is not a file; give an OBJ, GLB or DAE mesh.")
+        raise ConfigurationError(f"{path} is not a file; give an OBJ or GLB mesh.")
     if path.suffix.lower() not in _FORMATS:
         raise ConfigurationError(
-            f"{path} is none of the meshes that are read ({', '.join(_FORMATS)}); give an OBJ, GLB "
-            "or DAE file."
+            f"{path} is none of the meshes that are read ({', '.join(_FORMATS)}); convert it, "
+            "for instance to GLB with Blender."
         )
     if path.stat().st_size > _LARGEST_FILE:
         raise ConfigurationError(
@@ -170,13 +169,13 @@ def read_mesh(path: Path) -> SourceMesh:
     # sentence.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
-        mesh = read_collada(path) if path.suffix.lower() == ".dae" else _read_with_trimesh(path)
+        mesh = _read_with_trimesh(path)
     except ConfigurationError:
         raise
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigurationError(
-            f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or DAE file."
+            f"{path} cannot be read as a mesh ({reason}); give an OBJ or GLB file."
         ) from error
     return _without_flat_triangles(path, mesh)
 
@@ -324,7 +323,7 @@ def _refuse_unreadable(path: Path) -> None:
         (length,) = struct.unpack_from("<I", content, 12)
         content = content[20 : 20 + length]
     gltf: _Gltf = parse_document(
-        content, _Gltf, str(path), "give an OBJ, GLB or DAE file", error=ConfigurationError
+        content, _Gltf, str(path), "give an OBJ or GLB file", error=ConfigurationError
     )
     if gltf.numbers() > _MOST_NUMBERS:
         raise ConfigurationError(

@@ -56,7 +56,7 @@ def wrap_mesh(
     """Wraps one mesh file.
 
     Args:
-        path: OBJ, GLB or DAE.
+        path: OBJ or GLB, for instance.
         scale, up, forward: as in `orient`.
         paintable: picture on the mesh's own UVs, bright where there is paint; None takes the
             textures' alpha, if it says anything.
