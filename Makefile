@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 BLENDER_PYTHON ?= python3.11
 BLENDER := .venv-blender
 
-.PHONY: demo demo-cycles blender test check docs clean
+.PHONY: demo demo-cycles blender test test-all check docs clean
 
 demo: $(VENV)/demo.ok
 	$(BIN)/skyproof demo
@@ -19,8 +19,14 @@ blender: $(BLENDER)/blender.ok
 
 # A file's tests stay in one process: what they share, such as trained detectors, is made once. In
 # the order of their folders, long files come first, and no process waits for the other at the end.
+PYTEST := $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 test: $(VENV)/test.ok
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow"
+
+# Also whole runs that are killed, meet a full disk, or go from nothing to the tables.
+test-all: test
+	$(PYTEST) -m slow
 
 check: $(VENV)/test.ok
 	$(BIN)/ruff check .

@@ -286,3 +286,14 @@ def test_these_rules_can_fail():
     assert reaches("report.slow", modules, "torch") == ["results.heavy"]
     assert importers(modules, "torch") == ["results.fine", "results.heavy"]
     assert printers(modules) == ["report.page"]
+
+
+def test_every_test_runs_in_ci():
+    """`make test` leaves tests out, and `make test-all`, which CI runs, takes just those."""
+    top = SOURCE.parents[1]
+    makefile = (top / "Makefile").read_text()
+    recipes = dict(re.findall(r"^(test\S*): .*\n\t(.*)$", makefile, re.MULTILINE))
+    assert recipes == {"test": '$(PYTEST) -m "not slow"', "test-all": "$(PYTEST) -m slow"}
+    assert re.search(r"^test-all: test$", makefile, re.MULTILINE)
+    for file in (".ci/run", ".github/workflows/test.yml"):
+        assert re.search(r"\bmake test-all$", (top / file).read_text(), re.MULTILINE), file

@@ -15,6 +15,8 @@ from PIL import Image
 from tests.barely_trained import everything_counts
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
+pytestmark = pytest.mark.slow
+
 # What is written, which write of it fails, and the file or folder whose presence means that the
 # stage is finished.
 CASES = {

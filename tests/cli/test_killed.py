@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.cli.conftest import STEPS, TINY, assert_same_results
 
 HELPER = Path(__file__).with_name("killed.py")
@@ -27,6 +29,7 @@ def ended_at(folder: Path, moments: list[list[object]]) -> tuple[list[tuple[int,
     return [(code, left) for code, left in map(json.loads, done.stdout.splitlines())], done.stderr
 
 
+@pytest.mark.slow
 def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -> None:
     # How, where, which time; and the name that must not be there yet: the one that means
     # "finished".

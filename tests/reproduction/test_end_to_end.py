@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import psutil
+import pytest
 
 from skyproof.assessment.world import RENDERED
 from skyproof.errors import StoredFileError
@@ -76,6 +77,7 @@ def checkpointed_step(folder):
         return 0
 
 
+@pytest.mark.slow
 def test_killed_in_an_attack_and_finished(tmp_path):
     folder = tmp_path / "run"
     attack = folder / "camouflages" / "T-Fc-0"
