@@ -27,7 +27,6 @@ COMMANDS: dict[str, dict[str, str]] = {
         "ground": "skyproof.cli.ground:Ground",
         "clear": "skyproof.cli.clear:Clear",
         "adjust": "skyproof.cli.adjust:Adjust",
-        "export": "skyproof.cli.export:Export",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
         "learn-vehicles": "skyproof.cli.learn_vehicles:LearnVehicles",
     },

@@ -51,15 +51,6 @@ def clear(inputs: Path, out: Path) -> Sequence[object]:
     return ["clear", inputs / "tiled", "--out", out / "new", *ON_CPU, "--method", "telea"]
 
 
-def export(form: str) -> Callable[[Path, Path], Sequence[object]]:
-    def words(inputs: Path, out: Path) -> Sequence[object]:
-        place = out / ("new.json" if form in ("coco", "geojson") else "new")
-        folder = inputs / ("tiled/test" if form == "geojson" else "datasets/test")
-        return ["export", folder, "--format", form, "--out", place]
-
-    return words
-
-
 def score(inputs: Path, out: Path) -> Sequence[object]:
     words = ["score", "--detectors", inputs / "detectors/retinanet", "--out", out / "new"]
     return [
@@ -131,10 +122,6 @@ GROUND = [
     Kind("annotations, cleared", "tiled/test/annotations.json", clear, slow=True),
 ]
 DATASETS = [
-    Kind("annotations, to COCO", "datasets/test/annotations.json", export("coco")),
-    Kind("annotations, to YOLO", "datasets/test/annotations.json", export("yolo")),
-    Kind("annotations, to DOTA", "datasets/test/annotations.json", export("dota")),
-    Kind("annotations, to the map", "tiled/test/annotations.json", export("geojson")),
     Kind("annotations, scored", "datasets/validation/annotations.json", score, slow=True),
     Kind("annotations, compared", "datasets/test/annotations.json", compare, slow=True),
     Kind("annotations, trained on", "datasets/train/annotations.json", train, slow=True),

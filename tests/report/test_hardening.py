@@ -48,9 +48,7 @@ def test_the_strongest_attack_is_trained_against_with_commands_that_parse(run_fo
     assert "T-U hides most: add images" in page
     assert "not with those of the test" in page
     given = commands(page)
-    assert [words[:2] for words in given] == [
-        ["skyproof", name] for name in ("scenes", "render", "export")
-    ]
+    assert [words[:2] for words in given] == [["skyproof", name] for name in ("scenes", "render")]
     assert given[0][given[0].index("--settings.size-px") + 1] == "192"
     for words in given:
         assert "test" not in " ".join(words)
@@ -65,8 +63,8 @@ def test_who_fails_at_paints_adds_vehicles_in_many_coats_first(run_folder, tmp_p
     page = write_report(copied).read_text()
     assert ("First of all: coats that nobody learnt" in page) == fails
     given = commands(page)
-    coats = ["vehicles", "scenes", "render", "export"] if fails else []
-    assert [words[1] for words in given] == [*coats, "scenes", "render", "export"]
+    coats = ["vehicles", "scenes", "render"] if fails else []
+    assert [words[1] for words in given] == [*coats, "scenes", "render"]
     for words in given:
         tyro.cli(load_command(words[1]), args=words[2:], console_outputs=False)
 

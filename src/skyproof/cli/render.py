@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.cli.rendering import Rendering
@@ -21,6 +22,8 @@ class Render(Rendering):
         fleet: fleet folder.
         out: dataset folder to write.
         camouflage: camouflage folder; without one the vehicles stay as they are.
+        labels: coco (annotations.json), or yolo to write YOLO text and data.yaml as well, as
+            Ultralytics trains from.
         device: auto, cpu or cuda.
     """
 
@@ -29,6 +32,7 @@ class Render(Rendering):
     fleet: Path
     out: Path
     camouflage: Path | None = None
+    labels: Literal["coco", "yolo"] = "coco"
     device: str = "auto"
 
     def run(self) -> None:
@@ -53,6 +57,7 @@ class Render(Rendering):
                     fleet,
                     renderer,
                     camouflage=camouflage,
+                    yolo=self.labels == "yolo",
                     device=device,
                     progress=update,
                 )

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.datasets.yolo import write_yolo
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Frames, Renderer
@@ -71,6 +72,7 @@ def render_dataset(
     renderer: Renderer,
     *,
     camouflage: Callable[[VehicleBatch], VehicleBatch] | None = None,
+    yolo: bool = False,
     batch_size: int = 8,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
@@ -83,6 +85,7 @@ def render_dataset(
         fleet: holds every vehicle the scenes name.
         renderer: differentiable or not.
         camouflage: changes the vehicles before they are drawn; None leaves them as they are.
+        yolo: write the labels as YOLO text as well.
         progress: called with (images done, images in all).
 
     Raises:
@@ -101,18 +104,20 @@ def render_dataset(
 
     batches = [scenes[start : start + batch_size] for start in range(0, len(scenes), batch_size)]
     several = renderer.concurrent and torch.device(device).type == "cpu"
-    with (
-        finished_folder(folder) as partial,
-        CocoWriter(partial, gsd_m=scenes[0].camera.gsd_m, source=source) as writer,
-        in_threads(draw, batches, torch.get_num_threads() if several else 1) as drawn,
-    ):
-        write_scenes(partial / "scenes.jsonl", scenes)
-        done = 0
-        for batch, (frames, corners) in zip(batches, drawn, strict=True):
-            _write(writer, batch, frames, corners)
-            done += len(batch)
-            if progress:
-                progress(done, len(scenes))
+    with finished_folder(folder) as partial:
+        with (
+            CocoWriter(partial, gsd_m=scenes[0].camera.gsd_m, source=source) as writer,
+            in_threads(draw, batches, torch.get_num_threads() if several else 1) as drawn,
+        ):
+            write_scenes(partial / "scenes.jsonl", scenes)
+            done = 0
+            for batch, (frames, corners) in zip(batches, drawn, strict=True):
+                _write(writer, batch, frames, corners)
+                done += len(batch)
+                if progress:
+                    progress(done, len(scenes))
+        if yolo:
+            write_yolo(partial)
 
 
 def _worn(camouflage: Callable[[VehicleBatch], VehicleBatch]) -> str:

@@ -96,16 +96,12 @@ def hardening(
     for name in names:
         commands.append(
             f"skyproof render --scenes hardening/scenes.jsonl {places} "
-            f"--camouflage camouflages/{name} --out hardening/{name}"
+            f"--camouflage camouflages/{name} --labels yolo --out hardening/{name}"
         )
-    commands += [
-        f"skyproof export hardening/{name} --format yolo --out hardening/{name}-yolo"
-        for name in names
-    ]
     after = [
-        "Train on your images and these together. The export is what Ultralytics trains from; "
-        "others take --format coco or dota. A detector of skyproof’s own learns from the rendered "
-        "folders themselves (skyproof train).",
+        "Train on your images and these together. Ultralytics trains from data.yaml in the "
+        "rendered folders, others from annotations.json (COCO). A detector of skyproof’s own "
+        "learns from the folders themselves (skyproof train).",
         "Then assess the new detector again: its attacks are learnt anew. A detector that is "
         "hardened against a known pattern is not thereby hardened against the next.",
     ]
@@ -127,8 +123,8 @@ def _coats(size_px: int) -> list[str]:
         "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
         f"skyproof scenes {places} --split attack --count 800 --seed 2 "
         f"--settings.size-px {size_px} --out hardening/coats.jsonl",
-        f"skyproof render --scenes hardening/coats.jsonl {places} --out hardening/coats",
-        "skyproof export hardening/coats --format yolo --out hardening/coats-yolo",
+        f"skyproof render --scenes hardening/coats.jsonl {places} --labels yolo "
+        "--out hardening/coats",
     ]
 
 

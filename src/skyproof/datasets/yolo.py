@@ -1,0 +1,44 @@
+"""Labels as YOLO text, as Ultralytics trains from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from skyproof.datasets.coco import CATEGORY
+from skyproof.datasets.dataset import Dataset
+
+_DATA = f"""\
+# One dataset serves both splits; to validate on another, name its images folder.
+train: images
+val: images
+names:
+  0: {CATEGORY["name"]}
+"""
+
+
+def write_yolo(folder: Path) -> None:
+    """Writes `labels/*.txt` and `data.yaml` beside a dataset's images.
+
+    Ignore regions cannot be said in this form and are left out, as are vehicles out of sight.
+
+    Raises:
+        StoredFileError: the dataset is missing or damaged.
+    """
+    dataset = Dataset.open(folder)
+    labels = folder / "labels"
+    labels.mkdir()
+    for name, (width, height), boxes in zip(
+        dataset.ids, dataset.sizes_px, dataset.boxes, strict=True
+    ):
+        lines = []
+        for left, top, right, bottom in boxes.tolist():
+            if right > left and bottom > top:
+                parts = (
+                    (left + right) / 2 / width,
+                    (top + bottom) / 2 / height,
+                    (right - left) / width,
+                    (bottom - top) / height,
+                )
+                lines.append("0 " + " ".join(f"{part:.7f}" for part in parts) + "\n")
+        (labels / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
+    (folder / "data.yaml").write_text(_DATA, encoding="utf-8")
