@@ -8,7 +8,7 @@ and without them.
 
     python tools/false_alarms.py --detectors detectors/* --frames 'kit/MOS*@0.116'
 
-The frames are given in the order in which they were taken, as for `skyproof check`.
+The frames are given in the order in which they were taken, as for `skyproof precheck`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class FalseAlarms:
 
     Attributes:
         detectors: detector folders, all of one resolution.
-        frames: annotated photographs, as for `skyproof check`.
+        frames: annotated photographs, as for `skyproof precheck`.
         frame_classes: class names that count as vehicles.
     """
 

@@ -39,11 +39,11 @@ from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.files import finished_folder, write_json, write_jsonl
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.measure.baseline import BaselineSet, measure_baseline
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.results.clean import CleanSet, check_clean
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
 from skyproof.scenes.sampling import sample_scenes
@@ -249,15 +249,17 @@ class RealityGap:
 
 
 def check_detector(
-    judge: LoadedDetector[Detector], frames: CleanSet, found: Sequence[Detections]
+    judge: LoadedDetector[Detector], frames: BaselineSet, found: Sequence[Detections]
 ) -> dict[str, Any]:
     """Gives the check of a detector on photographs, as plain JSON values."""
     centre = match_images(found, frames.images, criterion="centre_1m")
     overlap = match_images(found, frames.images, criterion="iou_50")
-    return check_clean(judge, frames, centre, overlap, generator=np.random.default_rng(0)).json()
+    return measure_baseline(
+        judge, frames, centre, overlap, generator=np.random.default_rng(0)
+    ).json()
 
 
-def photographed_sets(data: Path, texts: Sequence[str]) -> list[CleanSet]:
+def photographed_sets(data: Path, texts: Sequence[str]) -> list[BaselineSet]:
     """Reads frames below a folder, as `--frames` writes them."""
     placed = [f"{name}={data}/{place}" for name, place in (text.split("=", 1) for text in texts)]
     return read_frames(placed, CLASSES, GSD_M)

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from skyproof.cli.check import Check
+from skyproof.cli.precheck import Precheck
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.detectors.inference import detect_all
@@ -29,11 +29,11 @@ from skyproof.detectors.training import validate
 from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
-from skyproof.gate.record import read_record
-from skyproof.gate.verdict import findings, verdict
 from skyproof.layout import Layout
 from skyproof.reproduction.preset import Preset
 from skyproof.reproduction.workflow import reproduction_plan
+from skyproof.results.findings import findings, verdict
+from skyproof.results.precheck import read_precheck
 from skyproof.results.stored import read_environment
 from skyproof.storage import write_tensors
 from skyproof.words import detector_name, percent
@@ -46,12 +46,12 @@ README = """\
 
 Slim versions of RetinaNet and Faster R-CNN that come with skyproof, so that a first report needs no
 training. Each is a detector folder like any other: `detector.json`, `weights.safetensors` and
-`check.json`, what `skyproof check` found of it.
+`precheck.json`, what `skyproof precheck` found of it.
 
 **What they are for:** a first report, tests, examples, and to compare a detector of your own with.
 **What they are not for:** finding vehicles for a purpose of yours. They learnt from procedural
 ground and procedural vehicles alone, at 12.5 cm per pixel, and saw no photograph; what they score
-on your imagery `skyproof check` tells.
+on your imagery `skyproof precheck` tells.
 
 ## How they were made
 
@@ -105,7 +105,7 @@ class ShipReference:
                 "shipped are made by it alone."
             )
         plan = reproduction_plan(Preset.parse(config), self.run_folder, device=self.device)
-        (check,) = (step.command for step in plan.steps if isinstance(step.command, Check))
+        (check,) = (step.command for step in plan.steps if isinstance(step.command, Precheck))
         self.out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
             made = [Path(scratch) / name for name in REFERENCE_DETECTORS]
@@ -172,7 +172,7 @@ def _row(folder: Path, change: tuple[float, int, int]) -> str:
         detector_name(card.name),
         percent(card.validation["ap_centre_1m"], 1),
         f"{card.threshold:.3f}",
-        verdict(findings(read_record(folder))),
+        verdict(findings(read_precheck(folder))),
         f"{moved:.4f}",
         f"{changed} of {vehicles}",
     ]

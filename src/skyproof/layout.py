@@ -88,9 +88,9 @@ class Layout:
         """Where the detectors lie that taught what is tried on another: `detectors` alone."""
         return Layout(self.folder / "teachers")
 
-    def check(self, name: str) -> Path:
-        """What `skyproof check` found of a detector."""
-        return self.detector(name) / "check.json"
+    def precheck(self, name: str) -> Path:
+        """What `skyproof precheck` found of a detector."""
+        return self.detector(name) / "precheck.json"
 
     @property
     def camouflages(self) -> Path:

@@ -38,7 +38,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "reference": "skyproof.cli.reference:Reference",
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
-        "check": "skyproof.cli.check:Check",
+        "precheck": "skyproof.cli.precheck:Precheck",
     },
     "Camouflage and judgement": {
         "attack": "skyproof.cli.attack:Attack",

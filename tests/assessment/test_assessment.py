@@ -11,9 +11,9 @@ from skyproof.assessment.enough import Enough
 from skyproof.assessment.suite import read_suite, suite_digest
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
-from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear
 from skyproof.cli.import_detector import Import
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.report import Report
 from skyproof.cli.score import Score
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
@@ -67,7 +67,7 @@ def test_imagery_labels_and_a_detector_folder(tmp_path):
     assert steps[3:7] == WORLD
     assert steps[7 : 7 + len(LEARNT)] == LEARNT
     assert steps[-1] == "report/report"
-    frozen, checked = (step.command for step in plan(asked).steps if type(step.command) is Check)
+    frozen, checked = (step.command for step in plan(asked).steps if type(step.command) is Precheck)
     # The threshold is frozen on other tiles than those on which the detector is checked.
     assert frozen.frames == ("your imagery=run/tiles/validation@0.1",)
     assert frozen.freeze == "labels"
@@ -164,7 +164,7 @@ def test_a_black_box_is_asked_and_its_attacks_are_learnt_on_others(tmp_path):
     for step in steps:
         inner = step.command.command if isinstance(step.command, Asked) else step.command
         asks = isinstance(step.command, Asked | Frozen | Query)
-        assert asks == isinstance(inner, Attack | Check | Clear | Score | Frozen | Query)
+        assert asks == isinstance(inner, Attack | Precheck | Clear | Score | Frozen | Query)
     searches = [id for id in order if id.endswith("_search")]
     assert searches
     assert all(id.startswith("ask/") for id in searches)

@@ -6,8 +6,8 @@ import pytest
 
 from skyproof.assessment.demo import Demo, DemoSizes, demo_plan
 from skyproof.cli.attack import Attack
-from skyproof.cli.check import Check
 from skyproof.cli.ground import Ground
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.reference import Reference
 from skyproof.cli.score import Score
 from skyproof.cli.vehicles import Vehicles
@@ -75,7 +75,7 @@ def test_with_training_everything_is_made():
     ]
     demo = Demo(out=RUN, train=True)
     assert commands(demo, Ground)[0].tiles == (64, 12, 24, 40)
-    assert commands(demo, Check)[0].scenes_count == 12
+    assert commands(demo, Precheck)[0].scenes_count == 12
 
 
 @pytest.mark.parametrize(
@@ -87,18 +87,18 @@ def test_what_was_found_on_procedural_ground_is_left_out_where_there_is_other(ow
     demo = Demo(out=RUN, **own)
     assert "check/detectors" in steps(**own)
     assert not any(command.check for command in commands(demo, Reference))
-    (check,) = commands(demo, Check)
+    (check,) = commands(demo, Precheck)
     assert check.frames == demo.frames
     assert check.scenes_count == 12
     # Who wants no check keeps what was found before.
     without = Demo(out=RUN, sizes=DemoSizes(check_scenes=0), **own)
-    assert not commands(without, Check)
+    assert not commands(without, Precheck)
     assert all(command.check for command in commands(without, Reference))
 
 
 def test_a_check_that_is_asked_for_is_made():
     demo = Demo(out=RUN, sizes=DemoSizes(check_scenes=5))
-    assert commands(demo, Check)[0].scenes_count == 5
+    assert commands(demo, Precheck)[0].scenes_count == 5
     assert not any(command.check for command in commands(demo, Reference))
 
 

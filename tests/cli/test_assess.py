@@ -75,7 +75,7 @@ def test_from_a_detector_folder_to_a_report(assessed):
     config = json.loads((assessed / "run/config.json").read_text())
     assert config["suite"]["version"] == 3
     assert config["imagery"] == "procedural"
-    check = json.loads((assessed / "run/detectors/retinanet/check.json").read_text())
+    check = json.loads((assessed / "run/detectors/retinanet/precheck.json").read_text())
     # What was measured when the detector was made is not what is found here.
     assert check["measured_on"]["scenes"] == 1
     page = (assessed / "run/report.html").read_text()

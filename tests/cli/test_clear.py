@@ -75,10 +75,10 @@ def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: 
     answer = skyproof(*call, "--out", tmp_path / "good")
     assert answer.code == 0
     assert "Not checked by a detector" not in answer.out
-    check = json.loads((detector / "check.json").read_text())
+    check = json.loads((detector / "precheck.json").read_text())
     check["sets"][0]["ap_centre_1m"] = check["sets"][0]["ap_centre_1m_high"] = 0.4
     check["sets"][0]["ap_centre_1m_low"] = 0.3
-    (detector / "check.json").write_text(json.dumps(check))
+    (detector / "precheck.json").write_text(json.dumps(check))
     answer = skyproof(*call, "--out", tmp_path / "cleared")
     assert answer.code == 0
     assert "failed its own check" in answer.out

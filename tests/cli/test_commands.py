@@ -262,7 +262,7 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
         ("scores/test/score.json", '{"rows": []}'),
         ("scores/test/tiles.parquet", "damaged"),
         ("scores/test/outcomes.parquet", "damaged"),
-        ("scores/test/checks.json", "{"),
+        ("scores/test/baselines.json", "{"),
         ("scores/test/pairs/pairs.json", "{}"),
         ("scores/test/patterns/T-U/texture.png", "damaged"),
         ("detectors/retinanet/steps.jsonl", "{"),

@@ -10,13 +10,13 @@ import pytest
 
 from skyproof.detectors import reference_detectors
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
-from skyproof.gate.record import read_record
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.main import run
+from skyproof.results.precheck import read_precheck
 from skyproof.scenes.splits import SPLITS
 from tests.cli.conftest import CHOSEN, TINY, UNTRAINED, Skyproof, bytes_of
 
-FILES = {"check.json", "detector.json", "weights.safetensors"}
+FILES = {"precheck.json", "detector.json", "weights.safetensors"}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_the_demo_attacks_them_and_trains_nothing(attacked: Path) -> None:
 
 def test_the_report_says_that_they_were_checked_before(attacked: Path) -> None:
     page = (attacked / "report.html").read_text()
-    scenes = read_record(REFERENCE_FOLDER / "retinanet").measured_on.scenes
+    scenes = read_precheck(REFERENCE_FOLDER / "retinanet").measured_on.scenes
     told = (
         f"RetinaNet and Faster R-CNN were checked before, on {scenes} scenes of procedural ground, "
         "and not on the scenes of this run."
@@ -113,7 +113,7 @@ def test_on_imagery_of_the_users_they_are_checked_there(tmp_path: Path, skyproof
     call += ["--detectors", "retinanet", "--sizes.check-scenes", 2]
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
-    record = read_record(tmp_path / "run" / "detectors" / "retinanet")
+    record = read_precheck(tmp_path / "run" / "detectors" / "retinanet")
     assert record.measured_on.sources == ("photo.png",)
     assert record.measured_on.scenes == 2
     assert "RetinaNet: " in answer.out
@@ -134,7 +134,7 @@ def test_the_command_copies_them_whole_and_overwrites_nothing(
     one = ["reference", "--out", tmp_path / "one", "--detectors", "faster_rcnn"]
     assert "plain paints" not in skyproof(*one, "--no-check").out
     assert set(bytes_of(tmp_path / "one")) == {
-        f"faster_rcnn/{file}" for file in FILES - {"check.json"}
+        f"faster_rcnn/{file}" for file in FILES - {"precheck.json"}
     }
     # The second detector is in the way, and the first is not written either.
     skyproof("reference", "--out", tmp_path / "one").refused("faster_rcnn", "not overwritten")
@@ -175,7 +175,7 @@ def _of_another_network(path: Path) -> None:
 
 
 def _torn_check(path: Path) -> None:
-    path.with_name("check.json").write_text("{")
+    path.with_name("precheck.json").write_text("{")
 
 
 def _changed(path: Path) -> None:
@@ -192,7 +192,7 @@ def _changed(path: Path) -> None:
         (_of_another_version, "format 2"),
         (_of_another_network, "does not fit a slim retinanet"),
         (_changed, "not the file that detector.json was written for"),
-        (_torn_check, "check.json"),
+        (_torn_check, "precheck.json"),
     ],
 )
 def test_damaged_or_of_another_version_is_one_sentence(

@@ -315,7 +315,7 @@ def test_a_score_stopped_while_judging_draws_nothing_again(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyproof.results.scoring.score_detectors", stop)
+        patch.setattr("skyproof.measure.score.score_detectors", stop)
         assert skyproof(*call).code == 130
 
     def render(*arguments: object) -> None:

@@ -193,7 +193,7 @@ def test_a_copy_has_what_belongs_to_a_detector_and_nothing_from_elsewhere(
     copied = {path.name for path in (tmp_path / "plain").iterdir()}
     assert copied == {"weights.safetensors", "detector.json"}
     assert load_detector(tmp_path / "plain").card == CARD
-    copy_detector(folder, tmp_path / "logged", ["steps.jsonl", "check.json"])
+    copy_detector(folder, tmp_path / "logged", ["steps.jsonl", "precheck.json"])
     assert (tmp_path / "logged" / "steps.jsonl").is_file()
     (folder / "steps.jsonl").unlink()
     (folder / "steps.jsonl").symlink_to(secret)

@@ -16,9 +16,9 @@ from skyproof.detectors.matching import match_images
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.detectors.training import validate
 from skyproof.errors import ConfigurationError
-from skyproof.gate.record import read_records
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
+from skyproof.results.precheck import read_prechecks
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES, SIDE_PX = 24, 128
@@ -76,7 +76,7 @@ def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> N
 
 def test_their_check_is_of_these_very_weights() -> None:
     # A record of other weights or another threshold would be left out.
-    records = read_records(REFERENCE_FOLDER)
+    records = read_prechecks(REFERENCE_FOLDER)
     assert set(records) == set(REFERENCE_DETECTORS)
     for record in records.values():
         assert record.measured_on.sources == ("procedural",)

@@ -140,7 +140,7 @@ CARDS = [
     Kind("camouflage", "camouflages/R-U-0/camouflage.json", worn),
     Kind("palette", "palette.json", draw_fixed),
     Kind("generator", "learnt/generator.json", learnt),
-    Kind("check", "detectors/retinanet/check.json", report, copied=".", slow=True),
+    Kind("check", "detectors/retinanet/precheck.json", report, copied=".", slow=True),
 ]
 SCORES = [
     Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)

@@ -55,7 +55,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
     detector = inputs / "detectors/retinanet"
     imported = ["--vehicle-classes", "3", "--validation", inputs / "datasets/test"]
     imported += ["--out", out / "new"]
-    checked = ["check", detector, "--backgrounds", inputs / "nowhere"]
+    checked = ["precheck", detector, "--backgrounds", inputs / "nowhere"]
     calls: dict[str, Sequence[object]] = {
         "demo": ["demo", "--out", out / "new", *DEMO, "--imagery", inputs / "nowhere.tif"],
         "assess": ["assess", detector, "--out", out / "new", "--imagery", inputs / "nowhere.tif"],
@@ -72,7 +72,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "render": kinds.render(inputs, out),
         "reference": ["reference", "--out", out / "new"],
         "train": kinds.train(inputs, out),
-        "check": [*checked, "--fleet", inputs / "nowhere"],
+        "precheck": [*checked, "--fleet", inputs / "nowhere"],
         "import": ["import", inputs / "palette.json", "--kind", "torchvision", *imported],
         "attack": ["attack", "R-PixFc", "--palette", inputs / "palette.json", "--out", out / "new"],
         "score": ["score", "--detectors", detector, "--out", out / "new"],

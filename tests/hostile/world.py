@@ -14,14 +14,14 @@ from PIL import Image
 from rasterio.transform import from_origin
 
 from skyproof.detectors.card import read_card_and_digest
-from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
 from skyproof.generator.fits import fitted_vehicles
 from skyproof.generator.folder import save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.prototypes import draw_prototypes
 from skyproof.main import run
 from skyproof.reproduction.preset import PRESETS
-from skyproof.results.checks import Check
+from skyproof.results.baseline import Baseline
+from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate, write_precheck
 from skyproof.results.statistics.intervals import Interval
 from tests.barely_trained import everything_counts
 from tests.generator.made_fits import made_fits
@@ -94,10 +94,10 @@ def make_world(folder: Path) -> None:
 def _write_check(folder: Path) -> None:
     card, digest = read_card_and_digest(folder / "detector.json")
     some = Interval(0.5, 0.25, 0.75)
-    check = Check("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
+    check = Baseline("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
     rates = [Rate("paint_body", "#ff8000", 1, some), Rate("blur", "0.4 px", 1, some)]
     on = MeasuredOn(2, "", ("procedural",), 1, 0)
-    write_record(folder, GateRecord("retinanet", digest, card.threshold, on, [check], rates))
+    write_precheck(folder, PrecheckRecord("retinanet", digest, card.threshold, on, [check], rates))
 
 
 def _write_photo(path: Path) -> None:

@@ -71,7 +71,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
         "skyproof/reproduction/quick.json",
         "skyproof/reproduction/paper.json",
         "skyproof/detectors/reference/README.md",
-        "skyproof/detectors/reference/retinanet/check.json",
+        "skyproof/detectors/reference/retinanet/precheck.json",
         "skyproof/detectors/reference/retinanet/detector.json",
         "skyproof/detectors/reference/retinanet/weights.safetensors",
         "skyproof/detectors/reference/faster_rcnn/weights.safetensors",

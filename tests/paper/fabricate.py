@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
-from skyproof.results.checks import write_checks
+from skyproof.results.baseline import write_baselines
 from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
 from skyproof.results.score_folder import ScoreRecord, write_record
@@ -75,7 +75,7 @@ def write_scores(
     folder.mkdir(parents=True)
     write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
-    write_checks(folder / "checks.json", checks)
+    write_baselines(folder / "baselines.json", checks)
     thresholds = dict.fromkeys(detectors, 0.5)
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 
@@ -99,7 +99,7 @@ def write_looks(folder, faces, *, pairs=(), **more):
     write_json(
         folder / "looks.json", {"vehicles": 30, "textures": rows, "pairs": list(pairs), **more}
     )
-    write_checks(folder / "checks.json", [])
+    write_baselines(folder / "baselines.json", [])
     write_record(folder, ScoreRecord({}))
 
 

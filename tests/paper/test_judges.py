@@ -8,7 +8,7 @@ from skyproof.files import write_json
 from skyproof.paper.judges import judge_names, judged_rows, judges_tables
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.report import write_report
-from skyproof.results.checks import Check, write_checks
+from skyproof.results.baseline import Baseline, write_baselines
 from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
 from tests.paper.fabricate import DETECTORS, write_scores
@@ -23,10 +23,10 @@ def add_judges(folder, table, rates, *, ap=0.6, trained_on="train: tiles of real
         scores = own / "scores" / ("000" if renderer == "torch" else "cycles-000")
         write_scores(scores, rates, found=0.5, renderer=renderer)
         sure = Interval(ap, ap - 0.1, ap + 0.1)
-        write_checks(
-            scores / "checks.json",
+        write_baselines(
+            scores / "baselines.json",
             [
-                Check(
+                Baseline(
                     detector=each, dataset=name, images=40, vehicles=200, real=False,
                     ap_centre_1m=sure, clustered_by="places", clusters=20, ap_iou_50=ap,
                     precision=sure, recall=sure, threshold=0.5,

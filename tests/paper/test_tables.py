@@ -14,7 +14,7 @@ from skyproof.paper.order import comparison
 from skyproof.paper.paper_results import PAPER_RESULTS
 from skyproof.paper.reproduction import Reproduction
 from skyproof.report.report import write_report
-from skyproof.results.checks import Check
+from skyproof.results.baseline import Baseline
 from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
 from tests.paper.fabricate import write_attack, write_scores
@@ -179,7 +179,7 @@ def test_an_attack_that_still_gets_stronger_is_named(folder):
 
 def test_rates_by_overlap_and_false_alarms(folder):
     nothing = Interval(math.nan, math.nan, math.nan)
-    empty = Check(
+    empty = Baseline(
         detector="yolov5",
         dataset="ground without vehicles",
         images=10,
@@ -430,8 +430,8 @@ def test_synthetic_data_alone_is_said_first(folder):
     lines = write_reproduction(folder).read_text().split("\n\n")
     assert lines[1] == (
         "**Worth attacking?** RetinaNet was not checked: nothing in this run folder says "
-        "whether it is worth attacking (skyproof check). YOLOv5 was not checked: nothing in this "
-        "run folder says whether it is worth attacking (skyproof check)."
+        "whether it is worth attacking (skyproof precheck). YOLOv5 was not checked: nothing in "
+        "this run folder says whether it is worth attacking (skyproof precheck)."
     )
     assert lines[2].startswith(
         "**Synthetic data only.** Ground and vehicles are computer-generated"

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from skyproof.report.report import write_report
-from skyproof.results.checks import write_checks
+from skyproof.results.baseline import write_baselines
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import count_tiles, write_tiles
@@ -76,7 +76,7 @@ def write(folder, conditions, names=NAMES, detectors=DETECTORS):
         for match in ("centre_1m", "iou_50")
     ]
     write_sets(folder / "sets.json", sets)
-    write_checks(folder / "checks.json", [])
+    write_baselines(folder / "baselines.json", [])
     write_record(folder, ScoreRecord(dict.fromkeys(detectors, 0.5), renderer="torch"))
 
 

@@ -159,7 +159,7 @@ def _write_rest(folder, rng):
             ("KIT AIS Munich", True, 0.21, "images", 60, "real frames, resampled to 0.125 m"),
         )
     ]  # fmt: skip
-    write_json(folder / "scores" / "main" / "checks.json", {"rows": clean})
+    write_json(folder / "scores" / "main" / "baselines.json", {"rows": clean})
     for d in DETECTORS:
         validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
         about = {
@@ -222,10 +222,10 @@ def fabricate_cycles(folder):
     write_sets(cycles / "sets.json", sets)
     write_record(cycles, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="cycles"))
     seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
-    rows = json.loads((first / "checks.json").read_text())["rows"]
+    rows = json.loads((first / "baselines.json").read_text())["rows"]
     clean = [row | seen for row in rows if row["dataset"] == "rendered test"]
     named = [row | {"dataset": "Blender Cycles test"} for row in clean]
-    write_json(cycles / "checks.json", {"rows": named})
+    write_json(cycles / "baselines.json", {"rows": named})
     return folder
 
 

@@ -119,7 +119,7 @@ def test_it_says_what_imagery_would_decide_or_that_none_would(run_folder):
 
 def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
     for name in DETECTORS:
-        (run_folder / "detectors" / name / "check.json").unlink()
+        (run_folder / "detectors" / name / "precheck.json").unlink()
     checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
     page, verdict = asked(run_folder, LENIENT)
     assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2

@@ -9,9 +9,9 @@ import pytest
 from skyproof.camouflage.paint import LATTICE
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
-from skyproof.gate.record import GateRecord, MeasuredOn, Rate, write_record
 from skyproof.report.report import write_report
-from skyproof.results.checks import BestF1, Check
+from skyproof.results.baseline import Baseline, BestF1
+from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate, write_precheck
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import (
     BackgroundWindow,
@@ -51,7 +51,7 @@ def test_who_failed_the_check_is_no_witness_that_the_ground_is_clear(run_folder)
     trusted = first_lines(write_report(run_folder).read_text())
     assert "7 vehicles that stood in the photographs were removed" in trusted
     assert "That none is left" not in trusted
-    (run_folder / "detectors/retinanet/check.json").unlink()
+    (run_folder / "detectors/retinanet/precheck.json").unlink()
     checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
     doubted = first_lines(write_report(run_folder).read_text())
     assert (
@@ -61,7 +61,7 @@ def test_who_failed_the_check_is_no_witness_that_the_ground_is_clear(run_folder)
 
 def clean(name, recall, best_recall, *, real=False):
     sure = Interval(0.99, 0.97, 1.0)
-    return Check(
+    return Baseline(
         "retinanet",
         name,
         60,
@@ -89,11 +89,11 @@ def checked(folder, detector, hidden, *, threshold=THRESHOLD, scenes=(60, "")):
     rates += [Rate("blur", "0.7 px", 1, nothing), Rate("control", "R-U", 5, nothing)]
     sets = [clean("rendered scenes", 0.97, 0.98), clean("KIT", 0.47, 0.9, real=True)]
     on = MeasuredOn(*scenes, ("procedural",), 5, 0)
-    record = GateRecord(detector, "", threshold, on, sets, rates)
+    record = PrecheckRecord(detector, "", threshold, on, sets, rates)
     place = folder / "detectors" / detector
     card = json.loads((place / "detector.json").read_text())
     write_json(place / "detector.json", {**card, "threshold": THRESHOLD, "weights_sha256": ""})
-    write_record(place, record)
+    write_precheck(place, record)
 
 
 def told(folder):
@@ -175,6 +175,6 @@ def test_a_record_of_another_threshold_counts_for_nothing(run_folder):
 
 def test_a_damaged_record_is_refused(run_folder):
     checked(run_folder, "retinanet", {})
-    (run_folder / "detectors" / "retinanet" / "check.json").write_text("{}")
+    (run_folder / "detectors" / "retinanet" / "precheck.json").write_text("{}")
     with pytest.raises(StoredFileError, match=r"check\.json"):
         write_report(run_folder)

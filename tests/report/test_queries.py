@@ -100,7 +100,7 @@ def test_a_detector_that_was_only_checked_hides_no_alarm(tmp_path: Path) -> None
     scored(tmp_path, missed(hides))
     other = tmp_path / "scores" / "zoo"
     write_record(other, ScoreRecord({"other": 0.5}))
-    write_json(other / "checks.json", {"rows": []})
+    write_json(other / "baselines.json", {"rows": []})
     results = Results.open(tmp_path)
     assert (results.judges, results.checked) == (["retinanet"], ["retinanet", "other"])
     found = by_answers(results)

@@ -125,7 +125,7 @@ def test_detectors_are_checked_on_the_images_of_both(run_folder, page):
         if detector == "RetinaNet" and "test" in name
     }
     # Images by Blender are not real ones.
-    clean = run_folder / "scores" / "main" / "checks.json"
+    clean = run_folder / "scores" / "main" / "baselines.json"
     rows = [
         row for row in json.loads(clean.read_text())["rows"] if row["dataset"] == "rendered test"
     ]

@@ -76,7 +76,7 @@ def first_lines(page):
 
 
 def change_checks(folder, change):
-    path = folder / "scores" / "main" / "checks.json"
+    path = folder / "scores" / "main" / "baselines.json"
     rows = [changed for row in json.loads(path.read_text())["rows"] if (changed := change(row))]
     write_json(path, {"rows": rows})
 
@@ -384,7 +384,7 @@ def test_damaged_files_name_the_file(run_folder):
         picture.write_bytes(b"no image")
     with pytest.raises(StoredFileError, match=r"scene-\d+\.jpg cannot be read as a picture"):
         write_report(run_folder)
-    write_json(run_folder / "scores" / "main" / "checks.json", {"rows": [{"detector": "x"}]})
+    write_json(run_folder / "scores" / "main" / "baselines.json", {"rows": [{"detector": "x"}]})
     with pytest.raises(StoredFileError, match=r"checks\.json"):
         write_report(run_folder)
 

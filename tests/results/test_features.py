@@ -12,11 +12,11 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.measure.score import score_detectors
 from skyproof.results import embedded
 from skyproof.results.embedded import gather_features
 from skyproof.results.pairs.features import Features, read_features, write_features
 from skyproof.results.results import Results
-from skyproof.results.scoring import score_detectors
 from skyproof.scenes.scene import write_scenes
 
 VEHICLES = [(20.0, 30.0, 56.0, 46.0), (100.0, 90.0, 116.0, 126.0)]

@@ -85,7 +85,7 @@ def scored(folder, hides, leniently=None):
     ]
     write_sets(score / "sets.json", sets)
     write_record(score, ScoreRecord({"retinanet": 0.5}, renderer="torch"))
-    write_json(score / "checks.json", {"rows": []})
+    write_json(score / "baselines.json", {"rows": []})
     return Results.open(folder)
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from skyproof.attacks.settings import QuerySettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
-from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear
 from skyproof.cli.console import progress_bar, say
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.detectors.card import DetectorCard, installed_version, read_card, write_card
 from skyproof.errors import ConfigurationError
@@ -31,7 +31,7 @@ class Asked:
         folder: the black box' folder.
     """
 
-    command: Attack | Check | Clear | Score
+    command: Attack | Precheck | Clear | Score
     box: Any
     folder: Path
 

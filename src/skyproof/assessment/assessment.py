@@ -28,10 +28,10 @@ from skyproof.assessment.world import (
 )
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
-from skyproof.cli.check import Check
 from skyproof.cli.clear import Clear
 from skyproof.cli.ground import Ground, tiling_for_images
 from skyproof.cli.import_detector import Import
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.score import Score
 from skyproof.files import finished_folder
@@ -219,7 +219,7 @@ def _made(given: Given, suite: Suite, layout: Layout, by_answers: ByAnswers) -> 
 def _asking(step: Step, box: Any, folder: Path) -> Step:
     """The same step, where it needs a detector by asking the black box."""
     command = step.command
-    if isinstance(command, Clear | Check | Score | Attack):
+    if isinstance(command, Clear | Precheck | Score | Attack):
         return replace(step, command=Asked(command, box, folder))
     return step
 
@@ -250,7 +250,7 @@ def _ground_and_detector(
         steps += _without_labels(given, suite, layout, box)
     elif given.detector is not None and given.detector.is_dir():
         needed = (given.detector, layout.tiles)
-        frozen = Check(
+        frozen = Precheck(
             detectors=(given.detector,),
             freeze="labels",
             frames=(f"your imagery={layout.tiles / 'validation'}@{given.gsd_m}",),

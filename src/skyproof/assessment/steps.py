@@ -13,7 +13,7 @@ from skyproof.assessment.world import WorldSizes, render_s
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
-from skyproof.cli.check import Check
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.reference import Reference
 from skyproof.cli.rendering import Rendering
 from skyproof.cli.report import Report
@@ -109,7 +109,7 @@ def check_step(
     """
     folders = tuple(layout.detector(name) for name in names)
     scenes = min(scenes, sizes.test_images)
-    command = Check(
+    command = Precheck(
         detectors=folders,
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
@@ -130,7 +130,7 @@ def check_step(
         "detectors",
         command,
         tuple(inputs),
-        tuple(layout.check(name) for name in names),
+        tuple(layout.precheck(name) for name in names),
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
@@ -340,7 +340,7 @@ def report_step(
         checked: names of the detectors that are checked in this run.
         requirement: what the report is to decide on: accept, reject and both risks.
     """
-    checks = [layout.check(name) for name in checked]
+    checks = [layout.precheck(name) for name in checked]
     return Step(
         "report",
         "report",

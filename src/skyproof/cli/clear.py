@@ -190,15 +190,15 @@ def _failed_check(folder: Path) -> str | None:
 
     One that was not checked may.
     """
-    from skyproof.gate.record import RECORD_FILE, read_record
-    from skyproof.gate.verdict import findings, verdict
+    from skyproof.results.findings import findings, verdict
+    from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
-    if not (folder / RECORD_FILE).is_file():
+    if not (folder / PRECHECK_FILE).is_file():
         return None
-    if verdict(findings(read_record(folder))) != "failed":
+    if verdict(findings(read_precheck(folder))) != "failed":
         return None
     return (
-        f"{folder} failed its own check ({RECORD_FILE}), so it finds vehicles here, but cannot "
+        f"{folder} failed its own check ({PRECHECK_FILE}), so it finds vehicles here, but cannot "
         "tell that none is left; give another one as --check-detector."
     )
 

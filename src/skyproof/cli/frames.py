@@ -10,7 +10,7 @@ from pathlib import Path
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
-from skyproof.results.clean import CleanSet
+from skyproof.measure.baseline import BaselineSet
 from skyproof.scenes.backgrounds import BackgroundSet
 
 
@@ -26,7 +26,7 @@ class _Given:
     classes: tuple[str, ...]
 
 
-def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[CleanSet]:
+def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[BaselineSet]:
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]`.
 
     An example is `kit/MOS*@0.116#car,minibus`. Without classes of its own a set has `classes`.
@@ -45,7 +45,7 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
     return [_read(name, own, classes, gsd_m) for name, own in by_name.items()]
 
 
-def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: float) -> CleanSet:
+def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: float) -> BaselineSet:
     parts, places = [], []
     for number, one in enumerate(given, 1):
         read = read_frames_folder(
@@ -69,7 +69,7 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
         f"{gsd_m * 100:.1f} cm/px; vehicles: "
         f"{', '.join(counted)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
     )
-    return CleanSet(name, images, real=not rendered, note=note, places=tuple(places))
+    return BaselineSet(name, images, real=not rendered, note=note, places=tuple(places))
 
 
 def _border_px(given: _Given) -> float:

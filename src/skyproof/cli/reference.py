@@ -20,7 +20,7 @@ class Reference:
     Attributes:
         out: folder in which every detector gets its own, by its name.
         detectors: retinanet, faster_rcnn, or both; no other comes trained.
-        check: copy what the check found, too; --no-check leaves it out, so that `skyproof check`
+        check: copy what the check found, too; --no-check leaves it out, so that `skyproof precheck`
             can tell what it finds on your ground.
     """
 
@@ -30,11 +30,11 @@ class Reference:
 
     def run(self) -> None:
         """Copies the detectors, and prints what was found of them and where they lie."""
-        from skyproof.cli.check_words import lines
+        from skyproof.cli.precheck_words import lines
         from skyproof.detectors.loaded import copy_detector
         from skyproof.detectors.reference_detectors import reference_detector, reference_folder
         from skyproof.files import drop_empty_folder, finished_folder, refuse_existing
-        from skyproof.gate.record import RECORD_FILE, read_record
+        from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
         names = tuple(dict.fromkeys(self.detectors))
         if not names:
@@ -45,12 +45,12 @@ class Reference:
         found: list[list[str]] = []
         for name in names:
             card = reference_detector(name).card
-            found.append(lines(read_record(reference_folder(name)), card.doubts))
+            found.append(lines(read_precheck(reference_folder(name)), card.doubts))
             drop_empty_folder(self.out / name)
             refuse_existing(self.out / name)
         for name, told in zip(names, found, strict=True):
             with finished_folder(self.out / name) as folder:
-                copy_detector(reference_folder(name), folder, [RECORD_FILE] if self.check else ())
+                copy_detector(reference_folder(name), folder, [PRECHECK_FILE] if self.check else ())
             for line in told if self.check else ():
                 say(line)
             say(f"Detector: {(self.out / name).resolve()}")

@@ -70,14 +70,14 @@ class Score(Rendering):
     device: str = "auto"
 
     def run(self, load: Load | None = None) -> None:
-        """Judges, and prints success rates and checks; `load` as of `Check.run`."""
+        """Judges, and prints success rates and checks; `load` as of `Precheck.run`."""
         from skyproof.cli.console import progress_bar
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
         from skyproof.files import refuse_existing
-        from skyproof.results.scoring import score_detectors
+        from skyproof.measure.score import score_detectors
 
         self._refuse_what_cannot_work()
         given = self._given()
@@ -302,7 +302,7 @@ class Score(Rendering):
         from skyproof.camouflage.looks import measure_looks
         from skyproof.cli.console import progress_bar
         from skyproof.files import finished_folder, write_json
-        from skyproof.results.checks import write_checks
+        from skyproof.results.baseline import write_baselines
         from skyproof.results.score_folder import ScoreRecord, write_record
         from skyproof.vehicles.fleet import Fleet
 
@@ -313,7 +313,7 @@ class Score(Rendering):
             looks = measure_looks(self.camouflages, vehicles, progress=update)
             looks |= self._draw_samples(partial, fleet)
             write_json(partial / "looks.json", {"vehicles": len(vehicles), **looks})
-            write_checks(partial / "checks.json", [])
+            write_baselines(partial / "baselines.json", [])
             write_record(partial, ScoreRecord({}, self.seed, sources=self._sources()))
         say(f"Looks of {len(self.camouflages)} camouflages: {self.out.resolve()}")
 

@@ -124,7 +124,7 @@ class Vehicles:
             say(
                 "  note: train and validation wear catalogue paints alone, so a detector trained "
                 "on them may take colour for evidence; give shares above 0 with --paints, and "
-                "see skyproof check."
+                "see skyproof precheck."
             )
         say(f"Fleets of {', '.join(map(str, self.counts))} vehicles: {self.out.resolve()}")
 

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.gate.record import read_records
 from skyproof.layout import Layout
 from skyproof.paper.cells import (
     Block,
@@ -24,7 +23,8 @@ from skyproof.paper.cells import (
 )
 from skyproof.paper.cycles import rates_under
 from skyproof.paper.reproduction import Reproduction
-from skyproof.results.checks import Check
+from skyproof.results.baseline import Baseline
+from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MEAN
 from skyproof.words import detector_name
@@ -102,7 +102,7 @@ def _rates(results: Results, name: str, judge: str) -> dict[str, Any]:
 def _clean(run: Reproduction, table: str) -> list[dict[str, Any]]:
     """Gives per judge what it finds without camouflage: in its validation, when checked, here."""
     results = run.judges[table]
-    records = read_records(Layout(results.folder).detectors)
+    records = read_prechecks(Layout(results.folder).detectors)
     rows = []
     for judge in results.judges:
         facts = results.detectors.get(judge)
@@ -124,7 +124,7 @@ def _clean(run: Reproduction, table: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _check(check: Check) -> dict[str, Any]:
+def _check(check: Baseline) -> dict[str, Any]:
     values: dict[str, Any] = {
         "set": check.dataset,
         "real": check.real,

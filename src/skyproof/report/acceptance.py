@@ -18,11 +18,11 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
-from skyproof.gate.record import read_records
-from skyproof.gate.verdict import findings, worst
 from skyproof.layout import Layout
 from skyproof.report.acceptance_figure import chances_figure
+from skyproof.results.findings import findings, worst
 from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
@@ -102,7 +102,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
         ConfigurationError: no camouflage of the run is such an attack.
         StoredFileError: a file of the run is damaged.
     """
-    checked = read_records(Layout(results.folder).detectors)
+    checked = read_prechecks(Layout(results.folder).detectors)
     rulings = []
     for name in results.judges:
         attacks = _attacks(results.tiles, name)
@@ -115,7 +115,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
         outcome = worst(findings(checked[name])) if name in checked else None
         if outcome is None or outcome.outcome == "failed":
             why = (
-                "nothing says whether it is worth attacking (skyproof check)"
+                "nothing says whether it is worth attacking (skyproof precheck)"
                 if outcome is None
                 else f"it failed the check: {outcome.words}"
             )

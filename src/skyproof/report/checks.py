@@ -11,11 +11,11 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from skyproof.documents import read_document
-from skyproof.gate.record import read_records
-from skyproof.gate.verdict import findings, verdict
 from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
-from skyproof.results.checks import Check
+from skyproof.results.baseline import Baseline
+from skyproof.results.findings import findings, verdict
+from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, percent
 
@@ -39,7 +39,7 @@ class CheckedSet:
     name: str
     real: bool
     contents: str
-    checks: Sequence[Check | None]
+    checks: Sequence[Baseline | None]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def checked_sets(results: Results) -> list[CheckedSet]:
     return sorted(sets, key=lambda checked: checked.real)
 
 
-def _contents(check: Check) -> str:
+def _contents(check: Baseline) -> str:
     parts = [f"{check.images} images, {check.vehicles} vehicles", check.note]
     if check.clustered_by == "places":
         places = "places" if check.real else "background tiles"
@@ -181,7 +181,7 @@ def _removed(layout: Layout) -> str:
         return removed
     # A finder is named by its folder, then by its weights in brackets.
     checker = Path(record.checked_by.name.partition(" (")[0]).name
-    checked = read_records(layout.detectors)
+    checked = read_prechecks(layout.detectors)
     if checker not in checked or verdict(findings(checked[checker])) != "failed":
         return removed
     return (
@@ -217,7 +217,7 @@ def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
     return f"{names} {'is' if len(weak) == 1 else 'are'} below {percent(_FEW_FOUND)}"
 
 
-def _is_weak(check: Check | None) -> bool:
+def _is_weak(check: Baseline | None) -> bool:
     return check is not None and not check.ap_centre_1m.estimate >= _FEW_FOUND
 
 

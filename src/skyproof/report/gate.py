@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from skyproof.gate.record import GateRecord, Kind, MeasuredOn, read_records
-from skyproof.gate.verdict import (
+from skyproof.layout import Layout
+from skyproof.results.findings import (
     Finding,
     Outcome,
     findings,
@@ -16,7 +16,7 @@ from skyproof.gate.verdict import (
     verdict,
     worst,
 )
-from skyproof.layout import Layout
+from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, read_prechecks
 from skyproof.results.results import Results
 from skyproof.scenes.scene import read_scenes, scenes_digest
 from skyproof.words import detector_name, interval, percent
@@ -62,12 +62,12 @@ class Gate:
 
 
 def read_gate(results: Results) -> Gate:
-    """Reads what `skyproof check` left beside the detectors of a run.
+    """Reads what `skyproof precheck` left beside the detectors of a run.
 
     Raises:
-        StoredFileError: a `check.json`, or the file of the test scenes, is damaged.
+        StoredFileError: a `precheck.json`, or the file of the test scenes, is damaged.
     """
-    records = read_records(Layout(results.folder).detectors)
+    records = read_prechecks(Layout(results.folder).detectors)
     found = {name: findings(records[name]) for name in results.judges if name in records}
     sentences = [_sentence(name, found.get(name)) for name in results.judges]
     sentences += _elsewhere({name: records[name].measured_on for name in found}, results)
@@ -102,7 +102,7 @@ def _sentence(name: str, found: Sequence[Finding] | None) -> str:
     if found is None:
         return (
             f"{shown} was not checked: nothing in this run folder says whether it is worth "
-            "attacking (skyproof check)."
+            "attacking (skyproof precheck)."
         )
     said = {
         "passed": "passed the check",
@@ -134,7 +134,7 @@ def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str
     ]
 
 
-def _swatches(record: GateRecord, kind: Kind) -> list[Swatch]:
+def _swatches(record: PrecheckRecord, kind: Kind) -> list[Swatch]:
     swatches = []
     for rate in record.of_kind(kind):
         red, green, blue = bytes.fromhex(rate.name.removeprefix("#"))

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
-from skyproof.gate.record import read_records
-from skyproof.gate.verdict import findings
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
+from skyproof.results.findings import findings
+from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import Results
 from skyproof.results.rows import Headline
 from skyproof.scenes.scene import read_scenes
@@ -110,7 +110,7 @@ def hardening(
 
 def _fails_at_coats(results: Results) -> bool:
     """Whether a detector failed its check at paints, or at random patterns."""
-    records = read_records(Layout(results.folder).detectors)
+    records = read_prechecks(Layout(results.folder).detectors)
     found = [each for name in results.judges if name in records for each in findings(records[name])]
     failed = [each for each in found if each.outcome == "failed" and each.rates]
     return any(each.rates[0].kind in _COATS for each in failed)

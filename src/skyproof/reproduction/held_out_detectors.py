@@ -16,9 +16,9 @@ from skyproof.detectors.card import DetectorCard, read_card_and_digest
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import finished_folder, is_leftover
-from skyproof.gate.record import RECORD_FILE
 from skyproof.layout import Layout
 from skyproof.reproduction.preset import Preset
+from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.words import detector_name
 
 _TABLE = "judges"
@@ -173,7 +173,7 @@ def store_judges(layout: Layout, tables: Mapping[str, Sequence[Judge]]) -> None:
     for table, judges in tables.items():
         with finished_folder(layout.judges / table) as folder:
             for judge in judges:
-                copy_detector(judge.folder, Layout(folder).detector(judge.name), [RECORD_FILE])
+                copy_detector(judge.folder, Layout(folder).detector(judge.name), [PRECHECK_FILE])
 
 
 def _attacked(layout: Layout, preset: Preset, name: str) -> Judge | None:

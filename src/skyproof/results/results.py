@@ -14,7 +14,7 @@ import numpy as np
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
-from skyproof.results.checks import Check, read_checks
+from skyproof.results.baseline import Baseline, read_baselines
 from skyproof.results.looks import Looks, read_looks
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.features import Features
@@ -86,7 +86,7 @@ class Results:
     scores: Sequence[ScoreFolder]
     rows: Sequence[Row]
     tiles: TileCounts
-    checks: Sequence[Check]
+    checks: Sequence[Baseline]
     config: RunConfig
     environment: Mapping[str, Any]
     timings: Sequence[Timing]
@@ -380,9 +380,9 @@ class Results:
         return Group(np.stack(known), [[repeat_of(camouflage)]] * len(known))
 
 
-def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Check]:
+def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Baseline]:
     """Gives every check once, rendered images first: each score repeats that on the originals."""
-    checks = [check for score in scores for check in read_checks(score.path / "checks.json")]
+    checks = [check for score in scores for check in read_baselines(score.path / "baselines.json")]
     first = {(check.detector, check.dataset): check for check in reversed(checks)}
     kept = [check for check in checks if first[check.detector, check.dataset] is check]
     order = list(dict.fromkeys(check.detector for check in kept))

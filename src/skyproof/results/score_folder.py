@@ -1,9 +1,9 @@
 """A score folder: all that was measured in one go, and all that a report needs of it.
 
-It holds `score.json`, `tiles.parquet`, `outcomes.parquet`, `sets.json`, `checks.json`,
+It holds `score.json`, `tiles.parquet`, `outcomes.parquet`, `sets.json`, `baselines.json`,
 `detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like),
-`practicality.json` and, where it was asked for, `features.parquet`. `score.json` and `checks.json`
-are always there.
+`practicality.json` and, where it was asked for, `features.parquet`. `score.json` and
+`baselines.json` are always there.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class BestF1:
 
 
 @dataclass(frozen=True)
-class Check:
+class Baseline:
     """One detector on one set of images without camouflage.
 
     Attributes:
@@ -119,32 +119,32 @@ def f1(precision: float, recall: float) -> float:
     return 2 * precision * recall / (precision + recall) if precision + recall != 0 else 0.0
 
 
-def write_checks(path: Path, checks: Sequence[Check]) -> None:
+def write_baselines(path: Path, checks: Sequence[Baseline]) -> None:
     """Writes checks as JSON, whole or not at all."""
     write_json(path, {"rows": [check.json() for check in checks]})
 
 
-def read_checks(path: Path) -> list[Check]:
-    """Reads what `write_checks` wrote.
+def read_baselines(path: Path) -> list[Baseline]:
+    """Reads what `write_baselines` wrote.
 
     Raises:
         StoredFileError: the file is missing or of another form.
     """
-    rows: list[StoredCheck] = read_rows(
-        path, StoredCheck, "copy the whole folder again, or score again"
+    rows: list[StoredBaseline] = read_rows(
+        path, StoredBaseline, "copy the whole folder again, or score again"
     )
-    return [check_of(vars(row)) for row in rows]
+    return [baseline_of(vars(row)) for row in rows]
 
 
-def check_of(row: Mapping[str, Any]) -> Check:
-    """Makes a check of the flat values of a `StoredCheck`, undefined ones nan."""
+def baseline_of(row: Mapping[str, Any]) -> Baseline:
+    """Makes a check of the flat values of a `StoredBaseline`, undefined ones nan."""
 
     def sure(name: str) -> Interval:
         return Interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
 
     best = BestF1(row["best_threshold"], row["best_precision"], row["best_recall"])
     plain = ("detector", "dataset", "images", "vehicles", "real", "clustered_by", "clusters")
-    return Check(
+    return Baseline(
         **{name: row[name] for name in (*plain, "ap_iou_50", "threshold", "note")},
         false_alarms_per_km2=row["false_alarms_per_km2"],
         ap_centre_1m=sure("ap_centre_1m"),
@@ -158,8 +158,8 @@ _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 @dataclass(frozen=True)
-class StoredCheck:
-    """A check as `Check.json` gives it.
+class StoredBaseline:
+    """A check as `Baseline.json` gives it.
 
     Checks of before there was a gate have an interval of the average precision alone.
     """

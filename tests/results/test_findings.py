@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from skyproof.gate.record import GateRecord, MeasuredOn, Rate
-from skyproof.gate.verdict import findings, misfit_thresholds, rate_outcome, verdict, worst
-from skyproof.results.checks import BestF1, Check
+from skyproof.results.baseline import Baseline, BestF1
+from skyproof.results.findings import findings, misfit_thresholds, rate_outcome, verdict, worst
+from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate
 from skyproof.results.statistics.intervals import Interval
 
 SURE = Interval(0.99, 0.98, 1.0)
 
 
 def check(ap=SURE, *, real=False, recall=0.95, best_recall=0.96, name="Town"):
-    return Check(
+    return Baseline(
         detector="toy",
         dataset=name,
         images=9,
@@ -37,7 +37,7 @@ def rate(estimate, low, high, kind="paint_body", name="#808000"):
 def record(*rates, sets=()):
     on = MeasuredOn(3, "", ("procedural",), 1, 0)
     sets = sets or [check(name="rendered scenes")]
-    return GateRecord("toy", "", 0.62, on, sets, rates)
+    return PrecheckRecord("toy", "", 0.62, on, sets, rates)
 
 
 NAN = float("nan")

@@ -5,14 +5,13 @@ import shutil
 
 import pytest
 import torch
+from tests.measure.world import judging
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
+from skyproof.detectors.threshold import empty_tiles, threshold_of_alarms, threshold_of_labels
 from skyproof.errors import ConfigurationError
-from skyproof.gate.threshold import empty_tiles, threshold_of_alarms, threshold_of_labels
-from skyproof.results.clean import CleanSet
 from skyproof.scenes.backgrounds import BackgroundSet
-from tests.gate.world import judging
 
 SIDE_PX = 800
 AREA_KM2 = (SIDE_PX * 0.125) ** 2 / 1e6  # 0.01
@@ -41,17 +40,17 @@ def images(count, vehicles=0):
 
 def test_labels_give_the_threshold_of_the_largest_f1():
     judge = judging(Scripted(0.9, 0.8, 0.3, 0.2), threshold=0.85)
-    frames = [CleanSet("a", images(1, vehicles=2), real=True)]
+    frames = [images(1, vehicles=2)]
     assert threshold_of_labels(judge, frames) == pytest.approx(0.55)
     # Further frames count as well: where all four are vehicles, the lowest scores count.
-    frames.append(CleanSet("b", images(9, vehicles=4), real=True))
+    frames.append(images(9, vehicles=4))
     assert threshold_of_labels(judge, frames) == pytest.approx(0.105)
 
 
 def test_labels_on_which_nothing_is_found_are_refused():
     judge = judging(Scripted())
     with pytest.raises(ConfigurationError, match="finds none of the 2 labelled vehicles"):
-        threshold_of_labels(judge, [CleanSet("a", images(1, vehicles=2), real=True)])
+        threshold_of_labels(judge, [images(1, vehicles=2)])
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,13 @@ from skyproof.camouflage.paint import LATTICE, TWO_TONES, plain_paint, two_tone_
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors import inference
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.gate.check import _Gate, check_detectors
-from skyproof.gate.record import RECORD_FILE, read_record, read_records, write_record
-from skyproof.gate.trials import Trial, make_trials
-from skyproof.gate.verdict import findings, verdict, worst
-from skyproof.results.clean import CleanSet
+from skyproof.measure.baseline import BaselineSet
+from skyproof.measure.precheck import _Gate, precheck
+from skyproof.measure.trials import Trial, make_trials
+from skyproof.results.findings import findings, verdict, worst
+from skyproof.results.precheck import PRECHECK_FILE, read_precheck, read_prechecks, write_precheck
 from skyproof.vehicles.vehicle import Part
-from tests.gate.world import SIZE_PX, Toy, judging
+from tests.measure.world import SIZE_PX, Toy, judging
 
 PAINT = {
     "kind": "paint_body",
@@ -122,7 +122,7 @@ def test_blur_and_sun_change_the_picture(records, good):
 
 def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     def check(judge, scenes=scenes, **options):
-        check_detectors([judge], backgrounds, fleet, scenes, **options)
+        precheck([judge], backgrounds, fleet, scenes, **options)
 
     toy = Toy("toy", scenes, fleet)
     with pytest.raises(ConfigurationError, match="toy finds none of the 6 vehicles"):
@@ -136,21 +136,21 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     image = torch.zeros(3, 96, 96, dtype=torch.uint8)
     unlabelled = Dataset.of_images([image], [torch.zeros(0, 4)], gsd_m=0.125)
     with pytest.raises(ConfigurationError, match="Town has no labelled vehicles"):
-        check(judging(toy), frames=[CleanSet("Town", unlabelled, real=True)])
+        check(judging(toy), frames=[BaselineSet("Town", unlabelled, real=True)])
     coarse = replace(judging(toy), card=replace(judging(toy).card, gsd_m=0.25))
     with pytest.raises(ConfigurationError, match=r"at 0\.25 m per pixel"):
         check(coarse)
     with pytest.raises(ConfigurationError, match="Two detectors are called 'toy'"):
-        check_detectors([judging(toy), judging(toy)], backgrounds, fleet, scenes)
+        precheck([judging(toy), judging(toy)], backgrounds, fleet, scenes)
     with pytest.raises(ConfigurationError, match="at least one detector"):
-        check_detectors([], backgrounds, fleet, scenes)
+        precheck([], backgrounds, fleet, scenes)
 
 
 def test_a_record_is_read_as_it_was_written(records, tmp_path):
     record = records["blind"]
     undefined = replace(record.rates[0], easr=replace(record.rates[0].easr, low=math.nan))
-    write_record(tmp_path, replace(record, rates=[undefined, *record.rates[1:]]))
-    read = read_record(tmp_path)
+    write_precheck(tmp_path, replace(record, rates=[undefined, *record.rates[1:]]))
+    read = read_precheck(tmp_path)
     assert math.isnan(read.rates[0].easr.low)
     as_read = [
         replace(rate, easr=replace(rate.easr, unanimous=False, errors={})) for rate in record.rates
@@ -159,7 +159,7 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     assert read.measured_on == record.measured_on
     assert read.sets[0].json() == record.sets[0].json()
     with pytest.raises(RunFolderError, match=r"check\.json exists already"):
-        write_record(tmp_path, record)
+        write_precheck(tmp_path, record)
 
 
 @pytest.mark.parametrize(
@@ -167,18 +167,18 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     [{"format": 2}, {"rates": [{}]}, {"sets": []}, {"threshold": 2.0}, {"rates": [PAINT]}],
 )
 def test_a_damaged_record_is_refused(records, tmp_path, changed):
-    write_record(tmp_path, records["good"])
-    path = tmp_path / RECORD_FILE
+    write_precheck(tmp_path, records["good"])
+    path = tmp_path / PRECHECK_FILE
     path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
     with pytest.raises(StoredFileError, match=r"check\.json"):
-        read_record(tmp_path)
+        read_precheck(tmp_path)
 
 
 def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_path):
     for name, threshold in (("good", 0.5), ("blind", 0.4)):
-        write_record(tmp_path / name, records[name])
+        write_precheck(tmp_path / name, records[name])
         (tmp_path / name / "detector.json").write_text(json.dumps({"threshold": threshold}))
-    assert list(read_records(tmp_path)) == ["good"]
+    assert list(read_prechecks(tmp_path)) == ["good"]
 
 
 def test_large_scenes_are_seen_in_windows(backgrounds, fleet, scenes, monkeypatch):

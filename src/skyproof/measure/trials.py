@@ -11,8 +11,8 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, two_tone_paint
-from skyproof.gate.record import Kind
 from skyproof.randomness import generator_of
+from skyproof.results.precheck import Kind
 
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 """From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""

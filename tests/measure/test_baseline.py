@@ -14,7 +14,7 @@ from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
-from skyproof.results import clean
+from skyproof.measure import baseline as clean
 
 
 def fabricate(images, *, seed, found=0.8, alarms=3, vehicles=6, places=None):

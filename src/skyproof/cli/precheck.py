@@ -1,4 +1,4 @@
-"""`skyproof check`: whether detectors are worth attacking, told before any attack."""
+"""`skyproof precheck`: whether detectors are worth attacking, told before any attack."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
     import torch
 
     from skyproof.detectors.loaded import Load
-    from skyproof.gate.record import GateRecord, MeasuredOn
-    from skyproof.results.clean import CleanSet
+    from skyproof.measure.baseline import BaselineSet
+    from skyproof.results.precheck import MeasuredOn, PrecheckRecord
     from skyproof.scenes.backgrounds import BackgroundSet
     from skyproof.scenes.scene import Scene
     from skyproof.vehicles.fleet import Fleet
 
 
 @dataclass(frozen=True)
-class Check:
+class Precheck:
     """Tells, before any attack, whether detectors are worth attacking.
 
     A detector that a plain paint, a sharper picture or a lower sun makes blind ranks no attacks:
     each of them hides everything. Measured are clean AP, precision and recall on rendered scenes
     and on photographs (--frames), and what 54 plain and eight two-tone paints, four sharpnesses,
-    six random controls and four suns hide. The answer is stored as `check.json` in every detector
-    folder, and every report opens with it. Detectors that are checked already are shown again.
+    six random controls and four suns hide. The answer is stored as `precheck.json` in every
+    detector folder, and every report opens with it. Detectors that are checked already are shown
+    again.
 
     With --freeze it freezes another threshold instead, in a copy of the detector.
 
@@ -94,9 +95,9 @@ class Check:
             raise ConfigurationError(
                 "A check is stored in the detector's own folder; --out belongs to --freeze."
             )
-        from skyproof.cli.check_words import lines
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
+        from skyproof.cli.precheck_words import lines
         from skyproof.detectors.card import read_card
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
@@ -138,13 +139,13 @@ class Check:
         backgrounds: BackgroundSet,
         fleet: Fleet,
         scenes: Sequence[Scene],
-        frames: Sequence[CleanSet],
+        frames: Sequence[BaselineSet],
         load: Load | None,
-    ) -> list[GateRecord]:
+    ) -> list[PrecheckRecord]:
         """Every detector's record: those that are there, and those that are made here."""
         from skyproof.detectors.loaded import load_apart
-        from skyproof.gate.check import check_detectors, measured_on
-        from skyproof.gate.record import RECORD_FILE, write_record
+        from skyproof.measure.precheck import measured_on, precheck
+        from skyproof.results.precheck import PRECHECK_FILE, write_precheck
 
         wanted = measured_on(
             backgrounds, fleet, scenes, draws=self.draws, seed=self.seed, frames=frames
@@ -152,13 +153,13 @@ class Check:
         records = {
             folder: _known(folder, wanted)
             for folder in self.detectors
-            if (folder / RECORD_FILE).exists()
+            if (folder / PRECHECK_FILE).exists()
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
             judges = load_apart(open_ones, device, backgrounds.gsd_m, load)
-            with progress_bar("check") as update:
-                made = check_detectors(
+            with progress_bar("precheck") as update:
+                made = precheck(
                     judges,
                     backgrounds,
                     fleet,
@@ -170,7 +171,7 @@ class Check:
                     progress=update,
                 )
             for folder, record in zip(open_ones, made, strict=True):
-                write_record(folder, record)
+                write_precheck(folder, record)
                 records[folder] = record
         return [records[folder] for folder in self.detectors]
 
@@ -196,8 +197,12 @@ class Check:
         from skyproof.cli.frames import read_frames
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_apart, save_detector
+        from skyproof.detectors.threshold import (
+            empty_tiles,
+            threshold_of_alarms,
+            threshold_of_labels,
+        )
         from skyproof.files import finished_folder
-        from skyproof.gate.threshold import empty_tiles, threshold_of_alarms, threshold_of_labels
         from skyproof.scenes.backgrounds import BackgroundSet
 
         with finished_folder(self.out) as partial:
@@ -215,7 +220,7 @@ class Check:
                 )
             else:
                 frames = read_frames(self.frames, self.frame_classes, gsd_m)
-                threshold = threshold_of_labels(judge, frames)
+                threshold = threshold_of_labels(judge, [each.images for each in frames])
                 names = ", ".join(each.name for each in frames)
                 how = f"the lowest within a point of the best F1 on labelled images ({names})"
             card = replace(judge.card, threshold=threshold, threshold_from=how)
@@ -226,23 +231,23 @@ class Check:
         )
 
 
-def _known(folder: Path, wanted: MeasuredOn) -> GateRecord:
+def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
     """The record of a detector that is checked already.
 
     Raises:
         RunFolderError: it is of another detector, or was measured on something else.
     """
     from skyproof.detectors.card import read_card_and_digest
-    from skyproof.gate.record import RECORD_FILE, read_record
+    from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
-    record = read_record(folder)
+    record = read_precheck(folder)
     card, digest = read_card_and_digest(folder / "detector.json")
     differing = wanted.differing(record.measured_on)
     if (record.weights_sha256, record.threshold) != (digest, card.threshold):
         differing = ["weights or threshold"]
     if differing:
         raise RunFolderError(
-            f"{folder / RECORD_FILE} tells of a check with other {', '.join(differing)} and is not "
-            "overwritten; move it away to check the detector again."
+            f"{folder / PRECHECK_FILE} tells of a check with other {', '.join(differing)} and is "
+            "not overwritten; move it away to check the detector again."
         )
     return record

@@ -15,8 +15,8 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside, write_jsonl
-from skyproof.results.checks import Check, write_checks
-from skyproof.results.clean import CleanSet, check_clean
+from skyproof.measure.baseline import BaselineSet, measure_baseline
+from skyproof.results.baseline import Baseline, write_baselines
 from skyproof.results.embedded import gather_features
 from skyproof.results.pairs.compare import Comparison, compare
 from skyproof.results.pairs.features import write_features
@@ -44,7 +44,7 @@ def score_detectors(
     *,
     original: str | Path | None = None,
     camouflaged: Mapping[str, str | Path] | None = None,
-    clean: Sequence[CleanSet] = (),
+    clean: Sequence[BaselineSet] = (),
     features: Collection[str] = (),
     seed: int = 0,
     sources: Sequence[str] = (),
@@ -92,7 +92,7 @@ def score_detectors(
                 found = gather_features(judges, pairs.original, worn, seed=seed)
                 write_features(partial / "features.parquet", found)
         scored.check(clean)
-        write_checks(partial / "checks.json", scored.checks)
+        write_baselines(partial / "baselines.json", scored.checks)
         if add is not None:
             add(partial)
         thresholds = {judge.name: judge.threshold for judge in judges}
@@ -173,7 +173,7 @@ class _Scored:
     done: int = 0
     outcomes: list[Outcome] = field(default_factory=list)
     sets: list[SetScore] = field(default_factory=list)
-    checks: list[Check] = field(default_factory=list)
+    checks: list[Baseline] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
 
     def compare(self, pairs: _Pairs, folder: Path) -> None:
@@ -212,7 +212,7 @@ class _Scored:
                 self.outcomes.extend(outcomes)
                 self.sets.extend(scores)
 
-    def check(self, clean: Sequence[CleanSet]) -> None:
+    def check(self, clean: Sequence[BaselineSet]) -> None:
         """Checks every detector on every set, and orders all checks by detector."""
         for images in clean:
             for judge, seen in zip(self.judges, self._see(images.images), strict=True):
@@ -233,15 +233,15 @@ class _Scored:
             self.progress(self.done, self.runs)
         return seen
 
-    def _check(self, judge: Judge, clean: CleanSet, seen: _Seen) -> Check:
+    def _check(self, judge: Judge, clean: BaselineSet, seen: _Seen) -> Baseline:
         generator = numpy_generator(self.seed)
         centre, overlap = seen.matches[MAIN_MATCH], seen.matches["iou_50"]
-        return check_clean(judge, clean, centre, overlap, generator=generator)
+        return measure_baseline(judge, clean, centre, overlap, generator=generator)
 
-    def _check_rendered(self, judge: Judge, images: Dataset, seen: _Seen) -> Check:
+    def _check_rendered(self, judge: Judge, images: Dataset, seen: _Seen) -> Baseline:
         places = [scene.background.tile for scene in images.scenes]
         name = "Blender Cycles test" if images.renderer == "cycles" else "rendered test"
-        return self._check(judge, CleanSet(name, images, real=False, places=places), seen)
+        return self._check(judge, BaselineSet(name, images, real=False, places=places), seen)
 
 
 def _undefined(judge: Judge, original: Path, vehicles: int) -> ConfigurationError:

@@ -17,7 +17,7 @@ from skyproof.detectors.detector import Detector
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
-from skyproof.results.checks import BestF1, Check
+from skyproof.results.baseline import Baseline, BestF1
 from skyproof.results.statistics.intervals import (
     Interval,
     bootstrap_interval,
@@ -28,7 +28,7 @@ from skyproof.results.statistics.rates import false_alarms_per_km2
 
 
 @dataclass(frozen=True)
-class CleanSet:
+class BaselineSet:
     """Images without camouflage that say how good the detectors are.
 
     Attributes:
@@ -47,14 +47,14 @@ class CleanSet:
     places: Sequence[str] = ()
 
 
-def check_clean(
+def measure_baseline(
     judge: LoadedDetector[Detector],
-    clean: CleanSet,
+    clean: BaselineSet,
     centre: MatchTable,
     overlap: MatchTable,
     *,
     generator: np.random.Generator,
-) -> Check:
+) -> Baseline:
     """Checks a detector on images without camouflage, from its detections by two rules.
 
     Intervals are over places; over images where all show one place, or none is known.
@@ -69,7 +69,7 @@ def check_clean(
     clusters = list(clean.places) if by_place else list(map(str, range(len(clean.images))))
     ap = ap_interval(centre, clusters, generator=generator)
     precision, recall = threshold_intervals(centre, clusters, judge.threshold, generator=generator)
-    return Check(
+    return Baseline(
         detector=judge.name,
         dataset=clean.name,
         images=len(clean.images),

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from skyproof.gate.record import GateRecord, Kind, Rate
-from skyproof.results.checks import Check
+from skyproof.results.baseline import Baseline
+from skyproof.results.precheck import Kind, PrecheckRecord, Rate
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
@@ -59,7 +59,7 @@ class Finding:
     rates: Sequence[Rate] = ()
 
 
-def findings(record: GateRecord) -> list[Finding]:
+def findings(record: PrecheckRecord) -> list[Finding]:
     """Judges a detector by every criterion that was measured."""
     clean = [_clean(check) for check in record.sets]
     changed = [(kind, record.of_kind(kind)) for kind in _MANY]
@@ -81,7 +81,7 @@ def rate_outcome(rate: Rate) -> Outcome:
     return _outcome(rate.easr, -LARGEST_EASR, sign=-1)
 
 
-def misfit_thresholds(checks: Sequence[Check]) -> list[str]:
+def misfit_thresholds(checks: Sequence[Baseline]) -> list[str]:
     """Names every set to which the frozen threshold does not carry over, in a sentence each."""
     return [
         f"The frozen threshold of {detector_name(check.detector)}, {check.threshold:.2f}, does not "
@@ -102,7 +102,7 @@ def rate_words(rate: Rate) -> str:
     return rate.name
 
 
-def _clean(check: Check) -> Finding:
+def _clean(check: Baseline) -> Finding:
     least = LEAST_AP_PHOTOGRAPHS if check.real else LEAST_AP_RENDERED
     ap = check.ap_centre_1m
     return Finding(

@@ -1,4 +1,4 @@
-"""What the gate measured of one detector, as `check.json` beside its card. Imports no torch."""
+"""What the gate measured of one detector, as `precheck.json` beside its card. Imports no torch."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
-from skyproof.results.checks import Check, StoredCheck, check_of
+from skyproof.results.baseline import Baseline, StoredBaseline, baseline_of
 from skyproof.results.rows_file import filled_row, nulls_for_undefined, row_form
 from skyproof.results.statistics.intervals import Interval
 
-RECORD_FILE = "check.json"
+PRECHECK_FILE = "precheck.json"
 
 _FORMAT = 1
 _REMEDY = "copy the whole folder again, or move this file away and check the detector again"
@@ -99,7 +99,7 @@ class MeasuredOn:
 
 
 @dataclass(frozen=True)
-class GateRecord:
+class PrecheckRecord:
     """What the gate measured of one detector.
 
     Attributes:
@@ -115,7 +115,7 @@ class GateRecord:
     weights_sha256: str
     threshold: float
     measured_on: MeasuredOn
-    sets: Sequence[Check]
+    sets: Sequence[Baseline]
     rates: Sequence[Rate]
 
     def of_kind(self, kind: Kind) -> list[Rate]:
@@ -123,13 +123,13 @@ class GateRecord:
         return [rate for rate in self.rates if rate.kind == kind]
 
 
-def write_record(folder: Path, record: GateRecord) -> None:
-    """Writes `check.json` into a detector folder, whole or not at all.
+def write_precheck(folder: Path, record: PrecheckRecord) -> None:
+    """Writes `precheck.json` into a detector folder, whole or not at all.
 
     Raises:
         RunFolderError: there is one already, or the disk cannot take it.
     """
-    path = Path(folder) / RECORD_FILE
+    path = Path(folder) / PRECHECK_FILE
     with new_file(path):
         write_json(
             path,
@@ -145,13 +145,13 @@ def write_record(folder: Path, record: GateRecord) -> None:
         )
 
 
-def read_record(folder: Path) -> GateRecord:
-    """Reads the `check.json` of a detector folder.
+def read_precheck(folder: Path) -> PrecheckRecord:
+    """Reads the `precheck.json` of a detector folder.
 
     Raises:
         StoredFileError: the file is missing, damaged or of another version.
     """
-    path = Path(folder) / RECORD_FILE
+    path = Path(folder) / PRECHECK_FILE
     stored: _Document = read_document(path, _Document, _REMEDY, version=_FORMAT)
     for row in stored.rates:
         form = _PAINTS.get(row.kind)
@@ -160,17 +160,17 @@ def read_record(folder: Path) -> GateRecord:
                 f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
                 f"{_REMEDY}."
             )
-    return GateRecord(
+    return PrecheckRecord(
         detector=stored.detector,
         weights_sha256=stored.weights_sha256,
         threshold=stored.threshold,
         measured_on=stored.measured_on,
-        sets=[check_of(filled_row(row)) for row in stored.sets],
+        sets=[baseline_of(filled_row(row)) for row in stored.sets],
         rates=[_rate(**filled_row(row)) for row in stored.rates],
     )
 
 
-def read_records(detectors: Path) -> dict[str, GateRecord]:
+def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     """Reads the records of all detector folders in a folder, by detector.
 
     A record of other weights or another threshold than the card beside it tells nothing of this
@@ -180,8 +180,8 @@ def read_records(detectors: Path) -> dict[str, GateRecord]:
         StoredFileError: a file is damaged or of another version.
     """
     records = {}
-    for path in sorted(Path(detectors).glob(f"*/{RECORD_FILE}")):
-        record = read_record(path.parent)
+    for path in sorted(Path(detectors).glob(f"*/{PRECHECK_FILE}")):
+        record = read_precheck(path.parent)
         card: _Card = read_document(path.parent / "detector.json", _Card, _REMEDY)
         if (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold):
             records[record.detector] = record
@@ -222,7 +222,7 @@ class _StoredRate:
     easr_high: _Easr
 
 
-_CheckRow: Any = row_form(StoredCheck)
+_CheckRow: Any = row_form(StoredBaseline)
 _RateRow: Any = row_form(_StoredRate)
 
 
@@ -234,7 +234,7 @@ class _Card(Struct, frozen=True):
 
 
 class _Document(Struct, frozen=True):
-    """The form of `check.json`, beside its format."""
+    """The form of `precheck.json`, beside its format."""
 
     detector: Name
     weights_sha256: _Digest

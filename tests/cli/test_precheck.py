@@ -1,4 +1,4 @@
-"""`skyproof check`: detectors before any attack, and other thresholds frozen."""
+"""`skyproof precheck`: detectors before any attack, and other thresholds frozen."""
 
 import json
 import shutil
@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from skyproof.detectors.card import read_card
-from skyproof.gate.record import read_record
+from skyproof.results.precheck import read_precheck
 from tests.cli.conftest import Skyproof, bytes_of
 
 
@@ -24,7 +24,7 @@ def world(finished):
 
 def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: Skyproof) -> None:
     frames = ["--frames", f"{finished / 'datasets/validation'}@0.125", "--frame-classes", "vehicle"]
-    answer = skyproof("check", detector, *world, *frames)
+    answer = skyproof("precheck", detector, *world, *frames)
     assert answer.code == 0, answer.err
     for words in ("RetinaNet: ", "rendered scenes", "validation", "precision", "recall"):
         assert words in answer.out
@@ -36,41 +36,41 @@ def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: S
         "elevations of the s",
     ):
         assert words in answer.out
-    record = read_record(detector)
+    record = read_precheck(detector)
     card = json.loads((detector / "detector.json").read_text())
     assert (record.weights_sha256, record.threshold) == (card["weights_sha256"], card["threshold"])
     assert (record.measured_on.scenes, record.measured_on.draws) == (6, 1)
     # Shown again, without drawing anything.
     before = bytes_of(detector)
-    again = skyproof("check", detector, *world, *frames)
+    again = skyproof("precheck", detector, *world, *frames)
     assert again.code == 0
     assert again.out in answer.out
     # Another check does not replace it.
-    skyproof("check", detector, *world).refused("check.json", "other frames", "move it away")
+    skyproof("precheck", detector, *world).refused("precheck.json", "other frames", "move it away")
     # Nor one of other images under the same name, if it says which they were.
     images = shutil.copytree(finished / "datasets/test", detector.parent / "validation")
     others = ["--frames", f"{images}@0.125", *frames[2:]]
-    skyproof("check", detector, *world, *others).refused("images or labels of frames")
+    skyproof("precheck", detector, *world, *others).refused("images or labels of frames")
     assert bytes_of(detector) == before
-    written = json.loads((detector / "check.json").read_text())
+    written = json.loads((detector / "precheck.json").read_text())
     for key in ("frames_sha256", "ground_sha256", "fleet_sha256"):
         del written["measured_on"][key]
-    (detector / "check.json").write_text(json.dumps(written))
-    assert skyproof("check", detector, *world, *others).code == 0
+    (detector / "precheck.json").write_text(json.dumps(written))
+    assert skyproof("precheck", detector, *world, *others).code == 0
 
 
 def test_what_cannot_be_checked_is_said_in_a_sentence(
     detector, world, skyproof: Skyproof, tmp_path
 ) -> None:
-    skyproof("check", "--device", "cpu").refused("at least one detector folder")
-    skyproof("check", detector).refused("--backgrounds and --fleet")
-    skyproof("check", detector, *world, "--out", tmp_path / "x").refused("--out belongs to")
-    skyproof("check", detector, "--freeze", "labels").refused("--out")
+    skyproof("precheck", "--device", "cpu").refused("at least one detector folder")
+    skyproof("precheck", detector).refused("--backgrounds and --fleet")
+    skyproof("precheck", detector, *world, "--out", tmp_path / "x").refused("--out belongs to")
+    skyproof("precheck", detector, "--freeze", "labels").refused("--out")
     out = ["--out", tmp_path / "new"]
-    skyproof("check", detector, "--freeze", "labels", *out).refused("--frames")
-    skyproof("check", detector, "--freeze", "alarms", *out).refused("--empty")
+    skyproof("precheck", detector, "--freeze", "labels", *out).refused("--frames")
+    skyproof("precheck", detector, "--freeze", "alarms", *out).refused("--empty")
     assert not (tmp_path / "new").exists()
-    assert not (detector / "check.json").exists()
+    assert not (detector / "precheck.json").exists()
 
 
 def test_another_threshold_is_frozen_in_a_copy(
@@ -79,7 +79,7 @@ def test_another_threshold_is_frozen_in_a_copy(
     before = bytes_of(detector)
     frames = ["--frames", f"{finished / 'datasets/test'}@0.125", "--frame-classes", "vehicle"]
     labels = tmp_path / "labels"
-    call = ["check", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
+    call = ["precheck", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
     best = "the lowest within a point of the best F1 on labelled images (test)"
@@ -87,7 +87,7 @@ def test_another_threshold_is_frozen_in_a_copy(
     assert (labels / "weights.safetensors").read_bytes() == before["weights.safetensors"]
     skyproof(*call).refused("exists already")
     empty = ["--freeze", "alarms", "--empty", finished / "backgrounds"]
-    few = ["check", detector, *empty, "--device", "cpu", "--out"]
+    few = ["precheck", detector, *empty, "--device", "cpu", "--out"]
     skyproof(*few, tmp_path / "few").refused("empty ground", "give at least 0.1 km²")
     answer = skyproof(*few, tmp_path / "some", "--alarms-per-km2", 2000)
     assert answer.code == 0, answer.err

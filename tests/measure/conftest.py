@@ -2,8 +2,9 @@
 
 import pytest
 
-from skyproof.gate.check import check_detectors
-from tests.gate.world import Toy, judging, make_backgrounds, make_fleet, make_scenes
+from skyproof.measure.precheck import precheck
+from tests.measure.world import Toy, judging, make_backgrounds, make_fleet, make_scenes
+from tests.results.conftest import make_detections, make_scene, rng  # noqa: F401
 
 
 @pytest.fixture(scope="session")
@@ -36,5 +37,5 @@ def records(backgrounds, fleet, scenes, good):
     """What the gate says of a detector that finds everything, and of one blind to yellow."""
     blind = Toy("blind", scenes, fleet, is_yellow)
     judges = [judging(good), judging(blind)]
-    made = check_detectors(judges, backgrounds, fleet, scenes, draws=2)
+    made = precheck(judges, backgrounds, fleet, scenes, draws=2)
     return {record.detector: record for record in made}

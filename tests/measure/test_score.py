@@ -15,13 +15,13 @@ from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
-from skyproof.results import scoring
-from skyproof.results.clean import CleanSet
+from skyproof.measure import score as scoring
+from skyproof.measure.baseline import BaselineSet
+from skyproof.measure.score import score_detectors
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
 from skyproof.results.pairs.tiles import Series, count_tiles
 from skyproof.results.results import Results
-from skyproof.results.scoring import score_detectors
 from skyproof.scenes.scene import write_scenes
 
 
@@ -172,14 +172,14 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
     twice = [torch.cat([boxes, boxes + 40]) for boxes in images.boxes]
     real = replace(images, boxes=twice)
     clean = [
-        CleanSet("two places", real, real=True, note="note", places=["a", "a", "b", "b"]),
-        CleanSet("one place", real, real=True, places=["a"] * 4),
-        CleanSet("unknown", real, real=True),
+        BaselineSet("two places", real, real=True, note="note", places=["a", "a", "b", "b"]),
+        BaselineSet("one place", real, real=True, places=["a"] * 4),
+        BaselineSet("unknown", real, real=True),
     ]
     score([judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "scores", clean=clean)
     rows = {
         row["dataset"]: row
-        for row in json.loads((tmp_path / "scores" / "checks.json").read_text())["rows"]
+        for row in json.loads((tmp_path / "scores" / "baselines.json").read_text())["rows"]
     }
     assert list(rows) == ["rendered test", "two places", "one place", "unknown"]
     assert {name: row["real"] for name, row in rows.items()} == {
@@ -208,7 +208,9 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
 
 def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp_path):
     original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
-    empty = CleanSet("empty", Dataset.open(make_dataset("empty", [10, 10], vehicles=0)), real=False)
+    empty = BaselineSet(
+        "empty", Dataset.open(make_dataset("empty", [10, 10], vehicles=0)), real=False
+    )
     score(
         [judging(Brightest(), 0.5)],
         original,
@@ -216,7 +218,7 @@ def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp
         tmp_path / "scores",
         clean=[empty],
     )
-    text = (tmp_path / "scores" / "checks.json").read_text()
+    text = (tmp_path / "scores" / "baselines.json").read_text()
     assert "NaN" not in text
     row = json.loads(text)["rows"][1]
     assert [row[key] for key in ("ap_centre_1m", "ap_centre_1m_low", "ap_iou_50", "recall")] == [
@@ -228,7 +230,7 @@ def test_whether_images_are_real_must_be_said(make_dataset):
     """The shipped example of a black box once reported rendered images as real ones."""
     images = Dataset.open(make_dataset("validation", [200]))
     with pytest.raises(TypeError, match="real"):
-        CleanSet("validation", images)
+        BaselineSet("validation", images)
 
 
 def test_every_dataset_is_matched_once_by_each_rule(make_dataset, tmp_path, monkeypatch):

@@ -26,7 +26,7 @@ def test_writes_a_row_per_detector_and_set(finished, frames, tmp_path, capsys):
     detector, out = finished / "detectors" / "retinanet", tmp_path / "scores"
     options = ["--frames", f"Town={frames}/a*@0.125", f"Town={frames}/b*@0.125", f"{frames}@0.125"]
     assert run(["score", "--detectors", str(detector), *options, "--out", str(out)]) == 0
-    rows = json.loads((out / "checks.json").read_text())["rows"]
+    rows = json.loads((out / "baselines.json").read_text())["rows"]
     assert [
         (row["dataset"], row["vehicles"], row["clustered_by"], row["clusters"]) for row in rows
     ] == [
@@ -46,7 +46,7 @@ def test_agrees_with_the_training_about_its_validation_images(finished, tmp_path
         "vehicle",
     ]
     assert run(["score", "--detectors", str(detector), *options, "--out", str(out)]) == 0
-    (row,) = json.loads((out / "checks.json").read_text())["rows"]
+    (row,) = json.loads((out / "baselines.json").read_text())["rows"]
     card = json.loads((detector / "detector.json").read_text())
     assert row["ap_centre_1m"] == pytest.approx(card["validation"]["ap_centre_1m"], abs=1e-6)
     assert not row["real"]
@@ -74,5 +74,5 @@ def test_detectors_of_one_kind_go_by_their_folders(finished, frames, tmp_path):
     other = shutil.copytree(detector, tmp_path / "later")
     given = ["--frames", f"{frames}@0.125", "--out", str(out)]
     assert run(["score", "--detectors", str(detector), str(other), *given]) == 0
-    rows = json.loads((out / "checks.json").read_text())["rows"]
+    rows = json.loads((out / "baselines.json").read_text())["rows"]
     assert [row["detector"] for row in rows] == ["retinanet", "later"]

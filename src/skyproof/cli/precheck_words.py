@@ -1,12 +1,12 @@
-"""What `skyproof check` prints of one detector."""
+"""What `skyproof precheck` prints of one detector."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import wrap
 
-from skyproof.gate.record import GateRecord
-from skyproof.gate.verdict import (
+from skyproof.results.baseline import Baseline
+from skyproof.results.findings import (
     LARGEST_EASR,
     Finding,
     findings,
@@ -14,7 +14,7 @@ from skyproof.gate.verdict import (
     rate_words,
     verdict,
 )
-from skyproof.results.checks import Check
+from skyproof.results.precheck import PrecheckRecord
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
@@ -26,7 +26,7 @@ _WIDTH = 110
 _INDENT = 48
 
 
-def lines(record: GateRecord, doubts: Sequence[str] = ()) -> list[str]:
+def lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
     """Tells in a few lines what was measured, and what follows of it.
 
     Args:
@@ -54,7 +54,7 @@ def _told(title: str, finding: Finding, words: str) -> list[str]:
     return wrap(head + words, _WIDTH, subsequent_indent=" " * _INDENT)
 
 
-def _set(check: Check) -> str:
+def _set(check: Baseline) -> str:
     best = check.best
     other = "" if best is None else f"; largest F1 at {best.threshold:.3f}"
     return (

@@ -23,16 +23,16 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
-from skyproof.gate.record import GateRecord, Kind, MeasuredOn, Rate
-from skyproof.gate.trials import Trial, make_trials
+from skyproof.measure.baseline import BaselineSet, measure_baseline
+from skyproof.measure.trials import Trial, make_trials
 from skyproof.render.dataset import in_threads, placed_vehicles
 from skyproof.render.frames import Frames
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.results.checks import Check
-from skyproof.results.clean import CleanSet, check_clean
+from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.compare import Comparison, compare
 from skyproof.results.pairs.tiles import count_cells
+from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.sample import Sample
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -46,18 +46,18 @@ _BATCH_SIZE = 8
 _RENDERED = "rendered scenes"
 
 
-def check_detectors(
+def precheck(
     judges: Sequence[Judge],
     backgrounds: BackgroundSet,
     fleet: Fleet,
     scenes: Sequence[Scene],
     *,
     draws: int = 5,
-    frames: Sequence[CleanSet] = (),
+    frames: Sequence[BaselineSet] = (),
     seed: int = 0,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
-) -> list[GateRecord]:
+) -> list[PrecheckRecord]:
     """Tells of every detector, before any attack, whether it is worth attacking.
 
     The scenes are drawn as they are, then once more for each trial: 27 plain paints on body panels
@@ -77,7 +77,7 @@ def check_detectors(
         progress: called with (images done, images in all).
 
     Returns:
-        Per detector what was measured; `skyproof.gate.verdict` judges it.
+        Per detector what was measured; `skyproof.results.findings` judges it.
 
     Raises:
         ConfigurationError: no scenes, scenes without vehicles, frames without labels, a detector
@@ -101,7 +101,7 @@ def check_detectors(
     rates = gate.rates(unchanged, trials)
     on = measured_on(backgrounds, fleet, scenes, draws=draws, seed=seed, frames=frames)
     return [
-        GateRecord(
+        PrecheckRecord(
             judge.name,
             _digest(judge.detector),
             judge.threshold,
@@ -120,7 +120,7 @@ def measured_on(
     *,
     draws: int,
     seed: int,
-    frames: Sequence[CleanSet] = (),
+    frames: Sequence[BaselineSet] = (),
 ) -> MeasuredOn:
     """Says what a check measures on; two checks that agree in it measured the same."""
     names = dict.fromkeys(scene.background.tile for scene in scenes)
@@ -143,7 +143,7 @@ def _told(*values: Any) -> str:
 
 
 def _refuse_what_cannot_work(
-    judges: Sequence[Judge], scenes: Sequence[Scene], frames: Sequence[CleanSet]
+    judges: Sequence[Judge], scenes: Sequence[Scene], frames: Sequence[BaselineSet]
 ) -> None:
     if not judges:
         raise ConfigurationError("A check expects at least one detector; give detector folders.")
@@ -278,20 +278,22 @@ class _Gate:
             rates[detector].append(Rate(kind, name, len(drawn), easr))
         return rates
 
-    def check_scenes(self, judge: Judge, unchanged: _Seen) -> Check:
+    def check_scenes(self, judge: Judge, unchanged: _Seen) -> Baseline:
         """How good a detector is on the scenes as they are."""
         note = "drawn as they are, before any change"
-        clean = CleanSet(_RENDERED, unchanged.labelled, real=False, note=note, places=self._places)
+        clean = BaselineSet(
+            _RENDERED, unchanged.labelled, real=False, note=note, places=self._places
+        )
         return self._check(judge, clean, unchanged.found[judge.name])
 
-    def check_frames(self, judge: Judge, frames: CleanSet) -> Check:
+    def check_frames(self, judge: Judge, frames: BaselineSet) -> Baseline:
         """How good a detector is on photographs."""
         return self._check(judge, frames, detect_all(judge.detector, frames.images))
 
-    def _check(self, judge: Judge, clean: CleanSet, found: Sequence[Detections]) -> Check:
+    def _check(self, judge: Judge, clean: BaselineSet, found: Sequence[Detections]) -> Baseline:
         centre = match_images(found, clean.images, criterion="centre_1m")
         overlap = match_images(found, clean.images, criterion="iou_50")
-        return check_clean(judge, clean, centre, overlap, generator=numpy_generator(self.seed))
+        return measure_baseline(judge, clean, centre, overlap, generator=numpy_generator(self.seed))
 
     @cached_property
     def _renderer(self) -> TorchRenderer:

@@ -16,19 +16,18 @@ from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
-from skyproof.results.clean import CleanSet
 from skyproof.scenes.backgrounds import BackgroundSet
 
 Judge = LoadedDetector[Detector]
 
 
-def threshold_of_labels(judge: Judge, frames: Sequence[CleanSet]) -> float:
+def threshold_of_labels(judge: Judge, frames: Sequence[Dataset]) -> float:
     """Returns the threshold to freeze by F1 (centre within 1 m) on labelled images.
 
     Raises:
         ConfigurationError: there is no vehicle, or the detector finds none.
     """
-    images = Dataset.joined([each.images for each in frames])
+    images = Dataset.joined(frames)
     matches = match_images(detect_all(judge.detector, images), images, criterion="centre_1m")
     threshold, f1 = frozen_threshold(precision_recall(matches))
     if not f1:
