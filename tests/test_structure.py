@@ -19,17 +19,17 @@ FLOORS = [
     {"camouflage", "render", "detectors"},
     {"cycles", "results", "imagery"},
     {"measure"},
-    {"attacks", "generator", "maite"},
-    {"paper"},
+    {"attacks", "maite"},
     {"report"},
     {"cli"},
     {"assessment"},
-    {"reproduction"},
     {"main", "__init__"},
-    {"__main__"},
+    {"generator", "reproduction", "__main__"},
 ]
+# Nothing else needs them: the paper's tables, and the vehicles learnt from photographs.
+ROOMS_OF_THEIR_OWN = ("generator", "reproduction")
 BLENDER_WORKER = "cycles.worker"
-PRINTING = ("cli", "assessment", "reproduction", "__main__")
+PRINTING = ("cli", "assessment", "__main__", *ROOMS_OF_THEIR_OWN)
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 
@@ -105,6 +105,16 @@ def importers(modules, package):
     )
 
 
+def dependants(modules, room):
+    """Modules outside a room that import from it, at once or later."""
+    return sorted(
+        module
+        for module, text in modules.items()
+        if module.split(".")[0] != room
+        and any(name.split(".")[0] == room for name in ours(imports(text)))
+    )
+
+
 def printers(modules):
     """Modules that call print, or write to a stream of sys."""
     found = []
@@ -132,6 +142,12 @@ def test_every_package_has_its_floor():
 def test_imports_run_downwards():
     # So camouflage never imports render, and detectors never import attacks.
     assert upward_imports(sources()) == []
+
+
+def test_nothing_needs_the_paper_or_the_learnt_vehicles():
+    # The entry point names their commands as text, and imports them when they are asked for.
+    for room in ROOMS_OF_THEIR_OWN:
+        assert dependants(sources(), room) == [], room
 
 
 def test_geometry_needs_torch_alone():
@@ -273,16 +289,20 @@ def test_these_rules_can_fail():
         "results.heavy": "class Row:\n    from torch import Tensor",
         "report.page": "from skyproof.results.fine import f\nprint('done')",
         "report.slow": "from skyproof.results import heavy",
+        "cli.later": "def f():\n    from skyproof.reproduction.page import f",
         "cli": "print('hello')",
-        "paper.__init__": '"""The paper: tables. Nothing else."""',
+        "reproduction.__init__": '"""The paper: tables. Nothing else."""',
+        "reproduction.page": "from skyproof.report.page import f",
         "render.__init__": '"""The renderer."""',
     }
     assert rooms_without_a_description(modules) == ["render.__init__"]
     assert upward_imports(modules) == [
         "camouflage.texture imports render",
+        "cli.later imports reproduction",
         "detectors.detector imports attacks",
         "vehicles.fleet imports scenes",
     ]
+    assert dependants(modules, "reproduction") == ["cli.later"]
     assert reaches("report.page", modules, "torch") == []
     assert reaches("report.slow", modules, "torch") == ["results.heavy"]
     assert importers(modules, "torch") == ["results.fine", "results.heavy"]

@@ -3,8 +3,8 @@
     python tools/pattern_colours.py FOLDER...
 
 Each folder is one row of a Markdown table: the mean over the pictures in it and below it, every
-pixel counting alike. Shares are those of `skyproof.camouflage.colours`; beside a reproduction's
-table of colours they say whether others' patterns end where its textures do.
+pixel counting alike. Shares are those of `skyproof.reproduction.count_colours`; beside a
+reproduction's table of colours they say whether others' patterns end where its textures do.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from statistics import fmean
 
 import torch
 
-from skyproof.camouflage.colours import ColourCounts, count_colours
 from skyproof.pictures import read_pixels
+from skyproof.reproduction.count_colours import ColourCounts, count_colours
 
 ENDINGS = (".jpg", ".jpeg", ".png")
 

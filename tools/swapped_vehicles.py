@@ -2,7 +2,7 @@
 
     python tools/swapped_vehicles.py --generator layered --out swapped
 
-OUT gets three fleets of the vehicles that `skyproof vehicles --generator layered --counts 1 1 1 32`
+OUT gets three fleets of the vehicles that `skyproof learn-vehicles --out layered --counts 1 1 1 32`
 puts into its fleet `test`, under the same names, so that scenes of that show them at their places:
 
 - drawn_paint: their bodies, in paints that are drawn by the rules of `skyproof vehicles`;

@@ -6,7 +6,7 @@ import ctypes
 import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -28,7 +28,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "clear": "skyproof.cli.clear:Clear",
         "adjust": "skyproof.cli.adjust:Adjust",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
-        "learn-vehicles": "skyproof.cli.learn_vehicles:LearnVehicles",
+        "learn-vehicles": "skyproof.generator.command:LearnVehicles",
     },
     "Images": {
         "scenes": "skyproof.cli.scenes:Scenes",
@@ -72,16 +72,20 @@ _REMEDIES = {
 """What the user can do, by what the system says."""
 
 
-def main() -> None:
-    """Runs the `skyproof` command."""
+Commands = Mapping[str, Mapping[str, str]]
+"""By group and name, the module and class of a command."""
+
+
+def main(commands: Commands = COMMANDS) -> None:
+    """Runs the command that the program's arguments name."""
     # Many small operations stall when idle threads spin; this must be said before torch is
     # imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     _keep_freed_memory()
-    sys.exit(run())
+    sys.exit(run(commands=commands))
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
+def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS) -> int:
     """Parses and runs one command; returns the exit code.
 
     Returns:
@@ -93,11 +97,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if not words:
             raise SkyproofError("a command is expected; see skyproof --help.")
         if words[0] in ("-h", "--help"):
-            say(_overview())
+            say(_overview(commands))
         elif words[0] == "--version":
             say(f"skyproof {__version__}")
         else:
-            _parse(words).run()
+            _parse(words, commands).run()
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 0
     except SkyproofError as error:
@@ -135,13 +139,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def load_command(name: str) -> type[Any]:
+def load_command(name: str, commands: Commands = COMMANDS) -> type[Any]:
     """Imports the class of a command.
 
     Raises:
         SkyproofError: there is no command of that name.
     """
-    places = {key: place for group in COMMANDS.values() for key, place in group.items()}
+    places = {key: place for group in commands.values() for key, place in group.items()}
     if name not in places:
         raise SkyproofError(
             f"there is no command {name!r}; expected one of {', '.join(places)} (see skyproof "
@@ -151,10 +155,10 @@ def load_command(name: str) -> type[Any]:
     return getattr(import_module(module), kind)
 
 
-def _parse(words: Sequence[str]) -> Any:
+def _parse(words: Sequence[str], commands: Commands) -> Any:
     import tyro
 
-    kind = load_command(words[0])
+    kind = load_command(words[0], commands)
     try:
         # Nested settings check themselves while they are parsed.
         command = tyro.cli(kind, prog=f"skyproof {words[0]}", args=words[1:])
@@ -179,15 +183,15 @@ def _as_typed(message: str, words: Sequence[str]) -> str:
     return f"{typed[-1]}{space}{rest}" if typed else message
 
 
-def _overview() -> str:
+def _overview(commands: Commands) -> str:
     lines = [
         "usage: skyproof COMMAND [options]",
         "",
         "How robust is an overhead vehicle detector to camouflage, and how sure is that number?",
     ]
-    for title, group in COMMANDS.items():
+    for title, group in commands.items():
         lines += ["", f"{title}:"]
-        lines += [f"  {name:<15}{_summary(load_command(name))}" for name in group]
+        lines += [f"  {name:<15}{_summary(load_command(name, commands))}" for name in group]
     lines += [
         "",
         "skyproof COMMAND --help lists a command's options; skyproof --version the version.",

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.results.results import Results
 from tests.cli.conftest import WORN, Answer, Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
@@ -208,9 +207,6 @@ def test_score_expects_both_sides(finished: Path, tmp_path: Path, skyproof: Skyp
     skyproof(*detectors, *camouflages).refused("both sides")
     skyproof(*detectors, *original).refused("--camouflages")
     skyproof(*detectors, *original, *camouflages).refused("--backgrounds and --fleet")
-    rest = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
-    whole = [*detectors, *original, *camouflages, *rest]
-    skyproof(*whole, "--features", "T-U", "R-U-0").refused("--features", "'R-U-0'", "from T-U")
 
 
 def test_score_at_another_resolution(copied, tmp_path: Path, skyproof: Skyproof) -> None:
@@ -231,13 +227,11 @@ def test_what_was_scored_by_hand_is_reported(
         *("--original", finished / "datasets/test", "--fleet", finished / "fleets/test"),
         *("--camouflages", finished / "camouflages/T-U", finished / "camouflages/R-U-0"),
         *("--backgrounds", finished / "backgrounds", "--out", tmp_path / "mine/scores/first"),
-        *("--frames", f"valid={finished}/datasets/validation@0.125", "--features", "T-U"),
+        *("--frames", f"valid={finished}/datasets/validation@0.125"),
     ]
     answer = skyproof(*call, "--frame-classes", "vehicle", *CPU)
     assert answer.code == 0, answer.err
     assert "valid" in answer.out
-    shown = [each.shown for each in Results.open(tmp_path / "mine").features()]
-    assert shown == ["ground", "original", "T-U"]
     assert skyproof("report", "--run-folder", tmp_path / "mine").code == 0
     page = (tmp_path / "mine/report.html").read_text()
     assert page.count('with camouflage"') == page.count('without camouflage"') >= 6

@@ -58,7 +58,7 @@ class Probe:
     ],
 )
 def test_every_field_is_checked_and_named_as_typed(monkeypatch, capsys, arguments, start):
-    monkeypatch.setattr(main, "load_command", lambda name: Probe)
+    monkeypatch.setattr(main, "load_command", lambda name, commands: Probe)
     assert main.run(["probe", *flags(arguments)]) == 2
     said = capsys.readouterr()
     assert said.err.startswith(f"skyproof: {start}")
@@ -68,7 +68,7 @@ def test_every_field_is_checked_and_named_as_typed(monkeypatch, capsys, argument
 
 @pytest.mark.parametrize("seed", [-1, -(2**63), 2**63 - 1])
 def test_any_seed_of_64_bits_is_taken(monkeypatch, capsys, seed):
-    monkeypatch.setattr(main, "load_command", lambda name: Probe)
+    monkeypatch.setattr(main, "load_command", lambda name, commands: Probe)
     assert main.run(["probe", "--seed", str(seed)]) == 0
     assert capsys.readouterr().out == f"seed {seed}\n"
 
@@ -120,7 +120,7 @@ def test_what_the_system_refuses_is_one_sentence(monkeypatch, capsys, error, wor
     def fail(self):
         raise error
 
-    monkeypatch.setattr(main, "load_command", lambda name: Probe)
+    monkeypatch.setattr(main, "load_command", lambda name, commands: Probe)
     monkeypatch.setattr(Probe, "run", fail)
     assert main.run(["probe"]) == 2
     said = capsys.readouterr().err

@@ -232,8 +232,9 @@ def test_the_commands_lead_from_photographs_to_fleets(
     said = capsys.readouterr().out
     assert "Learnt from 6 vehicles" in said
     assert "Headings of 6 were estimated" in said
-    draw = ["vehicles", "--generator", str(tmp_path / "town"), "--counts", "4", "2", "2", "2"]
-    assert run([*draw, "--out", str(tmp_path / "fleets")]) == 0
+    assert "--fleets" in said
+    draw = ["learn-vehicles", "--out", str(tmp_path / "town"), "--counts", "4", "2", "2", "2"]
+    assert run([*draw, "--fleets", str(tmp_path / "fleets")]) == 0
     fleet = Fleet.load(tmp_path / "fleets" / "train")
     assert len(fleet) == 4
     assert all(source["generator"] == "layered" for source in fleet.sources.values())
@@ -244,7 +245,9 @@ def test_the_commands_lead_from_photographs_to_fleets(
     both = [f"{drawn}/train", str(tmp_path / "fleets" / "train")]
     assert run(["vehicles", *both, "--out", mixed]) == 0
     assert len(Fleet.load(Path(mixed))) == 8
-    again = [*draw, "--out", str(tmp_path / "more"), str(tmp_path / "fleets" / "train")]
-    assert run(again) == 2
-    assert "mix their folders afterwards" in capsys.readouterr().err
-    assert not (tmp_path / "more").exists()
+    # With the photographs it is the same call, and nothing is learnt anew.
+    again = [*learn, *options, *draw[1:], "--fleets", str(tmp_path / "again")]
+    assert run(again) == 0
+    assert torch.equal(Fleet.load(tmp_path / "again" / "train").textures, fleet.textures)
+    assert run([*draw, "--fleets", str(tmp_path / "again")]) == 2
+    assert "exists already" in capsys.readouterr().err

@@ -85,8 +85,8 @@ def mix(inputs: Path, out: Path) -> Sequence[object]:
 
 
 def learnt(inputs: Path, out: Path) -> Sequence[object]:
-    given = ["--generator", inputs / "learnt", "--counts", 1, 1, 1, 1, "--out", out / "new"]
-    return ["vehicles", *given]
+    given = ["--out", inputs / "learnt", "--counts", 1, 1, 1, 1, "--fleets", out / "new"]
+    return ["learn-vehicles", *given]
 
 
 def draw_fixed(inputs: Path, out: Path) -> Sequence[object]:
@@ -144,7 +144,7 @@ CARDS = [
 ]
 SCORES = [
     Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)
-    for name in ("score", "sets", "checks", "pairs/pairs", "practicality", "looks")
+    for name in ("score", "sets", "checks", "pairs/pairs", "practicality")
 ]
 RUNS = [
     # What has no bearing on the steps does not end the command before its report.

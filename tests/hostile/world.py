@@ -78,11 +78,6 @@ def make_world(folder: Path) -> None:
     worn += ["--backgrounds", folder / "backgrounds", "--fleet", folder / "fleets/test"]
     worn += ["--camouflage", folder / "camouflages/T-U", "--out", folder / "worn"]
     assert run(list(map(str, worn))) == 0
-    look = ["score", "--camouflages", folder / "camouflages/T-U", folder / "camouflages/R-U-0"]
-    look += ["--original", folder / "datasets/test", "--backgrounds", folder / "backgrounds"]
-    look += ["--fleet", folder / "fleets/test", "--out", folder / "looks"]
-    assert run(list(map(str, look))) == 0
-    shutil.copy(folder / "looks/looks.json", folder / "scores/test/looks.json")
     palette = {"colours_srgb": [[90, 100, 80], [120, 110, 90], [60, 70, 50]]}
     (folder / "palette.json").write_text(json.dumps(palette))
     shutil.copy(PRESETS["quick"], folder / "preset.json")

@@ -15,10 +15,10 @@ import pytest
 from PIL import Image
 
 from skyproof.files import write_json
-from skyproof.paper.cycles import cycles_columns
-from skyproof.paper.reproduction import Reproduction
 from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
+from skyproof.reproduction.cycles import cycles_columns
+from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.results import Change, Results
 from skyproof.results.rows import Headline
 from skyproof.results.statistics.intervals import Interval

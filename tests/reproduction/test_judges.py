@@ -182,8 +182,8 @@ def test_judges_score_what_the_run_renders() -> None:
         PRESET, Path(), cycles=True, judges=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
     )
     for name in added:
-        words = step_words(steps[name])
-        assert tyro.cli(load_command(words[0]), args=words[1:]) == steps[name].command
+        _, command, *words = step_words(steps[name])
+        assert tyro.cli(load_command(command), args=words) == steps[name].command
 
 
 def test_a_finished_run_is_given_only_what_its_judges_add(tmp_path: Path) -> None:

@@ -22,11 +22,12 @@ from skyproof.cli.ground import Ground
 from skyproof.cli.scenes import Scenes
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.layout import Layout
-from skyproof.main import load_command
+from skyproof.main import COMMANDS, load_command
 from skyproof.ranges import Fraction
 from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.preset import PRESETS, Preset, read_preset
 from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line, step_words
+from skyproof.reproduction.step_commands import STEPS
 from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
 from skyproof.scenes.weather import CONDITIONS
 
@@ -186,19 +187,12 @@ def test_further_trainings_repeat_the_attacks_on_the_same_world():
 def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
     more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
     plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
-    asked = {step.name: step.command.features for step in plan.steps if step.kind == "score"}
-    # Each in the batch in which it is scored anyway: nothing is rendered for it.
-    assert asked["000"] == ("R-Ma-0",)
-    assert sorted(name for names in asked.values() for name in names) == [
-        "R-Ma-0",
-        "R-Ma_plain",
-        "T-Ma-0",
-    ]
-    assert not any(
-        step.command.features
-        for step in reproduction_plan(Preset.parse(TINY), Path(), cycles=True).steps
-        if step.kind == "score"
-    )
+    (asked,) = (step for step in plan.steps if step.kind == "features")
+    worn = [folder.name for folder in asked.command.camouflages]
+    assert worn == ["R-Ma-0", "T-Ma-0", "R-Ma_plain"]
+    assert asked.outputs[0] in plan.steps[-1].inputs
+    plain = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
+    assert "features" not in plain.counts
     for wrong in ("R-U", "S-O@0.4", "T-U-0"):
         with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
             Preset.parse({**TINY, "features": [wrong]})
@@ -384,8 +378,9 @@ PLANS = {
 def test_every_step_can_be_done_by_hand(name):
     """The words of its command line, parsed again, are the very command."""
     for step in PLANS[name].steps:
-        words = step_words(step)
-        assert tyro.cli(load_command(words[0]), args=words[1:]) == step.command, step.id
+        program, command, *words = step_words(step)
+        commands = {"": STEPS} if program == "skyproof.reproduction" else COMMANDS
+        assert tyro.cli(load_command(command, commands), args=words) == step.command, step.id
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -625,7 +620,7 @@ def test_every_word_of_a_step_reaches_the_command_as_it_is(name):
         said = subprocess.run(
             ["sh", "-c", f"printf '%s\\0' {line}"], capture_output=True, text=True, check=True
         ).stdout.split("\0")[:-1]
-        assert said == [sys.executable, "-m", "skyproof", *step_words(step)]
+        assert said == [sys.executable, "-m", *step_words(step)]
 
 
 def test_names_of_options_come_from_fields_alone():

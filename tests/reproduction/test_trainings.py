@@ -9,8 +9,8 @@ import pytest
 from skyproof.detectors.card import read_card
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
-from skyproof.report.report import write_report
 from skyproof.reproduction.command import Reproduce
+from skyproof.reproduction.report import write_reproduction_report
 from tests.barely_trained import everything_counts
 
 TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
@@ -55,4 +55,4 @@ def test_two_trainings(tmp_path):
     other = cards[0].training["data_sha256"][::-1]
     card.write_text(card.read_text().replace(cards[0].training["data_sha256"], other))
     with pytest.raises(ConfigurationError, match="differ in their training images"):
-        write_report(folder)
+        write_reproduction_report(folder)

@@ -21,8 +21,8 @@ def test_one_thing_is_swapped_and_names_stay(tmp_path):
     fitted = fitted_vehicles(made_fits(prototypes, 20), prototypes)
     save_generator(tmp_path / "town", LayeredGenerator.learn(fitted), {})
     SwappedVehicles(tmp_path / "town", tmp_path / "swapped", count=4).run()
-    told = ["vehicles", "--generator", str(tmp_path / "town"), "--counts", "1", "1", "1", "4"]
-    assert run([*told, "--out", str(tmp_path / "fleets")]) == 0
+    told = ["learn-vehicles", "--out", str(tmp_path / "town"), "--counts", "1", "1", "1", "4"]
+    assert run([*told, "--fleets", str(tmp_path / "fleets")]) == 0
     learnt = Fleet.load(tmp_path / "fleets" / "test")
     for name, same_body, same_paint in (
         ("drawn_paint", True, False),

@@ -30,7 +30,6 @@ _DETECT_S = 3.0
 _TRIALS = 62
 """Changes that a check tries on every scene, but for random controls."""
 _CONTROLS = 6
-_LOOK_S = 0.1
 
 
 def train_step(
@@ -223,7 +222,6 @@ def score_step(
     frames: Sequence[str] = (),
     frame_classes: Sequence[str] = ("car", "minibus"),
     empty: bool = False,
-    features: Sequence[str] = (),
     rendering: Rendering | None = None,
     weather: bool = False,
     judged: Layout | None = None,
@@ -241,7 +239,6 @@ def score_step(
         frames: annotated images to check the detectors on.
         frame_classes: class names that count as vehicles in them.
         empty: whether false alarms are also counted on ground without vehicles, in place of frames.
-        features: names of the camouflages at whose vehicles the detectors' features are stored.
         rendering: the renderer; the differentiable one where not given.
         weather: whether the test scenes in weather are meant.
         judged: where detectors that only judge lie, and what they judged; where not given, the
@@ -266,7 +263,6 @@ def score_step(
         fleet=layout.fleets / "test",
         frames=tuple(frames),
         frame_classes=tuple(frame_classes),
-        features=tuple(features),
         seed=seed,
         device=device,
     )
@@ -286,36 +282,6 @@ def score_step(
         tuple(inputs),
         (out,),
         effort_s=START_S + each_s * sizes.megapixels(images),
-    )
-
-
-def looks_step(layout: Layout, camouflages: Sequence[str], seed: int) -> Step:
-    """Returns the step that measures what camouflages look like.
-
-    Args:
-        layout: the run folder's.
-        camouflages: folders relative to `camouflages/`.
-        seed: of the run.
-    """
-    original = layout.dataset("test")
-    folders = tuple(layout.camouflage(name) for name in camouflages)
-    command = Score(
-        out=layout.score("looks"),
-        original=original,
-        camouflages=folders,
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "test",
-        seed=seed,
-    )
-    inputs = [original, layout.backgrounds, layout.fleets]
-    inputs += [folder / "camouflage.json" for folder in folders]
-    return Step(
-        "looks",
-        "looks",
-        command,
-        tuple(inputs),
-        (layout.score("looks"),),
-        effort_s=2 * START_S + _LOOK_S * len(folders),
     )
 
 

@@ -1,4 +1,4 @@
-"""`skyproof report`: a run folder's results as one page and tables."""
+"""`skyproof report`: a run folder's results as one page."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from skyproof.ranges import Fraction, Risk
 class Report:
     """Writes results.json and report.html from all scores of a run folder.
 
-    Where the run has attacks of the paper, its tables are written too: tables/README.md.
-
     Attributes:
-        run_folder: as demo or reproduce leaves it, or a folder with scores/NAME folders that
+        run_folder: as assess or demo leaves it, or a folder with scores/NAME folders that
             score wrote.
         accept: share of found vehicles that a detector may lose to the worst attack; with `reject`,
             the report says which detectors are accepted, and verdict.json is written, too.
@@ -32,7 +30,7 @@ class Report:
     consumer_risk: Risk = 0.05
 
     def run(self) -> None:
-        """Writes the results, the tables and the page."""
+        """Writes the results and the page."""
         from skyproof.report.report import write_report
         from skyproof.results.statistics.acceptance import requirement_of
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import torch
 
     from skyproof.detectors.loaded import Load, LoadedDetector
-    from skyproof.vehicles.fleet import Fleet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +28,8 @@ class Score(Rendering):
 
     Camouflage folders are rendered here, onto the vehicles and scenes of --original, and their
     images are not kept. Datasets that are rendered already are given with --camouflaged. With
-    --frames alone it is only checked how good the detectors are, without --detectors only measured
-    what camouflages look like. A score folder inside the `scores` folder of a run is taken into the
-    run's report.
+    --frames alone it is only checked how good the detectors are. A score folder inside the `scores`
+    folder of a run is taken into the run's report.
 
     Attributes:
         detectors: detector folders.
@@ -49,14 +47,11 @@ class Score(Rendering):
             places.
         frame_classes: class names that count as vehicles in the other frames; all else is
             ignored, not counted as mistakes.
-        features: of the camouflages those whose vehicles are looked at in the detectors' feature
-            pyramids, for the report's picture of them, such as T-U-0 R-U-0; vehicles without
-            camouflage and bare ground are looked at with them.
         seed: of the bootstrap.
         device: auto, cpu or cuda.
     """
 
-    detectors: tuple[Path, ...] = ()
+    detectors: tuple[Path, ...]
     out: Path
     original: Path | None = None
     camouflages: tuple[Path, ...] = ()
@@ -65,7 +60,6 @@ class Score(Rendering):
     fleet: Path | None = None
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
-    features: tuple[str, ...] = ()
     seed: Seed = 0
     device: str = "auto"
 
@@ -83,9 +77,6 @@ class Score(Rendering):
         given = self._given()
         # The scoring refuses what exists, too, but only once everything is rendered.
         refuse_existing(self.out)
-        if not self.detectors:
-            self._look()
-            return
         device = choose_device(self.device)
         gsd_m = (
             read_card(self.detectors[0]).gsd_m
@@ -101,7 +92,6 @@ class Score(Rendering):
                 original=self.original,
                 camouflaged={**rendered, **given},
                 clean=clean,
-                features=self.features,
                 seed=self.seed,
                 sources=self._sources(),
                 add=self._add_patterns,
@@ -116,12 +106,6 @@ class Score(Rendering):
             ConfigurationError: nothing to judge, or something that belongs to it is missing.
         """
         worn = bool(self.camouflages or self.camouflaged)
-        if not self.detectors and (self.camouflaged or self.frames or not self.camouflages):
-            raise ConfigurationError(
-                "Scoring expects --detectors and something to judge them on (--original with "
-                "--camouflages or --camouflaged, or --frames), or --camouflages alone to measure "
-                "what they look like."
-            )
         if not worn and not self.frames:
             raise ConfigurationError(
                 "Scoring expects something to judge the detectors on: --original with "
@@ -163,16 +147,6 @@ class Score(Rendering):
             raise ConfigurationError(
                 f"--camouflages expects folders whose names can name a camouflage, got {unfit!r}; "
                 "give each by its own name."
-            )
-        from skyproof.results.pairs.features import GROUND
-        from skyproof.results.pairs.sets import ORIGINAL
-
-        fit = [name for name in names if name not in (GROUND, ORIGINAL)]
-        unknown = next((name for name in self.features if name not in fit), None)
-        if unknown is not None:
-            raise ConfigurationError(
-                f"--features expects names of camouflages that are scored here, got "
-                f"{unknown[:300]!r}; choose from {', '.join(fit)[:300] or '(none)'}."
             )
         if len(set(names)) != len(names):
             raise ConfigurationError(
@@ -296,69 +270,6 @@ class Score(Rendering):
                     write_bytes(path, inside(place, file, place).read_bytes())
             rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
         write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
-
-    def _look(self) -> None:
-        """Writes a score folder that says what the camouflages look like, and nothing else."""
-        from skyproof.camouflage.looks import measure_looks
-        from skyproof.cli.console import progress_bar
-        from skyproof.files import finished_folder, write_json
-        from skyproof.results.baseline import write_baselines
-        from skyproof.results.score_folder import ScoreRecord, write_record
-        from skyproof.vehicles.fleet import Fleet
-
-        assert self.fleet is not None
-        fleet = Fleet.load(self.fleet)
-        vehicles = fleet.batch(fleet.ids)
-        with finished_folder(self.out) as partial, progress_bar("looks") as update:
-            looks = measure_looks(self.camouflages, vehicles, progress=update)
-            looks |= self._draw_samples(partial, fleet)
-            write_json(partial / "looks.json", {"vehicles": len(vehicles), **looks})
-            write_baselines(partial / "baselines.json", [])
-            write_record(partial, ScoreRecord({}, self.seed, sources=self._sources()))
-        say(f"Looks of {len(self.camouflages)} camouflages: {self.out.resolve()}")
-
-    def _draw_samples(self, folder: Path, fleet: Fleet) -> dict[str, list[dict[str, str]]]:
-        """Draws some scenes on sheets; returns what they show, as `Looks` has it."""
-        from PIL import Image
-
-        from skyproof.camouflage.folder import load_camouflage
-        from skyproof.camouflage.name import CamouflageName
-        from skyproof.datasets.dataset import Dataset
-        from skyproof.files import write_beside
-        from skyproof.render.samples import SAMPLES, sample_strips, sensor_strips
-        from skyproof.results.score_folder import is_pictured
-        from skyproof.scenes.backgrounds import BackgroundSet
-
-        assert self.original is not None
-        assert self.backgrounds is not None
-        every = Dataset.open(self.original).scenes
-        scenes = [scene for scene in every if scene.placements][:SAMPLES]
-        if not scenes:
-            return {}
-        # Of textures, shapes and both the first and the last: from free to most constrained.
-        kinds: dict[str, list[Path]] = {}
-        for place in self.camouflages:
-            name = CamouflageName.read(place.name)
-            if is_pictured(name):
-                kinds.setdefault(name.kind, []).append(place)
-        shown = dict.fromkeys(
-            place for places in kinds.values() for place in places[:: len(places) - 1 or 1]
-        )
-        worn = {place.name: load_camouflage(place) for place in shown}
-        backgrounds = BackgroundSet.open(self.backgrounds)
-        sheets = {
-            "samples": sample_strips(scenes, fleet, backgrounds, worn),
-            "sensor": sensor_strips(scenes, fleet, backgrounds),
-        }
-        told: dict[str, list[dict[str, str]]] = {}
-        for sheet, strips in sheets.items():
-            told[sheet] = []
-            for number, (label, pixels) in enumerate(strips):
-                file = f"{sheet}/{number}.png"
-                with write_beside(folder / file) as temporary:
-                    Image.fromarray(pixels.permute(1, 2, 0).numpy()).save(temporary)
-                told[sheet].append({"label": label, "file": file})
-        return told
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results

@@ -1,4 +1,4 @@
-"""`skyproof vehicles`: fleets, drawn by rules or by a generator, or made of meshes and fleets."""
+"""`skyproof vehicles`: fleets, drawn by rules, or made of meshes and of other fleets."""
 
 from __future__ import annotations
 
@@ -10,23 +10,15 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
+from skyproof.cli.fleets import FleetCounts, draw_fleets
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.ranges import Fraction, Seed, WholeNumber
-from skyproof.scenes.splits import SPLITS
-from skyproof.vehicles.settings import (
-    CATALOGUE_PAINTS,
-    PaintVariety,
-    VehicleCount,
-    WrapSettings,
-)
+from skyproof.vehicles.settings import PaintVariety, WrapSettings
 
 if TYPE_CHECKING:
     from skyproof.vehicles.fleet import Fleet
     from skyproof.vehicles.wrapping.wrap import WrappedVehicle
-
-# Drawn and wrapped vehicles have lower numbers, so that fleets can be mixed.
-_FIRST_LEARNT = 5000
 
 _COLUMNS = {
     "iou_above": "IoU above",
@@ -57,76 +49,39 @@ class Vehicles:
         shapes: share of the fleets train and validation whose surface is pushed out at random, as
             the random shape R-S-O does.
         wrapping: how meshes are read and named.
-        generator: folder of `skyproof learn-vehicles`: fleets are drawn by what it learnt, and not
-            by rules. Of the paints only random patterns are then laid over a share of train and
-            validation.
-        first_number: number of the first vehicle that is drawn, so that fleets can be mixed;
-            without one 0, or 5000 of learnt vehicles.
+        first_number: number of the first vehicle that is drawn, so that fleets can be mixed.
     """
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
-    counts: tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount] = (128, 32, 32, 32)
+    counts: FleetCounts = (128, 32, 32, 32)
     seed: Seed = 0
     paints: PaintVariety = field(default_factory=PaintVariety)
     shapes: Fraction = 0.25
     wrapping: WrapSettings = field(default_factory=WrapSettings)
-    generator: Path | None = None
-    first_number: WholeNumber | None = None
+    first_number: WholeNumber = 0
 
     def run(self) -> None:
         """Writes all of them, or nothing."""
         refuse_existing(self.out)
-        if self.sources and self.generator is not None:
-            raise ConfigurationError(
-                "Sources and --generator were given; draw the fleets first, and mix their folders "
-                "afterwards."
-            )
         if self.sources:
             self._combine()
         else:
             self._draw()
 
     def _draw(self) -> None:
-        from skyproof.camouflage.random_controls import wear_random_controls
-        from skyproof.generator.fleet import sample_learnt_fleet
-        from skyproof.generator.folder import load_generator
-        from skyproof.randomness import generator_of
         from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
-        learnt = None if self.generator is None else load_generator(self.generator)
-        with finished_folder(self.out) as folder:
-            # Numbers go on from split to split: no vehicle is in two of them.
-            first_number = 0 if learnt is None else _FIRST_LEARNT
-            if self.first_number is not None:
-                first_number = self.first_number
-            for split, count in zip(SPLITS, self.counts, strict=True):
-                # Detectors learn from the first two; the others stand for real vehicles.
-                learnt_from = split in ("train", "validation")
-                settings = FleetSettings(
-                    count=count,
-                    first_number=first_number,
-                    paints=self.paints if learnt_from else CATALOGUE_PAINTS,
-                    shapes=self.shapes if learnt_from else 0.0,
-                )
-                with progress_bar(f"vehicles {split}") as update:
-                    generator = generator_of(self.seed, "fleet", split)
-                    if learnt is None:
-                        fleet = sample_fleet(settings, generator=generator, progress=update)
-                    else:
-                        fleet = sample_learnt_fleet(
-                            learnt, settings, generator=generator, progress=update
-                        )
-                controls = generator_of(self.seed, "controls", split)
-                wear_random_controls(fleet, generator=controls).save(folder / split)
-                first_number += count
+        settings = FleetSettings(
+            first_number=self.first_number, paints=self.paints, shapes=self.shapes
+        )
+        draw_fleets(self.out, self.counts, settings, self.seed, sample_fleet)
         if not any(self.paints.shares.values()):
             say(
                 "  note: train and validation wear catalogue paints alone, so a detector trained "
                 "on them may take colour for evidence; give shares above 0 with --paints, and "
                 "see skyproof precheck."
             )
-        say(f"Fleets of {', '.join(map(str, self.counts))} vehicles: {self.out.resolve()}")
 
     def _combine(self) -> None:
         from skyproof.vehicles.fleet import Fleet, mix_fleets

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,9 +17,7 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside, write_jsonl
 from skyproof.measure.baseline import BaselineSet, measure_baseline
 from skyproof.results.baseline import Baseline, write_baselines
-from skyproof.results.embedded import gather_features
 from skyproof.results.pairs.compare import Comparison, compare
-from skyproof.results.pairs.features import write_features
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.pairs.sets import ORIGINAL, SetScore, write_sets
 from skyproof.results.pairs.tiles import count_tiles, write_tiles
@@ -45,7 +43,6 @@ def score_detectors(
     original: str | Path | None = None,
     camouflaged: Mapping[str, str | Path] | None = None,
     clean: Sequence[BaselineSet] = (),
-    features: Collection[str] = (),
     seed: int = 0,
     sources: Sequence[str] = (),
     add: Callable[[Path], None] | None = None,
@@ -59,9 +56,7 @@ def score_detectors(
         original: dataset without camouflage; it says the scenes and the renderer.
         camouflaged: datasets of the same scenes by camouflage name.
         clean: further images to check the detectors on.
-        features: names of the camouflages at whose vehicles the detectors' features are stored,
-            and with them those at vehicles without camouflage and at bare ground.
-        seed: of the bootstrap, and of the places of that ground.
+        seed: of the bootstrap.
         sources: what the ground was cut from, or ["procedural"]; empty where it is not known.
         add: writes more into the folder before it is finished.
         progress: called with (detector runs done, runs in all).
@@ -87,10 +82,6 @@ def score_detectors(
             write_tiles(partial / "tiles.parquet", count_tiles(scored.outcomes))
             write_sets(partial / "sets.json", scored.sets)
             write_pairs(partial, scored.pairs)
-            worn = {name: pairs.camouflaged[name] for name in features}
-            if worn:
-                found = gather_features(judges, pairs.original, worn, seed=seed)
-                write_features(partial / "features.parquet", found)
         scored.check(clean)
         write_baselines(partial / "baselines.json", scored.checks)
         if add is not None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
-from skyproof.layout import Layout
 from skyproof.results.results import Results
 from skyproof.results.rows import MEAN, Headline
 
@@ -76,16 +75,16 @@ def limits(
     results: Results,
     every: Sequence[Sequence[Headline]],
     *,
-    several_trainings: bool = False,
     asked: bool = False,
+    more: bool = False,
 ) -> list[str]:
     """Says what the numbers do not cover.
 
     Args:
         results: of the run.
         every: headlines by camouflage.
-        several_trainings: whether the page has a section on other trainings of the detectors.
         asked: whether attacks by answers were made beside those by gradients.
+        more: whether the page has further sections, which tell of other detectors.
     """
     sentences = []
     if results.sources == ["procedural"]:
@@ -108,24 +107,19 @@ def limits(
         tiles = every[0][0].row.clusters
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
-        another = (
-            "Another training of the detectors is covered in the section on trainings alone."
-            if several_trainings
-            else "They do not cover another training of the detectors."
-        )
         sentences.append(
             "The intervals cover which tiles and vehicles were drawn and, where there are several, "
-            f"which seeds of the attack and draws of the random control. {another}"
+            "which seeds of the attack and draws of the random control. They do not cover another "
+            "training of the detectors."
         )
         attacked = _attacked(results, every[0][0])
         if attacked:
             others = any(name.variant.startswith(("on_", "without_")) for name in results.names)
-            judged = Layout(results.folder).judges.is_dir()
             sentences.append(
                 f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst "
                 "case for them. Detectors that the pattern was not optimised against may lose "
                 "fewer vehicles; "
-                + ("the tables show some." if others or judged else "that is not measured here.")
+                + ("the tables show some." if others or more else "that is not measured here.")
             )
         if attacked and not asked:
             sentences.append(

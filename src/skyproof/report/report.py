@@ -1,7 +1,4 @@
-"""Writes a run's `report.html`, one self-contained page.
-
-The paper's tables are written beside it where they apply.
-"""
+"""Writes a run's `report.html`, one self-contained page."""
 
 from __future__ import annotations
 
@@ -31,7 +28,6 @@ from skyproof.report.figures import condition_figure, forest_figure, many_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.hardening import hardening, readings
 from skyproof.report.losses import attack_loss, training_loss
-from skyproof.report.paper_tables import PaperPart, paper_part
 from skyproof.report.queries import by_answers
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
@@ -46,6 +42,19 @@ _PAIRS_OF_SECOND = 3
 _FEW = 4
 """Up to so many camouflages have a section of their own; beyond it all but the strongest share
 one."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A further section of the page, handed in by the caller of `write_report`.
+
+    Attributes:
+        title: the heading.
+        html: what stands below it.
+    """
+
+    title: str
+    html: Markup
 
 
 @dataclass(frozen=True)
@@ -70,7 +79,7 @@ class _Second:
 
 
 @dataclass(frozen=True)
-class _Section:
+class _Shown:
     """What the page shows of one camouflage."""
 
     headline: Headline
@@ -95,30 +104,37 @@ class _Exhibit:
     on_vehicle: str | None
 
 
-def write_report(run_folder: str | Path, requirement: Requirement | None = None) -> Path:
+def write_report(
+    run: str | Path | Results,
+    requirement: Requirement | None = None,
+    *,
+    sections: Sequence[Section] = (),
+) -> Path:
     """Writes `results.json` and `report.html` into a run folder and returns the page's path.
 
-    Where the run has attacks of the paper, `tables/` is written as well. Parts of the page whose
-    files are missing are left out, and the page says so. What was written before is replaced where
-    it is ours: `results.json` has our form, and beside one that has, page and tables are ours, too.
+    Parts of the page whose files are missing are left out, and the page says so. What was written
+    before is replaced where it is ours: `results.json` has our form, and beside one that has, the
+    page is ours, too.
 
     Args:
-        run_folder: as a plan leaves it, or a folder of score folders.
+        run: a run folder, or a folder of score folders; or their results, read before.
         requirement: what is asked of the detectors; `verdict.json` is written, too. Where not
             given, it is what an earlier report was asked.
+        sections: further sections of the page. They tell the results of many camouflages in full:
+            beside them, the page itself has only a picture of each.
 
     Raises:
         StoredFileError: nothing was scored yet, or a file is damaged; names the file.
         ConfigurationError: the scores do not belong together.
         RunFolderError: the page cannot be written.
     """
-    layout = Layout(Path(run_folder))
-    results = Results.open(run_folder)
+    results = run if isinstance(run, Results) else Results.open(run)
+    layout = Layout(results.folder)
     # No other report may be written here at the same time; a whole run has a lock of its own.
     with alone(layout.report):
         _refuse_other_files(layout)
         asked = requirement or read_requirement(layout.verdict)
-        return _write(results, layout, asked)
+        return _write(results, layout, asked, sections)
 
 
 def _refuse_other_files(layout: Layout) -> None:
@@ -126,12 +142,12 @@ def _refuse_other_files(layout: Layout) -> None:
 
     Raises:
         StoredFileError: `results.json` is not ours.
-        RunFolderError: there is a page, or there are tables, without results of ours.
+        RunFolderError: there is a page without results of ours.
     """
     if layout.results.exists():
         read_document(layout.results, _Known, "move it away, it is not replaced")
         return
-    for place in (layout.report, layout.tables, layout.verdict):
+    for place in (layout.report, layout.verdict):
         if place.exists():
             raise RunFolderError(
                 f"{place} is there without a results.json beside it, so it may not be of skyproof "
@@ -146,7 +162,12 @@ class _Known(Struct, frozen=True):
     checks: list[dict[str, Any]]
 
 
-def _write(results: Results, layout: Layout, requirement: Requirement | None) -> Path:
+def _write(
+    results: Results,
+    layout: Layout,
+    requirement: Requirement | None,
+    more: Sequence[Section],
+) -> Path:
     asked = by_answers(results)
     alarms = [] if asked is None else asked.alarms
     acceptance = None if requirement is None else rule(results, requirement, alarms)
@@ -154,14 +175,13 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
     results.write([case.json() for case in worst])
     if requirement is not None and acceptance is not None:
         write_verdict(results, requirement, acceptance, alarms)
-    paper = paper_part(results)
     by_camouflage: dict[str, list[Headline]] = {}
     for headline in results.headlines():
         if not headline.camouflage.variant:
             by_camouflage.setdefault(str(headline.camouflage), []).append(headline)
     every = list(by_camouflage.values())
     few = len(every) <= _FEW
-    in_full = every if few else _strongest(results, every)
+    in_full = every if few else [] if more else _strongest(every)
     sections = [_section(results, *headlines[:2]) for headlines in in_full]
     others = [headlines for headlines in every if headlines not in in_full]
     exhibits = [] if few else _exhibits(results, others)
@@ -186,27 +206,21 @@ def _write(results: Results, layout: Layout, requirement: Requirement | None) ->
             checked=checked_sets(results),
             tables=full_tables(results),
             errors=error_rows(results),
-            paper=paper,
+            more=more,
             training=training_loss(results),
             advice=advice(every[0][0]) if every else [],
             hardening=hardening(results, every, _panels),
             limits=limits(
                 results,
                 every,
-                several_trainings=_several_trainings(paper),
                 asked=asked is not None,
+                more=bool(more),
             ),
             settings=flat_settings(results.config.every),
         )
     )
     write_bytes(layout.report, page.encode())
-    if paper is not None:
-        _write_tables(layout.tables, paper)
     return layout.report
-
-
-def _several_trainings(paper: PaperPart | None) -> bool:
-    return paper is not None and "trainings.csv" in paper.files
 
 
 def _environment() -> jinja2.Environment:
@@ -231,16 +245,10 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _write_tables(folder: Path, paper: PaperPart) -> None:
-    """Writes the paper's tables as files; the page of them comes last."""
-    for name, content in paper.files.items():
-        write_bytes(folder / name, content)
-
-
-def _section(results: Results, headline: Headline, second: Headline | None = None) -> _Section:
+def _section(results: Results, headline: Headline, second: Headline | None = None) -> _Shown:
     name = headline.camouflage
     panels = _panels(results, headline)
-    return _Section(
+    return _Shown(
         headline=headline,
         answer=answer(headline),
         forest=Markup(forest_figure(headline)),
@@ -273,12 +281,10 @@ def _second(results: Results, first: Headline, headline: Headline) -> _Second:
     )
 
 
-def _strongest(results: Results, every: Sequence[list[Headline]]) -> Sequence[list[Headline]]:
-    """Gives the camouflage that hides most; none of a reproduction, which is read in its tables."""
+def _strongest(every: Sequence[list[Headline]]) -> Sequence[list[Headline]]:
+    """Gives the camouflage that hides most; none where nothing is known."""
     known = [one for one in every if not math.isnan(one[0].row.easr.estimate)]
-    if not known or "preset" in results.config.every:
-        return []
-    return [max(known, key=lambda headlines: headlines[0].row.easr.estimate)]
+    return [max(known, key=lambda headlines: headlines[0].row.easr.estimate)] if known else []
 
 
 def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Exhibit]:

@@ -1,4 +1,5 @@
-"""All that only a reproduction of the paper needs. Nothing else imports this room.
+"""The paper reproduced: its attacks, its tables and figures beside ours, and what backs them.
 
-Here belong presets, their steps, and how steps run side by side, by Snakemake or on Slurm.
+Here belongs all that only a reproduction needs: presets, their steps, and how steps run side by
+side, by Snakemake or on Slurm; and one file for each topic of the report. Nothing else imports it.
 """

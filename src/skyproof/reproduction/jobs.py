@@ -65,9 +65,10 @@ class Jobs:
         )
         self.chosen = {job.name: job for job in self._chosen()}
         self.shapes = self._shapes()
-        self.featured = frozenset(self._featured())
         folders = [folder for job in jobs for folder in job.folders]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
+        featured = {*self._featured()}
+        self.featured = tuple(n for n in (*self.controls, *folders, *late) if n in featured)
         self.batches = self._batched(self.controls, folders, late)
         self.looked_at = tuple(
             name

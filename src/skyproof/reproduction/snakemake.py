@@ -22,18 +22,20 @@ from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.reproduction.command_words import command_words
 from skyproof.reproduction.progress import FinishedJob, failed_job, finished_jobs
+from skyproof.reproduction.step_commands import STEPS
 
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 
 _POLL_S = 1.0
 _PATIENCE_S = 30.0
 # A step's command is called like its kind, but for these.
-_COMMANDS = {"choose": "attack", "control": "attack", "looks": "score"}
+_COMMANDS = {"choose": "attack", "control": "attack"}
 
 
 def step_words(step: Step) -> list[str]:
-    """Returns the words of the command that does a step, without the program's own name."""
-    return command_words(_COMMANDS.get(step.kind, step.kind), step.command)
+    """Returns the words that do a step: the module to run, and its arguments."""
+    program = "skyproof.reproduction" if step.kind in STEPS else "skyproof"
+    return [program, *command_words(_COMMANDS.get(step.kind, step.kind), step.command)]
 
 
 def shell_line(step: Step) -> Callable[[object], str]:
@@ -41,7 +43,7 @@ def shell_line(step: Step) -> Callable[[object], str]:
 
     It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
     """
-    line = shlex.join([sys.executable, "-m", "skyproof", *step_words(step)])
+    line = shlex.join([sys.executable, "-m", *step_words(step)])
     return lambda wildcards: line
 
 

@@ -8,24 +8,27 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from skyproof.assessment.plan import Plan, Step
+from skyproof.assessment.plan import START_S, Plan, Step
 from skyproof.assessment.steps import (
     attack_step,
     check_step,
     control_step,
-    looks_step,
     reference_step,
     report_step,
     score_step,
     train_step,
 )
-from skyproof.assessment.world import RENDERED, render_step, scene_step, world_steps
+from skyproof.assessment.world import RENDERED, render_s, render_step, scene_step, world_steps
 from skyproof.cli.rendering import Rendering
 from skyproof.layout import Layout
 from skyproof.reproduction.further_trainings import training_steps
 from skyproof.reproduction.held_out_detectors import stored_judges
 from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.step_commands import Features, Looks, Report
+
+_LOOK_S = 0.1
+_MOST_SCENES = 200
 
 
 def plan_of_config(config: Mapping[str, Any]) -> Plan:
@@ -137,10 +140,6 @@ def reproduction_plan(
                 judges[table] if table else preset.detectors,
                 preset.seed,
                 empty=not scores,
-                # Attacked detectors on the attacks' own renderer are enough to look at.
-                features=[each for each in folders if each in jobs.featured]
-                if rendering is None and table is None
-                else [],
                 rendering=rendering,
                 judged=layout.judged(table) if table else None,
                 device=device,
@@ -179,7 +178,9 @@ def reproduction_plan(
             for name, folders in jobs.weather_batches.items()
         ]
     if jobs.looked_at:
-        scores.append(looks_step(layout, jobs.looked_at, preset.seed))
+        scores.append(_looks_step(layout, jobs.looked_at))
+    if jobs.featured:
+        scores.append(_features_step(layout, preset, jobs.featured, device))
     steps += scores
     for number in range(1, preset.trainings):
         further = training_steps(
@@ -187,5 +188,40 @@ def reproduction_plan(
         )
         steps += further
         scores += [step for step in further if step.kind == "score"]
-    steps.append(report_step(layout, scores, checked))
+    steps.append(replace(report_step(layout, scores, checked), command=Report(out=folder)))
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
+
+
+def _looks_step(layout: Layout, camouflages: Sequence[str]) -> Step:
+    """Returns the step that measures what camouflages look like."""
+    command = Looks(
+        out=layout.folder / "looks",
+        original=layout.dataset("test"),
+        camouflages=tuple(layout.camouflage(name) for name in camouflages),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+    )
+    inputs = [command.original, layout.backgrounds, layout.fleets]
+    inputs += [folder / "camouflage.json" for folder in command.camouflages]
+    effort_s = 2 * START_S + _LOOK_S * len(camouflages)
+    return Step("looks", "looks", command, tuple(inputs), (command.out,), effort_s=effort_s)
+
+
+def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], device: str) -> Step:
+    """Returns the step that stores the attacked detectors' features."""
+    command = Features(
+        detectors=tuple(layout.detector(name) for name in preset.detectors),
+        out=layout.folder / "features.parquet",
+        original=layout.dataset("test"),
+        camouflages=tuple(layout.camouflage(name) for name in camouflages),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+        seed=preset.seed,
+        device=device,
+    )
+    inputs = [command.original, layout.backgrounds, layout.fleets]
+    inputs += [folder / "detector.json" for folder in command.detectors]
+    inputs += [folder / "camouflage.json" for folder in command.camouflages]
+    images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
+    effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
+    return Step("features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s)

@@ -15,9 +15,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.baseline import Baseline, read_baselines
-from skyproof.results.looks import Looks, read_looks
 from skyproof.results.merge import merge_counts
-from skyproof.results.pairs.features import Features
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
@@ -78,8 +76,6 @@ class Results:
         detectors: by name, what is recorded of them; empty where missing.
         records: by camouflage folder of the run, what was recorded while it was made.
         practicality: by camouflage without repeat, what it asks of those who would make it.
-        looks: what textures look like, of the first score folder that says it; None where none
-            does.
     """
 
     folder: Path
@@ -93,7 +89,6 @@ class Results:
     detectors: Mapping[str, DetectorFacts]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
-    looks: Looks | None = None
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Results:
@@ -130,7 +125,6 @@ class Results:
             detectors=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
-            looks=next(filter(None, (read_looks(score.path) for score in scores)), None),
         )
 
     def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
@@ -247,20 +241,6 @@ class Results:
             for pair in score.pairs()
             if CamouflageName.read(pair.camouflage).pooled == name
         ]
-
-    def features(self) -> list[Features]:
-        """Gives what is stored of the detectors' features, images without camouflage once each.
-
-        Only images of the attacks' own renderer count.
-
-        Raises:
-            StoredFileError: a table of features is damaged.
-        """
-        found: dict[tuple[str, str], Features] = {}
-        for score in self.scores:
-            for each in score.features() if score.record.renderer == RENDERER else ():
-                found.setdefault((each.detector, each.shown), each)
-        return list(found.values())
 
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
         """Gives a picture or log of the first repeat of a camouflage; None where there is none."""

@@ -1,9 +1,8 @@
 """A score folder: all that was measured in one go, and all that a report needs of it.
 
 It holds `score.json`, `tiles.parquet`, `outcomes.parquet`, `sets.json`, `baselines.json`,
-`detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like),
-`practicality.json` and, where it was asked for, `features.parquet`. `score.json` and
-`baselines.json` are always there.
+`detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like) and
+`practicality.json`. `score.json` and `baselines.json` are always there.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.ranges import FileReference, Name, Seed, WholeNumber
-from skyproof.results.pairs.features import Features, read_features
 from skyproof.results.stored import Label, Practicality, Text
 
 
@@ -158,12 +156,3 @@ class ScoreFolder:
         if not path.exists():
             return []
         return read_document(path, _Account, _REMEDY).rows
-
-    def features(self) -> list[Features]:
-        """Gives the detectors' features at vehicles and ground; empty where they were not stored.
-
-        Raises:
-            StoredFileError: `features.parquet` is damaged.
-        """
-        path = self.path / "features.parquet"
-        return read_features(path) if path.exists() else []

@@ -1,0 +1,130 @@
+"""`skyproof learn-vehicles`: a generator of vehicles learnt from photographs, and its fleets."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from skyproof.cli.console import progress_bar, say
+from skyproof.cli.fleets import FleetCounts, draw_fleets
+from skyproof.generator.settings import LearnSettings
+from skyproof.ranges import Fraction, Seed, WholeNumber
+from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnVehicles:
+    """Learns vehicles from photographs, so that fleets can be drawn that look like those there.
+
+    Every vehicle whose place `skyproof clear` kept is fitted through the renderer: body, heading,
+    paint and texture, in the photograph's own light. A run that was stopped goes on where it was.
+    Fleets of a finished generator are drawn with --fleets; the photographs may then be left out.
+
+    Attributes:
+        imagery: tiled folder with the vehicles, as `skyproof ground` writes it from labelled
+            imagery, and the same without them, as `skyproof clear` writes it; such a pair for
+            every camera or day.
+        out: folder of the generator, with sheets of all fits and of samples.
+        settings: how they are fitted, and by which method one learns from them.
+        fleets: folder to write: the four fleets train, validation, attack and test.
+        counts: how many vehicles are drawn per split (train, validation, attack, test).
+        fleet_seed: seed of the vehicles drawn.
+        patterned: share of the fleets train and validation over which random patterns are laid.
+        shapes: share of the fleets train and validation whose surface is pushed out at random.
+        first_number: number of the first vehicle that is drawn; drawn and wrapped vehicles have
+            lower ones, so that fleets can be mixed.
+        device: auto, cpu or cuda; where the network of "gan" is trained. All else works on the CPU.
+    """
+
+    imagery: Annotated[
+        tuple[tuple[Path, Path], ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="TILES CLEARED [TILES CLEARED ...]"),
+    ] = ()
+    out: Path
+    settings: LearnSettings = field(default_factory=LearnSettings)
+    fleets: Path | None = None
+    counts: FleetCounts = (128, 32, 32, 32)
+    fleet_seed: Seed = 0
+    patterned: Fraction = PaintVariety().patterned
+    shapes: Fraction = 0.25
+    first_number: WholeNumber = 5000
+    device: str = "auto"
+
+    def run(self) -> None:
+        """Learns the generator, says what it learnt from, and draws the fleets."""
+        from skyproof.files import refuse_existing
+
+        if self.fleets is not None:
+            refuse_existing(self.fleets)
+        if self.imagery or self.fleets is None:
+            self._learn()
+        if self.fleets is not None:
+            self._draw(self.fleets)
+
+    def _learn(self) -> None:
+        from skyproof.cli.device import choose_device
+        from skyproof.generator.learning import Imagery, learn_vehicles
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        names = {"fit": "fit vehicles", "learn": "learn from them"}
+        with ExitStack() as bars:
+            updates: dict[str, Any] = {}
+
+            def progress(stage: str, done: int, total: int) -> None:
+                if stage not in updates:
+                    bars.close()
+                    updates[stage] = bars.enter_context(progress_bar(names[stage]))
+                updates[stage](done, total)
+
+            imagery = [
+                Imagery(BackgroundSet.open(tiles), BackgroundSet.open(cleared))
+                for tiles, cleared in self.imagery
+            ]
+            record = learn_vehicles(
+                imagery,
+                self.settings,
+                self.out,
+                device=choose_device(self.device),
+                progress=progress,
+            )
+        self._say_record(record)
+
+    def _draw(self, fleets: Path) -> None:
+        from skyproof.generator.fleet import sample_learnt_fleet
+        from skyproof.generator.folder import load_generator
+        from skyproof.vehicles.fleet import FleetSettings
+
+        settings = FleetSettings(
+            first_number=self.first_number,
+            paints=replace(CATALOGUE_PAINTS, patterned=self.patterned),
+            shapes=self.shapes,
+        )
+        sample = partial(sample_learnt_fleet, load_generator(self.out))
+        draw_fleets(fleets, self.counts, settings, self.fleet_seed, sample)
+
+    def _say_record(self, record: dict[str, Any]) -> None:
+        types = ", ".join(f"{count} {name}" for name, count in record["body_types"].items())
+        say(f"Learnt from {record['vehicles']} vehicles: {types}.")
+        for why, count in record["left_out"].items():
+            say(f"  left out: {count} because {why}")
+        guessed = record["headings_from"].get("picture", 0)
+        if guessed:
+            say(f"Headings of {guessed} were estimated from their boxes and pictures.")
+        # Headings of labels are modulo a half turn, too.
+        if record["unsure_directions"]:
+            say(
+                f"Of {record['unsure_directions']} of those learnt from, nose and tail may be "
+                "exchanged."
+            )
+        say(
+            f"Generator: {self.out.resolve()} (look at samples.png, between.png and turntable.png, "
+            "and at fits/00001.png, which has the worst fits)"
+        )
+        if self.fleets is None:
+            say(f"Draw fleets with skyproof learn-vehicles --out {self.out} --fleets fleets.")

@@ -1,0 +1,96 @@
+"""By another rule of what is found, and what the detectors report where nothing is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.reproduction.cells import Block, Grid, Table, bracket, interval_cells, number
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.rows import LENIENT_MATCH, Row
+from skyproof.words import detector_name
+
+_OVERLAP = "iou_50"
+_LENIENT = f"easr_{LENIENT_MATCH}"
+
+
+def criteria_table(run: Reproduction) -> Table:
+    """Gives every learnt camouflage's EASR by each rule, and the false alarms, mean of detectors.
+
+    Attacks that end on the way or see some detectors only are left out.
+    """
+    rows: list[dict[str, Any]] = []
+    for name in run.names:
+        camouflage = CamouflageName.read(name)
+        centre = run.row(name)
+        if camouflage.random or camouflage.variant or centre is None:
+            continue
+        overlap = run.results.row(camouflage, match=_OVERLAP)
+        lenient = run.results.row(camouflage, match=LENIENT_MATCH)
+        rows.append(
+            {
+                "attack": name,
+                **interval_cells("easr", centre.easr, 100.0),
+                **({} if overlap is None else _by_overlap(overlap)),
+                **({} if lenient is None else interval_cells(_LENIENT, lenient.easr, 100.0)),
+                "false_alarms_per_km2_original": centre.false_alarms_per_km2_original,
+                "false_alarms_per_km2_adversarial": centre.false_alarms_per_km2_adversarial,
+            }
+        )
+    return Table("criteria", rows)
+
+
+def criteria_section(table: Table, run: Reproduction) -> list[Block]:
+    """Says what changes by overlap, and how many false alarms there are."""
+    text = (
+        "Above, a vehicle counts as found where a detection’s centre lies within 1 m of its own; "
+        "here also where the boxes’ intersection over union is at least 0.5, and leniently where "
+        "the detection’s centre lies anywhere in the vehicle’s box. False alarms are "
+        "detections on no vehicle at the frozen threshold, per square kilometre of test ground, "
+        "beside vehicles without and with the camouflage."
+    )
+    cells = [
+        [
+            row["attack"],
+            bracket(row, "easr"),
+            bracket(row, "easr_iou_50"),
+            bracket(row, _LENIENT),
+            number(row.get("ap_iou_50_original")),
+            number(row.get("ap_iou_50_adversarial")),
+            number(row["false_alarms_per_km2_original"], 0),
+            number(row["false_alarms_per_km2_adversarial"], 0),
+        ]
+        for row in table.rows
+    ]
+    header = [
+        "attack",
+        "EASR",
+        "EASR, IoU ≥ 0.5",
+        "EASR, centre in box",
+        "AP, IoU ≥ 0.5",
+        "AP then",
+        "false alarms per km²",
+        "then",
+    ]
+    return [text, Grid(header, cells), *_on_empty_ground(run)]
+
+
+def _on_empty_ground(run: Reproduction) -> list[Block]:
+    """Says what is found on images without vehicles; nothing where none were shown."""
+    found = [
+        f"{detector_name(check.detector)} {number(check.false_alarms_per_km2, 0)}"
+        for check in run.results.checks
+        if not check.vehicles and not math.isnan(check.false_alarms_per_km2)
+    ]
+    if not found:
+        return []
+    return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
+
+
+def _by_overlap(row: Row) -> dict[str, float]:
+    return {
+        **interval_cells("easr_iou_50", row.easr, 100.0),
+        "ap_iou_50_original": 100 * row.ap_original,
+        "ap_iou_50_adversarial": 100 * row.ap_adversarial,
+    }

@@ -1,0 +1,343 @@
+"""Attacks under Blender's path tracer: what becomes of their success and of random controls'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.errors import ConfigurationError
+from skyproof.reproduction.agreement import Agreement, rank_agreement, renderer_agreement
+from skyproof.reproduction.cells import (
+    Block,
+    Grid,
+    Heading,
+    Table,
+    bracket,
+    in_percent,
+    interval_cells,
+    number,
+)
+from skyproof.reproduction.paper_results import PAPER_RESULTS
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.results import CYCLES, RENDERER, Results
+from skyproof.results.rows import MAIN_MATCH
+from skyproof.words import detector_name
+
+ALONE = "‡"
+
+_COLUMNS = ("easr", "random_", "net_easr", "unlearnt_", "net_unlearnt_easr", "apd")
+_KINDS: Mapping[str, Callable[[str], bool]] = {
+    "textures": lambda name: name.startswith("T-"),
+    "shapes": lambda name: name.startswith("S-"),
+    "combinations": lambda name: name.startswith("C-"),
+    "all attacks": lambda name: not name.startswith("R-"),
+    "random textures": lambda name: name.startswith("R-") and "-" not in name[2:],
+    "random shapes and combinations": lambda name: name.startswith("R-") and "-" in name[2:],
+}
+
+
+def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
+    """Gives one camouflage's numbers on Cycles and how far its EASR moved, in percent.
+
+    Empty where nothing is on Cycles.
+    """
+    if not run.cycles:
+        return {}
+    found = rates_under(run.results, CamouflageName.read(name), CYCLES)
+    columns = {f"cycles_{key}": value for key, value in found.items() if key.startswith(_COLUMNS)}
+    change = _change(run, [name])
+    return columns | {
+        f"cycles_{key}": change.get(key) for key in ("change", "change_low", "change_high")
+    }
+
+
+def cycles_tables(run: Reproduction) -> list[Table]:
+    """Says how far EASR moves from the renderer to Cycles, and who orders the attacks alike.
+
+    Nothing is said of a run without Cycles.
+    """
+    if not run.cycles:
+        return []
+    return [Table("cycles", _changes(run)), Table("cycles_agreement", _agreements(run))]
+
+
+def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """Says what the column is and what it shows; empty without Cycles."""
+    if not run.cycles:
+        return []
+    parts: list[Block] = [
+        Heading("On Cycles"),
+        "The column “on Cycles” has the same detectors, test scenes and camouflages, but the "
+        "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
+        "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
+        "“Blender” column. A vehicle counts where the detector found it on Cycles’ own image "
+        "without camouflage; net is minus the random control on Cycles. Net of unlearnt ones is "
+        "given where Cycles has all of them that the renderer has. Shapes and combinations keep "
+        "the PM* that they have on the renderer.",
+        _missing(run),
+        _alone([*tables["textures"].rows, *tables["shape_combined"].rows]),
+        *_moves(tables["cycles"]),
+        _placebo(tables),
+        *_correlations(tables["cycles_agreement"]),
+        *_originals(run),
+    ]
+    return [part for part in parts if part]
+
+
+def rates_under(
+    results: Results, name: CamouflageName, renderer: str, detector: str | None = None
+) -> dict[str, Any]:
+    """Gives a row under a renderer in percent and points; None where there is no row.
+
+    Of the controls that were chosen and not learnt nothing is said unless this renderer shows all
+    that the differentiable one does: beside fewer, more would seem to be learnt.
+    """
+    rates = in_percent(results.row(name, detector, renderer=renderer))
+    wanted = [control for control in name.unlearnt if results.row(control, detector)]
+    if all(results.row(control, detector, renderer=renderer) for control in wanted):
+        return rates
+    return rates | {key: None for key in rates if "unlearnt" in key}
+
+
+def _names(run: Reproduction) -> list[str]:
+    """Lists what both renderers show."""
+    return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
+
+
+def _plain_names(run: Reproduction) -> list[str]:
+    """Lists those of them that the paper has, too: no variants, no controls that were chosen."""
+    return [name for name in _names(run) if not CamouflageName.read(name).variant]
+
+
+def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
+    """Gives mean EASR under either renderer and their difference, in percent.
+
+    The answer is empty where the renderers share nothing.
+    """
+    change = run.results.change([CamouflageName.read(name) for name in names])
+    if change is None:
+        return {}
+    rates = {"easr": 100 * change.first, "cycles_easr": 100 * change.second}
+    return {**rates, **interval_cells("change", change.difference, 100.0)}
+
+
+def _changes(run: Reproduction) -> list[dict[str, Any]]:
+    rows = []
+    for kind, belongs in _KINDS.items():
+        names = [name for name in _plain_names(run) if belongs(name)]
+        paper = [result for name, result in PAPER_RESULTS.items() if belongs(name)]
+        known = [
+            (result.easr, result.easr_blender)
+            for result in paper
+            if result.easr_blender is not None
+        ]
+        renderer, blender = np.mean(known, axis=0).tolist() if known else (None, None)
+        if names:
+            ours = {"kind": kind, "camouflages": len(names), **_change(run, names)}
+            rows.append(
+                ours
+                | {
+                    "paper_number": len(known),
+                    "paper_easr": renderer,
+                    "paper_easr_blender": blender,
+                }
+            )
+    return rows
+
+
+def _agreements(run: Reproduction) -> list[dict[str, Any]]:
+    """Correlates the ranks on Cycles with the paper's Blender column and with our renderer."""
+    blender = {
+        name: result.easr_blender
+        for name, result in PAPER_RESULTS.items()
+        if result.easr_blender is not None
+    }
+    attacks = [name for name in _plain_names(run) if not name.startswith("R-")]
+
+    def with_paper(names: Collection[str]) -> Agreement:
+        paper = {name: blender[name] for name in names}
+        rng = np.random.default_rng(0)
+        return rank_agreement(
+            run.results.tiles,
+            paper,
+            rows=run.best,
+            generator=rng,
+            renderer=CYCLES,
+            match=MAIN_MATCH,
+        )
+
+    def with_renderer(names: Collection[str]) -> Agreement:
+        rng = np.random.default_rng(0)
+        return renderer_agreement(
+            run.results.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MAIN_MATCH
+        )
+
+    paper, renderer = "Cycles and the paper’s Blender", "Cycles and our renderer"
+    sets = [
+        (paper, with_paper, "textures", [name for name in blender if name.startswith("T-")]),
+        (
+            paper,
+            with_paper,
+            "textures, shape and combinations",
+            [name for name in blender if not name.startswith("R-")],
+        ),
+        (paper, with_paper, "all, with random controls", list(blender)),
+        (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
+        (renderer, with_renderer, "all attacks, at every magnitude", attacks),
+        (renderer, with_renderer, "all, with random controls", _plain_names(run)),
+    ]
+    rows = []
+    for compared, correlate, label, names in sets:
+        # Fewer than three attacks, or an undefined one, have no correlation.
+        with suppress(ConfigurationError):
+            found = correlate(names)
+            row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
+            rows.append(
+                row
+                | interval_cells("spearman", found.spearman)
+                | interval_cells("kendall", found.kendall)
+            )
+    return rows
+
+
+def _missing(run: Reproduction) -> str:
+    """Says what of the renderer's columns is not on Cycles."""
+    wanted = [name for name in run.names if "_" not in name]
+    left = [name for name in wanted if run.row(name, renderer=CYCLES) is None]
+    parts = (
+        [f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls."]
+        if left
+        else []
+    )
+    repeats, on_cycles = (
+        max(
+            (row.repeats for name in _names(run) if (row := run.row(name, renderer=renderer))),
+            default=0,
+        )
+        for renderer in (RENDERER, CYCLES)
+    )
+    if on_cycles < repeats:
+        parts.append(
+            f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; "
+            "changes and rank correlations between the two take only those."
+        )
+    return " ".join(parts)
+
+
+def alone_on_cycles(row: Mapping[str, Any]) -> bool:
+    """Whether a row of a table rests on one repeat on Cycles, and on several on the renderer."""
+    return row["easr_repeat_min"] is not None and row["cycles_easr_repeat_min"] is None
+
+
+def _alone(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Explains the mark of such rows; empty where there is none."""
+    if not any(alone_on_cycles(row) and row["cycles_easr"] is not None for row in rows):
+        return ""
+    return (
+        f"{ALONE} Cycles has one repeat or draw alone, where the renderer has several: the "
+        "interval there says nothing of other starts and draws."
+    )
+
+
+def _moves(table: Table) -> list[Block]:
+    rows = [
+        [
+            row["kind"],
+            str(row["camouflages"]),
+            number(row["easr"]),
+            number(row["cycles_easr"]),
+            bracket(row, "change"),
+            str(row["paper_number"] or "–"),
+            number(row["paper_easr"], 2),
+            number(row["paper_easr_blender"], 2),
+        ]
+        for row in table.rows
+    ]
+    if not rows:
+        return []
+    text = (
+        "How far EASR moves from the renderer to Cycles: means over camouflages, each the mean of "
+        "its repeats and the detectors, in percent and points, paired by camouflage and tile; "
+        "without controls that were chosen. Beside them the paper’s means, over the attacks for "
+        "which it has both."
+    )
+    header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
+    return [text, Grid([*header, "in the paper", "paper EASR", "paper Blender"], rows)]
+
+
+def _placebo(tables: Mapping[str, Table]) -> str:
+    rows = [row for name in ("textures", "shape_combined") for row in tables[name].rows]
+    controlled = [row for row in rows if row["cycles_net_easr_low"] is not None]
+    below = [row["attack"] for row in controlled if row["cycles_net_easr_low"] <= 0]
+    single = [row["attack"] for row in controlled if row["cycles_random_draws"] == 1]
+    text = (
+        f"Placebo on Cycles: in {len(controlled) - len(below)} of {len(controlled)} rows of the "
+        "tables above, the interval of the net EASR lies above zero."
+    )
+    if below:
+        text += f" Not surely better than chance there: {', '.join(below)}."
+    if single:
+        text += (
+            " Set against a single draw there, so that nothing is said of others: "
+            f"{', '.join(single)}."
+        )
+    compared = [row for row in rows if row["cycles_net_unlearnt_easr_low"] is not None]
+    if compared:
+        above = [row for row in compared if row["cycles_net_unlearnt_easr_low"] > 0]
+        text += (
+            f" Against the strongest control that was chosen and not learnt, {len(above)} of "
+            f"{len(compared)} do."
+        )
+    return text
+
+
+def _correlations(table: Table) -> list[Block]:
+    rows = [
+        [
+            row["compared"],
+            row["set"],
+            str(row["attacks"]),
+            bracket(row, "spearman", digits=2),
+            bracket(row, "kendall", digits=2),
+        ]
+        for row in table.rows
+    ]
+    if not rows:
+        return []
+    text = (
+        "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers "
+        "are held fixed."
+    )
+    return [text, Grid(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)]
+
+
+def _originals(run: Reproduction) -> list[Block]:
+    """Says what the detectors make of the images without camouflage."""
+    rows = []
+    for detector in run.detectors:
+        precision: list[str] = []
+        found: list[str] = []
+        for renderer in (RENDERER, CYCLES):
+            # Any camouflage will do: all are compared with the same original images.
+            wanted = (renderer, detector, MAIN_MATCH)
+            key = next((key for key in run.results.tiles.series if key[1:] == wanted), None)
+            if key is not None:
+                name = str(CamouflageName.read(key.camouflage).pooled)
+                row = run.row(name, detector, renderer=renderer)
+                precision.append(_percent(None if row is None else row.ap_original))
+                vehicles, both, lost, _ = run.results.tiles.series[key].sum(axis=0).tolist()
+                found.append(_percent((both + lost) / vehicles if vehicles else None))
+        if len(found) == 2:
+            rows.append([detector_name(detector), *precision, *found])
+    if not rows:
+        return []
+    header = ["detector", "AP", "AP on Cycles", "vehicles found", "vehicles found on Cycles"]
+    return ["On the images without camouflage, in percent:", Grid(header, rows)]
+
+
+def _percent(value: float | None) -> str:
+    return number(None if value is None else 100 * value)

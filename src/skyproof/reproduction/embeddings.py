@@ -1,0 +1,241 @@
+"""Where camouflaged vehicles lie among a detector's features: with the ground, or with vehicles?
+
+Differences from the paper (section S7, figure S8): every detector that shows its features and not
+RetinaNet alone; random and plainly painted vehicles beside the learnt camouflage; and numbers that
+are measured on all features, since a picture of two dimensions can show whatever one likes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.reproduction.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Table,
+    bracket,
+    interval_cells,
+    number,
+)
+from skyproof.reproduction.feature_space import Embedding, embed
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.reproduction.stored_features import GROUND, Features
+from skyproof.results.pairs.sets import ORIGINAL
+from skyproof.words import detector_name
+
+EVERY = "all"
+"""Stands for all that is shown together in the table's last row of a detector."""
+
+# Of ground and of each kind of vehicle; below there is nothing to see.
+_FEWEST = 10
+
+
+def embeddings_tables(run: Reproduction) -> list[Table]:
+    """Gives the numbers by detector and class, and the points of the pictures; none without them.
+
+    Raises:
+        StoredFileError: the table of features is damaged.
+    """
+    numbers: list[dict[str, Any]] = []
+    points: list[dict[str, Any]] = []
+    every = run.features
+    for name in _learnt(every):
+        for detector in run.detectors:
+            stored = _classes(every, name, detector)
+            if not stored:
+                continue
+            vectors = {each: _joined(parts) for each, parts in stored.items()}
+            tiles = {
+                each: [tile for part in parts for tile in part.backgrounds]
+                for each, parts in stored.items()
+            }
+            embedding = embed(vectors, tiles)
+            numbers += _number_rows(str(name), detector, embedding)
+            points += _point_rows(str(name), detector, embedding, stored)
+    if not numbers:
+        return []
+    return [Table("embeddings", numbers), Table("embedding_points", points)]
+
+
+def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
+    names = (
+        CamouflageName.read(each.shown).pooled
+        for each in every
+        if each.shown not in (GROUND, ORIGINAL)
+    )
+    return list(dict.fromkeys(name for name in names if not name.random))
+
+
+def _classes(
+    every: Sequence[Features], name: CamouflageName, detector: str
+) -> Mapping[str, Sequence[Features]]:
+    """Gives what is stored of ground, vehicles, a camouflage, its control and the plain paint.
+
+    Nothing where ground, vehicles or the camouflage are missing or too few.
+    """
+    plain, *_ = name.unlearnt
+    wanted = [GROUND, ORIGINAL, str(name), str(name.control), str(plain)]
+    found: dict[str, list[Features]] = {each: [] for each in wanted}
+    for each in every:
+        shown = each.shown
+        if shown not in (GROUND, ORIGINAL):
+            shown = str(CamouflageName.read(shown).pooled)
+        if each.detector == detector and shown in found:
+            found[shown].append(each)
+    enough = {
+        shown: parts
+        for shown, parts in found.items()
+        if sum(len(part.vectors) for part in parts) >= _FEWEST
+    }
+    tiles = {tile for parts in enough.values() for part in parts for tile in part.backgrounds}
+    if len(tiles) < 2 or any(shown not in enough for shown in wanted[:3]):
+        return {}
+    return enough
+
+
+def _joined(parts: Sequence[Features]) -> Float[np.ndarray, "N C"]:
+    return np.concatenate([part.vectors for part in parts])
+
+
+def _number_rows(name: str, detector: str, embedding: Embedding) -> list[dict[str, Any]]:
+    rows = [
+        {
+            "camouflage": name,
+            "detector": detector,
+            "shown": shown,
+            "boxes": each.boxes,
+            "silhouette": each.silhouette,
+            **interval_cells("nearest_own", each.nearest_own, 100.0),
+            **interval_cells("nearer_ground", each.nearer_ground, 100.0),
+            **({} if each.along is None else interval_cells("along", each.along)),
+            "aside": each.aside,
+        }
+        for shown, each in zip(embedding.classes, embedding.shown, strict=True)
+    ]
+    together = {
+        "camouflage": name,
+        "detector": detector,
+        "shown": EVERY,
+        "boxes": len(embedding.class_of),
+        "silhouette": embedding.silhouette,
+        "nearest_own": 100 * embedding.nearest_own,
+        "pca_share": 100 * embedding.pca_share,
+    }
+    return [*rows, together]
+
+
+def _point_rows(
+    name: str, detector: str, embedding: Embedding, stored: Mapping[str, Sequence[Features]]
+) -> list[dict[str, Any]]:
+    told = [
+        (scene, tile, placement)
+        for parts in stored.values()
+        for part in parts
+        for scene, tile, placement in zip(
+            part.scenes, part.backgrounds, part.placements, strict=True
+        )
+    ]
+    return [
+        {
+            "camouflage": name,
+            "detector": detector,
+            "shown": embedding.classes[index],
+            "scene": scene,
+            "background": tile,
+            "placement": placement,
+            "pca_1": float(pca[0]),
+            "pca_2": float(pca[1]),
+            "tsne_1": float(tsne[0]),
+            "tsne_2": float(tsne[1]),
+        }
+        for index, pca, tsne, (scene, tile, placement) in zip(
+            embedding.class_of, embedding.pca, embedding.tsne, told, strict=True
+        )
+    ]
+
+
+def embeddings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """Says what the features show, with picture and numbers; empty where none are stored."""
+    if "embeddings" not in tables:
+        return []
+    rows = tables["embeddings"].rows
+    known = {row["detector"] for row in rows}
+    silent = [detector_name(each) for each in run.detectors if each not in known]
+    parts: list[Block] = [
+        Heading("What the detectors’ features show"),
+        "Does a camouflage make a vehicle look like ground to a detector? Each point is the mean "
+        "of the detector’s feature pyramid over one vehicle’s box, at the level that the detector "
+        "gives a box of that size; “ground” are boxes as large, a metre or more from every "
+        "vehicle. Boxes of two levels lie in two groups, whatever they show. Both pictures are "
+        "drawn of the same points; distances between groups mean little in that of t-SNE, so the "
+        "numbers below are of all features, each scaled to variance 1.",
+        Figure("embeddings", "Features at vehicles and at ground: PCA left, t-SNE right"),
+        "“Silhouette” is from −1 (a box lies among others) to 1 (its class lies by itself). "
+        "“Own class” is the share of boxes, in percent, whose nearest class mean is their own; "
+        "“nearer to ground” the share that lies nearer to the mean of the ground than to that of "
+        "vehicles as they were, both by means of other background tiles. “Along” says where the "
+        "class’s mean lies on the straight way from vehicles as they were (0) to the ground (1), "
+        "“aside” how far off that way it lies, in lengths of the way. Brackets hold 95 % "
+        "intervals over background tiles.",
+        Grid(
+            [
+                *("camouflage", "detector", "shown", "boxes", "silhouette", "own class, %"),
+                *("nearer to ground, %", "along", "aside"),
+            ],
+            [_cells(row) for row in rows],
+        ),
+        *_readings(rows),
+    ]
+    if silent:
+        parts.append(
+            f"Of {', '.join(silent)} no features are stored: not every detector shows its own."
+        )
+    return parts
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    return [
+        row["camouflage"],
+        detector_name(row["detector"]),
+        shown_name(row["shown"]),
+        str(row["boxes"]),
+        number(row["silhouette"], 2),
+        bracket(row, "nearest_own", digits=0),
+        bracket(row, "nearer_ground", digits=0),
+        bracket(row, "along", digits=2),
+        number(row.get("aside"), 2),
+    ]
+
+
+def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Says per camouflage and detector how near to the ground it comes."""
+    said = []
+    for row in rows:
+        if row["shown"] != row["camouflage"]:
+            continue
+        said.append(
+            f"{detector_name(row['detector'])}: {number(row['nearer_ground'], 0)} % of the "
+            f"vehicles with {row['camouflage']} lie nearer to the ground than to vehicles as they "
+            f"were, and {number(row['nearest_own'], 0)} % still nearest to others with "
+            f"{row['camouflage']}."
+        )
+    return [" ".join(said)] if said else []
+
+
+def shown_name(shown: str) -> str:
+    """Says what a class is, in words."""
+    if shown in (GROUND, EVERY):
+        return {GROUND: "ground", EVERY: "mean of classes"}[shown]
+    if shown == ORIGINAL:
+        return "vehicles as they were"
+    name = CamouflageName.read(shown)
+    if name.choice == "plain":
+        return f"best plain paint ({shown})"
+    return f"random ({shown})" if name.random else shown

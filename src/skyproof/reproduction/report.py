@@ -1,0 +1,198 @@
+"""A reproduction's report: the page of any run, and the paper's tables in it and beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from markupsafe import Markup, escape
+
+from skyproof.errors import RunFolderError
+from skyproof.files import alone, write_bytes
+from skyproof.layout import Layout
+from skyproof.report.gate import read_gate
+from skyproof.report.report import Section, write_report
+from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown
+from skyproof.reproduction.colour_figure import colour_figure
+from skyproof.reproduction.embedding_figure import embedding_figure
+from skyproof.reproduction.judges_figure import judges_figure
+from skyproof.reproduction.looks_figures import looks_figures
+from skyproof.reproduction.page import paper_sections, shape_table, standing, texture_table
+from skyproof.reproduction.practicality_figure import easr_against_practicality
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.reproduction.tables import reproduction_tables
+from skyproof.reproduction.variability_figure import variability_figure
+from skyproof.reproduction.weather_figure import weather_figure
+from skyproof.results.results import Results
+
+
+def write_reproduction_report(run_folder: str | Path) -> Path:
+    """Writes the report of a run with the paper's tables in it, and `tables/` beside it.
+
+    Without enough of the paper's attacks it is the report of any run, and there are no tables.
+
+    Returns:
+        The page's path.
+
+    Raises:
+        StoredFileError: nothing was scored yet, or a file is damaged; names the file.
+        ConfigurationError: the scores do not belong together.
+        RunFolderError: the page or the tables cannot be written, or `tables/` may not be ours.
+    """
+    results = Results.open(run_folder)
+    layout = Layout(results.folder)
+    with alone(layout.tables):
+        if layout.tables.exists() and not layout.results.exists():
+            raise RunFolderError(
+                f"{layout.tables} is there without a results.json beside it, so it may not be of "
+                "skyproof and is not replaced; move it away."
+            )
+        part = paper_part(results)
+        if part is None:
+            return write_report(results)
+        page = write_report(results, sections=[Section("Beside the paper", part.html)])
+        for name, content in part.files.items():
+            write_bytes(layout.tables / name, content)
+    return page
+
+
+@dataclass(frozen=True)
+class PaperPart:
+    """What a report shows of the paper.
+
+    Attributes:
+        html: tables, figure and text for the page.
+        files: what is written beside it, by file name, the page in Markdown last.
+    """
+
+    html: Markup
+    files: Mapping[str, bytes]
+
+
+def paper_part(results: Results) -> PaperPart | None:
+    """Sets a run beside the paper; None where too few of the paper's attacks were scored.
+
+    Raises:
+        ConfigurationError: the magnitudes of a shape were judged by different detectors.
+    """
+    run = Reproduction(results)
+    if not run.comparable:
+        return None
+    tables = reproduction_tables(run)
+    figures = {
+        "easr_vs_pr": easr_against_practicality(run),
+        "colours": colour_figure(run),
+        "variability": variability_figure(run),
+        **looks_figures(run),
+    }
+    figures |= {f"judges-{table}": judges_figure(run, table) for table in run.judges}
+    if "embedding_points" in tables:
+        figures["embeddings"] = embedding_figure(tables["embedding_points"], tables["embeddings"])
+    if "weather" in tables:
+        figures["weather"] = weather_figure(tables["weather"])
+    # Where a run lacks what a figure shows there is none.
+    blocks = [
+        block
+        for block in paper_sections(run, tables)
+        if not isinstance(block, Figure) or figures[block.name]
+    ]
+    files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
+    files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
+    files["shape_combined.md"] = (shape_table(tables["shape_combined"]).markdown() + "\n").encode()
+    files |= {
+        f"{name}.{ending}": picture
+        for name, pictures in figures.items()
+        for ending, picture in pictures.items()
+    }
+    files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(list(tables))]).encode()
+    drawn = {
+        name: Markup(_inline(pictures["svg"].decode()))
+        for name, pictures in figures.items()
+        if pictures
+    }
+    return PaperPart(Markup("\n").join(_html(block, drawn) for block in blocks), files)
+
+
+def _preamble(run: Reproduction) -> list[Block]:
+    """Says what stands above the tables where they are a page of their own."""
+    title = run.results.config.title or "The paper’s tables"
+    gate = " ".join(read_gate(run.results).sentences)
+    parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
+    scores = standing(run)
+    checked = f" (AP with centres within 1 m: {scores})" if scores else ""
+    real = any(check.real for check in run.results.checks)
+    if run.results.sources == ["procedural"] and not real:
+        parts.append(
+            "**Synthetic data only.** Ground and vehicles are computer-generated, and the "
+            f"detectors were trained and checked on such images alone{checked}, not on real ones. "
+            "The numbers say how attacks compare in that world; they are not evidence about real "
+            "imagery."
+        )
+    else:
+        parts.append(
+            f"Every vehicle that is tested is computer-generated{checked}. The numbers say how "
+            "attacks compare on rendered vehicles; they are not evidence about painted ones."
+        )
+    return [*parts, *_about(run)]
+
+
+def _about(run: Reproduction) -> list[Block]:
+    about = run.results.environment
+    if not about:
+        return []
+    versions = [f"{name} {about.get(name) or '–'}" for name in ("skyproof", "commit", "torch")]
+    commands = "; ".join(f"`{command}`" for command in about.get("commands", []))
+    lines = [
+        f"- {commands}",
+        f"- {', '.join(versions)}",
+        f"- {about.get('cores') or '–'} cores of {about.get('cpu') or '–'}, device "
+        f"{about.get('device') or '–'}; started {about.get('started') or '–'}",
+    ]
+    if run.hours:
+        lines.append(f"- all jobs together {run.hours:.1f} h")
+    return ["\n".join(lines)]
+
+
+def _files(names: Sequence[str]) -> list[Block]:
+    return [Heading("Files"), "\n".join(f"- [{name}.csv]({name}.csv)" for name in names)]
+
+
+def _html(block: Block, drawn: Mapping[str, Markup]) -> Markup:
+    if isinstance(block, Heading):
+        level = block.level + 1
+        return Markup("<h{0}>{1}</h{0}>").format(level, block.text)
+    if isinstance(block, Figure):
+        return Markup(
+            '<figure class="wide"><div class="scroll">{}</div><figcaption>{}</figcaption></figure>'
+        ).format(drawn[block.name], block.caption)
+    if isinstance(block, Grid):
+        return _grid(block)
+    return Markup("<p>{}</p>").format(block)
+
+
+def _grid(grid: Grid) -> Markup:
+    head = Markup("").join(Markup("<th>{}</th>").format(cell) for cell in grid.header)
+    lines = [
+        Markup("<tr>{}</tr>").format(
+            Markup("").join(Markup("<td>{}</td>").format(_breakable(cell)) for cell in row)
+        )
+        for row in grid.rows
+    ]
+    return Markup(
+        '<div class="scroll"><table class="plain"><thead><tr>{}</tr></thead>\n'
+        "<tbody>{}</tbody></table></div>"
+    ).format(head, Markup("\n").join(lines))
+
+
+def _breakable(cell: str) -> Markup:
+    """An interval goes below its value."""
+    value, bracket, limits = cell.partition(" (")
+    if not bracket:
+        return escape(cell)
+    return Markup('{}<br><span class="soft">({}</span>').format(value, limits)
+
+
+def _inline(svg: str) -> str:
+    return re.sub(r"^.*?(?=<svg)", "", svg, flags=re.DOTALL)

@@ -1,0 +1,154 @@
+"""A run's results as the paper arranges them.
+
+They stand by attack, each at its best magnitude, beside the paper's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.files import is_leftover
+from skyproof.layout import Layout
+from skyproof.reproduction.curves import Curve, curve_families, practicality_curve
+from skyproof.reproduction.paper_results import PAPER_RESULTS
+from skyproof.reproduction.stored_features import Features, read_features
+from skyproof.reproduction.stored_looks import Looks, read_looks
+from skyproof.reproduction.stored_trainings import Training, read_trainings
+from skyproof.results.results import CYCLES, RENDERER, Results
+from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.stored import AttackRecord, Practicality
+
+_FEWEST = 3
+
+
+class Reproduction:
+    """Results with the curves of EASR against practicality that the paper's tables need.
+
+    Args:
+        results: of a run.
+
+    Attributes:
+        results: what was given.
+        detectors: in the order of the results.
+        cycles: whether anything was scored on Cycles.
+        names: of all camouflages, without repeats.
+        records: by attack with its repeat, what was recorded while it was learnt.
+        judges: by table, the results of detectors that only judge, as far as they are there.
+        looks_folder: the folder that says what camouflages look like.
+    """
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        self.detectors = results.judges
+        self.cycles = CYCLES in results.renderers
+        self.names = [str(name) for name in results.names]
+        self.records: Mapping[str, AttackRecord] = results.records
+        self.judges = _judges(Layout(results.folder))
+        self.looks_folder = results.folder / "looks"
+
+    @property
+    def comparable(self) -> bool:
+        """Whether enough of the paper's attacks were scored to set them beside its tables."""
+        learnt = [name for name in self.results.names if not name.random]
+        ours = {*map(str, learnt), *(name.family for name in learnt)}
+        return RENDERER in self.results.renderers and len(ours & set(PAPER_RESULTS)) >= _FEWEST
+
+    def row(
+        self, name: str, detector: str | None = None, *, renderer: str = RENDERER
+    ) -> Row | None:
+        """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
+        return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
+
+    def practicality(self, name: str) -> Practicality | None:
+        """Says what a camouflage asks of those who would make it; None where not measured."""
+        return self.results.practicality.get(CamouflageName.read(name))
+
+    def corrected_p(self, name: str) -> dict[str, float | None]:
+        """Finds by test the largest Holm-corrected p of the detectors; None where one is untested.
+
+        The tests are those that `Row.json` has under these names.
+        """
+        rows = [self.row(name, detector) for detector in self.detectors]
+        told = [{} if row is None else row.json() for row in rows]
+        tests = ("control_p_holm", "unlearnt_p_holm", "no_camouflage_p_holm")
+        return {test: _largest([row.get(test) for row in told]) for test in tests}
+
+    @cached_property
+    def curves(self) -> dict[str, Curve]:
+        """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
+        tiles = self.results.tiles
+        return {
+            family: practicality_curve(
+                tiles, family, generator=np.random.default_rng(0), match=MAIN_MATCH
+            )
+            # S-O first, as in the paper.
+            for family in sorted(curve_families(tiles), key=lambda family: family != "S-O")
+        }
+
+    @cached_property
+    def best(self) -> dict[str, str]:
+        """Per attack with a shape, the name of what stands at its PM*."""
+        return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
+
+    @cached_property
+    def trainings(self) -> list[Training]:
+        """Every training of the detectors that was scored, the run's own first.
+
+        Raises:
+            ConfigurationError: they do not belong together.
+        """
+        results = self.results
+        return read_trainings(results.folder, Training(0, results.tiles, results.detectors))
+
+    @cached_property
+    def looks(self) -> Looks | None:
+        """What textures look like; None where it was not measured.
+
+        Raises:
+            StoredFileError: `looks.json` is damaged.
+        """
+        return read_looks(self.looks_folder)
+
+    @cached_property
+    def features(self) -> list[Features]:
+        """What is stored of the detectors' features; empty where nothing is.
+
+        Raises:
+            StoredFileError: the table of features is damaged.
+        """
+        path = self.results.folder / "features.parquet"
+        return read_features(path) if path.exists() else []
+
+    @property
+    def hours(self) -> float | None:
+        """The hours that all stages took together; None where not known."""
+        seconds = [row.seconds for row in self.results.timings]
+        return sum(seconds) / 3600 if seconds else None
+
+
+def point_name(family: str, magnitude: float) -> str:
+    """Says what stands at one point of a curve; at magnitude 0 it is the texture.
+
+    "S-O@0", the vehicle as it was, is never scored.
+    """
+    if magnitude > 0 or family == "S-O":
+        return f"{family}@{magnitude:g}"
+    return "T-" + family.split("-")[1]
+
+
+def _judges(layout: Layout) -> dict[str, Results]:
+    """Reads what was scored of each table; one whose scores are still to come is left out."""
+    if not layout.judges.is_dir():
+        return {}
+    tables = sorted(path for path in layout.judges.iterdir() if not is_leftover(path))
+    scored = [path for path in tables if any(Layout(path).scores.glob("*/score.json"))]
+    return {path.name: Results.open(path) for path in scored}
+
+
+def _largest(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None

@@ -1,0 +1,265 @@
+"""Headline attacks on several trainings of every detector: what of them is one training's luck."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.reproduction.cells import Block, Grid, Heading, Table, bracket, interval_cells, number
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.reproduction.stored_trainings import Training
+from skyproof.results.pairs.tiles import Cell, Series
+from skyproof.results.repeats import repeat_of
+from skyproof.results.results import RENDERER
+from skyproof.results.rows import MAIN_MATCH, MEAN
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
+from skyproof.results.statistics.sample import Sample
+from skyproof.words import detector_name
+
+
+def trainings_tables(run: Reproduction) -> list[Table]:
+    """Gives EASR and net EASR of every attack that was learnt on every training.
+
+    One row per detector, and one for their mean. Nothing is said of a run with one training.
+
+    Raises:
+        ConfigurationError: the trainings do not belong together.
+    """
+    trainings = run.trainings
+    if len(trainings) < 2:
+        return []
+    beside = _Beside.of(trainings)
+    detectors = run.detectors
+    labels = [(detector, [detector]) for detector in detectors]
+    if len(detectors) > 1:
+        labels.append((MEAN, list(detectors)))
+    rows = [
+        beside.row(name, label, chosen)
+        for name in run.results.names
+        if not name.random and not name.variant and beside.shared(name, detectors)
+        for label, chosen in labels
+    ]
+    return [Table("trainings", rows)]
+
+
+def trainings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """Says how far trainings lie apart; empty with one training of each detector."""
+    if "trainings" not in tables:
+        return []
+    rows = tables["trainings"].rows
+    trainings = run.trainings
+    heading = Heading("Other trainings of the detectors")
+    if not rows:
+        return [heading, "No attack was learnt on every training yet."]
+    numbers = [training.number for training in trainings]
+    others = " and ".join(map(str, numbers[1:]))
+    seeds = max(row["seeds"] for row in rows)
+    text = (
+        f"All else on this page is about one training of each detector, number 0. Number {others} "
+        f"learnt from the same images by the same recipe ({_recipe(trainings[0])}), from other "
+        f"seeds ({_standing(trainings)}). Every attack was learnt on each anew, "
+        f"{'once' if seeds == 1 else f'from {seeds} seeds'}. EASR of each training, and their mean "
+        "with an interval that covers tiles, vehicles and trainings; what seeds do is a part of "
+        "how trainings differ. SE are standard errors by what was drawn, in points."
+    )
+    net = (
+        "Net of the random control; its draws are the same for every training, and the intervals "
+        "cover them, too:"
+    )
+    return [
+        heading,
+        text,
+        _grid(rows, numbers, "easr", ("tile", "vehicle", "training")),
+        net,
+        _grid(
+            [row for row in rows if row["net_easr"] is not None],
+            numbers,
+            "net_easr",
+            ("tile", "vehicle", "draw", "training"),
+        ),
+    ]
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Trainings on one sample of tiles and vehicles."""
+
+    counts: Sequence[Mapping[Series, np.ndarray]]
+    numbers: Sequence[int]
+    sample: Sample
+
+    @classmethod
+    def of(cls, trainings: Sequence[Training]) -> _Beside:
+        cells = _shown(trainings[0])
+        every = []
+        for training in trainings:
+            place = {cell: row for row, cell in enumerate(training.tiles.cells)}
+            rows = [place[cell] for cell in cells]
+            every.append(
+                {
+                    key: counts[rows, 1:]
+                    for key, counts in training.tiles.series.items()
+                    if (key.renderer, key.match) == (RENDERER, MAIN_MATCH)
+                }
+            )
+        sample = Sample.draw(cells, generator=np.random.default_rng(0))
+        return cls(every, [training.number for training in trainings], sample)
+
+    def shared(self, name: CamouflageName, detectors: Sequence[str]) -> list[str]:
+        """Lists the repeats or draws of a camouflage that these detectors of all trainings saw."""
+        known = dict.fromkeys(key.camouflage for key in self.counts[0])
+        return [
+            camouflage
+            for camouflage in known
+            if CamouflageName.read(camouflage).pooled == name
+            and all(_key(camouflage, d) in counts for counts in self.counts for d in detectors)
+        ]
+
+    def row(self, name: CamouflageName, label: str, detectors: Sequence[str]) -> dict[str, Any]:
+        """Gives one attack's rates before some detectors, in percent and points."""
+        repeats = self.shared(name, detectors)
+        draws = self.shared(name.control, detectors)
+        learnt = self._group(repeats, detectors)
+        easr = mean_interval(learnt, self.sample)
+        rates = self._rates(learnt, len(repeats))
+        row: dict[str, Any] = {
+            "attack": str(name),
+            "detector": label,
+            "trainings": len(self.numbers),
+            "seeds": len(repeats),
+            **self._columns("easr", easr, rates.mean(axis=1)),
+            "easr_seed_se": _seed_error(rates),
+            "random_draws": len(draws),
+        }
+        if not draws:
+            return row | {"random_easr": None, "net_easr": None}
+        drawn = self._group(draws, detectors)
+        net = difference_interval([learnt], [drawn], self.sample)
+        random = self._rates(drawn, len(draws)).mean(axis=1)
+        row["random_easr"] = 100 * float(random.mean())
+        row |= self._columns("net_easr", net, rates.mean(axis=1) - random)
+        return row | {"net_easr_draw_se": _points(net.errors.get(DRAWS.name))}
+
+    def _group(self, camouflages: Sequence[str], detectors: Sequence[str]) -> Group:
+        """Gathers series by training, repeat and detector.
+
+        Draws are the same for all trainings. Seeds are each training's own: how far trainings lie
+        apart has them in it, and they are not counted again.
+        """
+        stack = []
+        repeats: list[list[Repeat]] = []
+        for training, counts in zip(self.numbers, self.counts, strict=True):
+            for camouflage in camouflages:
+                own = repeat_of(camouflage)
+                crossed = [own] if own.kind == DRAWS else []
+                for detector in detectors:
+                    stack.append(counts[_key(camouflage, detector)])
+                    repeats.append([*crossed, Repeat("detectors", str(training), TRAININGS)])
+        return Group(np.stack(stack), repeats)
+
+    def _rates(self, group: Group, repeats: int) -> Float[np.ndarray, "K R"]:
+        """Gives EASR by training and repeat, mean over the detectors."""
+        rates = overall_attack_success_rate(group.counts.sum(axis=1))
+        by_repeat: Float[np.ndarray, "K R"] = rates.reshape(len(self.numbers), repeats, -1).mean(
+            axis=-1
+        )
+        return by_repeat
+
+    def _columns(
+        self, name: str, interval: Interval, rates: Float[np.ndarray, " K"]
+    ) -> dict[str, Any]:
+        errors = interval.errors
+        return {
+            **{
+                f"{name}_training_{each}": 100 * float(rate)
+                for each, rate in zip(self.numbers, rates, strict=True)
+            },
+            **interval_cells(name, interval, 100.0),
+            f"{name}_training_sd": 100 * float(rates.std(ddof=1)),
+            f"{name}_tile_se": _points(errors.get("tiles")),
+            f"{name}_vehicle_se": _points(errors.get("vehicles")),
+            f"{name}_training_se": _points(errors.get(TRAININGS.name)),
+        }
+
+
+def _key(camouflage: str, detector: str) -> Series:
+    return Series(camouflage, RENDERER, detector, MAIN_MATCH)
+
+
+def _shown(training: Training) -> list[Cell]:
+    counts = [
+        counts[:, 0] for key, counts in training.tiles.series.items() if key.renderer == RENDERER
+    ]
+    seen = np.max(counts, axis=0) > 0
+    return [cell for cell, here in zip(training.tiles.cells, seen, strict=True) if here]
+
+
+def _seed_error(rates: Float[np.ndarray, "K R"]) -> float | None:
+    """Gives the part of the trainings' standard error that seeds make, in points."""
+    trainings, seeds = rates.shape
+    if seeds < 2:
+        return None
+    return 100 * math.sqrt(float(rates.var(axis=1, ddof=1).mean()) / (trainings * seeds))
+
+
+def _points(error: float | None) -> float | None:
+    return None if error is None else 100 * error
+
+
+def _grid(
+    rows: Sequence[Mapping[str, Any]], numbers: Sequence[int], name: str, errors: Sequence[str]
+) -> Block:
+    if not rows:
+        return "No random control was scored on every training."
+    words = {"easr": "EASR", "net_easr": "net EASR"}
+    header = [
+        "attack",
+        "detector",
+        *(f"training {each}" for each in numbers),
+        words[name],
+        *(f"SE by {each}s" for each in errors),
+    ]
+    cells = [
+        [
+            row["attack"],
+            "mean" if row["detector"] == MEAN else detector_name(row["detector"]),
+            *(number(row[f"{name}_training_{each}"]) for each in numbers),
+            bracket(row, name),
+            *(number(row[f"{name}_{each}_se"]) for each in errors),
+        ]
+        for row in rows
+    ]
+    return Grid(header, cells)
+
+
+def _recipe(training: Training) -> str:
+    """How long the detectors were trained, and on how much."""
+    told = []
+    for name, facts in training.detectors.items():
+        steps = facts.training.identity.settings.get("steps")
+        if steps is not None:
+            told.append(f"{detector_name(name)} {steps:,.0f} steps")
+    images = next((facts.training.images for facts in training.detectors.values()), None)
+    if images is not None:
+        told.append(f"{images:,} images")
+    return ", ".join(told) or "not recorded"
+
+
+def _standing(trainings: Sequence[Training]) -> str:
+    """What every training of a detector reached in validation."""
+    told = []
+    for name in trainings[0].detectors:
+        facts = [training.detectors.get(name) for training in trainings]
+        scores = [None if each is None else each.validation.ap_centre_1m for each in facts]
+        shown = [number(None if score is None else 100 * score) for score in scores]
+        told.append(f"{detector_name(name)} {', '.join(shown)}")
+    return "AP in validation, in percent: " + "; ".join(told)

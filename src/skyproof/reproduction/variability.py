@@ -1,0 +1,209 @@
+"""Attacks from several starts: how alike their textures are, and whom they hide."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.reproduction.agreement import percentile_interval
+from skyproof.reproduction.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Table,
+    bracket,
+    interval_cells,
+    number,
+)
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.reproduction.stored_looks import PairLooks
+from skyproof.results.results import RENDERER
+from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.statistics.intervals import Interval
+
+_LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
+_MISSING = (
+    "How alike repeats of an attack are was not measured in this run; skyproof score without "
+    "--detectors does that."
+)
+
+
+def variability_tables(run: Reproduction) -> list[Table]:
+    """Says of textures with several starts how alike they are; empty where not measured."""
+    pairs = _pairs(run)
+    learnt = [name for name in pairs if not name.random]
+    if not learnt:
+        return []
+    rows = []
+    starts = []
+    for name in learnt:
+        names = _starts(pairs[name])
+        agreed = _agreement(run, names)
+        rows.append(
+            {
+                "attack": str(name),
+                "starts": len(names),
+                **_likeness("", pairs[name]),
+                **_likeness("random_", pairs.get(name.control, [])),
+                **({} if agreed is None else interval_cells("agreement", agreed)),
+            }
+        )
+        for each in names:
+            easr = run.results.single_interval(each)
+            told = {} if easr is None else interval_cells("easr", easr, 100.0)
+            starts.append({"attack": each, **told})
+    return [Table("variability", rows), Table("starts", starts)]
+
+
+def variability_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
+    """Says how alike starts are; in one sentence that nothing was measured, where that is so."""
+    heading = Heading("From several starts")
+    if "variability" not in tables:
+        return [heading, _MISSING]
+    rows = [
+        [
+            row["attack"],
+            str(row["starts"]),
+            *(
+                cell
+                for key, digits in (("correlation", 2), ("distance", 0))
+                for level in ("", "seen_")
+                for cell in (
+                    _mean(row, f"{level}{key}", digits),
+                    number(row[f"random_{level}{key}"], digits),
+                )
+            ),
+            bracket(row, "agreement", digits=2),
+        ]
+        for row in tables["variability"].rows
+    ]
+    header = ["texture", "starts"]
+    for what in ("correlation", "ΔE"):
+        for level in ("of texels", "of 4 × 4"):
+            header += [f"{what} {level}", "random"]
+    parts: list[Block] = [
+        heading,
+        "How alike the textures are that one attack ends with from different seeds, over all "
+        "pairs of them: correlation of the texels (per channel, mean of the three; 0 where they "
+        "have nothing to do with each other) and mean distance of their colours in CIELAB (ΔE; "
+        "2.3 can just be noticed), each texel by its area on the test vehicles. “of 4 × 4” is the "
+        "same of blocks of 4 × 4 texels averaged in linear light, which is what the renderer reads "
+        "most: an attack hardly tells finer detail from what it was drawn as. “random” is the same "
+        "among draws of the random control. “hidden alike” correlates, over the vehicles that a "
+        "detector found before, which of them two starts hide (mean over pairs and detectors; 95 % "
+        "interval over background tiles); it is undefined where a start hides all.",
+        Grid([*header, "hidden alike"], rows),
+    ]
+    name = most_starts(run)
+    if name is not None:
+        starts = [
+            [row["attack"], bracket(row, "easr")]
+            for row in tables["starts"].rows
+            if CamouflageName.read(row["attack"]).pooled == name
+        ]
+        parts += [
+            f"The starts of {name} one by one, with intervals over tiles and vehicles:",
+            Grid(["start", "EASR, %"], starts),
+            Figure(
+                "variability",
+                f"{name} from its starts, each as its map (nose up, roof in the middle, the "
+                "underside, which nobody sees, at both sides), and the correlations of 4 × 4 "
+                "texels between them",
+            ),
+        ]
+    return parts
+
+
+def most_starts(run: Reproduction) -> CamouflageName | None:
+    """Names the texture that was learnt from most starts; the first of equals."""
+    pairs = _pairs(run)
+    learnt = [name for name in pairs if not name.random]
+    return max(learnt, key=lambda name: len(pairs[name])) if learnt else None
+
+
+def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
+    """Gathers by texture, learnt or drawn, every two of its repeats."""
+    looks = run.looks
+    found: dict[CamouflageName, list[PairLooks]] = {}
+    for pair in [] if looks is None else looks.pairs:
+        found.setdefault(CamouflageName.read(pair.first).pooled, []).append(pair)
+    return found
+
+
+def _starts(pairs: Sequence[PairLooks]) -> list[str]:
+    return list(dict.fromkeys(name for pair in pairs for name in (pair.first, pair.second)))
+
+
+def _likeness(prefix: str, pairs: Sequence[PairLooks]) -> dict[str, Any]:
+    """Means and extremes over pairs; None where undefined."""
+    row: dict[str, Any] = {}
+    for key in _LIKENESS:
+        values = [value for pair in pairs if (value := getattr(pair, key)) is not None]
+        row[f"{prefix}{key}"] = fmean(values) if values else None
+        row[f"{prefix}{key}_min"] = min(values, default=None)
+        row[f"{prefix}{key}_max"] = max(values, default=None)
+    return row
+
+
+def _mean(row: Mapping[str, Any], key: str, digits: int) -> str:
+    low, high = row[f"{key}_min"], row[f"{key}_max"]
+    if row["starts"] < 3 or low is None:
+        return number(row[key], digits)
+    return f"{number(row[key], digits)} ({number(low, digits)} to {number(high, digits)})"
+
+
+def _agreement(run: Reproduction, names: Sequence[str]) -> Interval | None:
+    """Correlates which vehicles two starts hide, mean over pairs and detectors.
+
+    Vehicles on one tile that are one of the fleet count together, by the share of them hidden.
+
+    Returns:
+        With the 95 % interval over resampled tiles; None where a start was not scored.
+    """
+    by_detector: dict[str, list[Int[np.ndarray, "N 4"]]] = {}
+    for key, counts in run.results.tiles.series.items():
+        if key.camouflage in names and (key.renderer, key.match) == (RENDERER, MAIN_MATCH):
+            by_detector.setdefault(key.detector, []).append(counts)
+    sums = [
+        _sums(first, second)
+        for series in by_detector.values()
+        for first, second in itertools.combinations(series, 2)
+    ]
+    if not sums:
+        return None
+    stacked = np.stack(sums)
+    whole = _correlations(stacked.sum(axis=1))
+    if np.isnan(whole).all():
+        return Interval(float("nan"), float("nan"), float("nan"))
+    # The mean of those pairs that have a correlation, in every replicate the same ones.
+    known = ~np.isnan(whole)
+    halves = np.split(stacked[known], 2, axis=-1)
+    sums_drawn = np.concatenate([run.results.sample.replicates(half) for half in halves], axis=-1)
+    drawn = _correlations(sums_drawn).mean(axis=-1)
+    return percentile_interval(float(whole[known].mean()), drawn)
+
+
+def _sums(
+    first: Int[np.ndarray, "N 4"], second: Int[np.ndarray, "N 4"]
+) -> Float[np.ndarray, "N 6"]:
+    """Gives per cell what a correlation of two shares hidden needs, by the vehicles found."""
+    found = (first[:, 1] + first[:, 2]).astype(float)
+    one, other = (counts[:, 2] / np.maximum(found, 1) for counts in (first, second))
+    columns = (np.ones_like(found), one, other, one**2, other**2, one * other)
+    return np.stack([found * column for column in columns], axis=1)
+
+
+def _correlations(sums: Float[np.ndarray, "*S 6"]) -> Float[np.ndarray, "*S"]:
+    """Gives Pearson's correlations; nan where one side does not vary."""
+    count, one, other, ones, others, products = np.moveaxis(sums, -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        together = products / count - one * other / count**2
+        spread = (ones / count - (one / count) ** 2) * (others / count - (other / count) ** 2)
+        return np.where(spread > 1e-12, together / np.sqrt(spread), np.nan)
