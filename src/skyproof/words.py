@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 NAMES = {
     "retinanet": "RetinaNet",
     "faster_rcnn": "Faster R-CNN",
@@ -27,6 +29,14 @@ def body_name(name: str) -> str:
 def renderer_name(name: str) -> str:
     """A renderer in words."""
     return _RENDERERS.get(name, name)
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence: "a, b and c"; "nothing" for none."""
+    if not words:
+        return "nothing"
+    *before, last = words
+    return f"{', '.join(before)} and {last}" if before else last
 
 
 def percent(fraction: float | int | None, digits: int = 0) -> str:

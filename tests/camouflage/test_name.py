@@ -203,3 +203,32 @@ def test_a_combination_has_its_own_texture_under_random_shapes():
     assert CamouflageName.parse("R-C-Fc-seq@0.2").drawn_shape is None
     with pytest.raises(ConfigurationError, match=r"only R-C-Fc@0.2_best is chosen"):
         CamouflageName.parse("R-C-Fc-seq@0.2_best")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("T-U", "free texture on the whole vehicle"),
+        ("T-PixFcMa", "blocks in ground colours on painted panels"),
+        ("T-PixLc-1", "blocks in a few optimised colours on the whole vehicle"),
+        ("S-O@0.2", "changed shape (up to 20\u202f% of the width)"),
+        (
+            "C-PixFc-seq@0.2",
+            "blocks in ground colours on the whole vehicle, with a changed shape "
+            "(up to 20\u202f% of the width)",
+        ),
+        ("R-Ma_plain", "best plain paint on painted panels"),
+        ("R-S-O@0.4_plain", "own paint, every vertex out up to 40\u202f% of the width"),
+        (
+            "R-PixFc_best",
+            "best of many random draws: blocks in ground colours on the whole vehicle",
+        ),
+        ("R-Pix_search", "random search: texture in blocks on the whole vehicle"),
+        ("R-U-3", "random: free texture on the whole vehicle"),
+        ("T-U_transfer", "free texture on the whole vehicle, optimised on other detectors"),
+        ("T-U_asked", "free texture on the whole vehicle, by a query attack"),
+        ("winter_white", "winter_white"),
+    ],
+)
+def test_a_camouflage_is_told_in_words(name, words):
+    assert CamouflageName.read(name).in_words == words

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
-from skyproof.report.queries import ByAnswers
+from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
 from skyproof.results.pairs.tiles import TileCounts, read_tiles, write_tiles
 from skyproof.results.results import Results
@@ -66,10 +66,10 @@ def test_a_detector_that_loses_most_is_rejected(run_folder):
     share, low = said["T-U"]["share"], said["T-U"]["at_least"]
     assert 0.2 < low < share < said["T-U"]["at_most"]
     assert f"RetinaNet is REJECTED: T-U, the only attack, hides {100 * share:.0f}" in page
-    assert "one that loses 40 % rejected" in page
+    assert "reject one that loses 40 %" in page
     assert verdict["requirement"]["reject"] == 0.4
     assert verdict["alarms"] == []
-    assert page.index("REJECTED") < page.index("Worth attacking?") < page.index("what decides")
+    assert page.index("REJECTED") < page.index("State of the") < page.index("verdict rests on")
 
 
 def keep(key, counts):
@@ -83,7 +83,7 @@ def test_a_detector_that_loses_next_to_nothing_is_accepted(run_folder):
     change_tiles(run_folder, keep)
     page, verdict = asked(run_folder, STRICT)
     assert [each["answer"] for each in verdict["detectors"]] == ["accepted", "accepted"]
-    assert "Faster R-CNN is ACCEPTED: every attack hides surely less than 40 %" in page
+    assert "Faster R-CNN is ACCEPTED: every attack hides significantly less than 40 %" in page
 
 
 def test_in_between_it_says_how_many_more_vehicles_decide(run_folder):
@@ -111,7 +111,7 @@ def test_it_says_what_imagery_would_decide_or_that_none_would(run_folder):
     Layout(run_folder).scenes("test").parent.mkdir(exist_ok=True)
     more = int(re.search(r"on ([\d,]+) more tiles", said(60))[1].replace(",", ""))
     tiles = len({tile for tile, _ in Results.open(run_folder).tiles.cells})
-    assert f" {tiles + more} test scenes do not stand on so many" in said(tiles + more)
+    assert f" {tiles + more} test scenes cannot show so many" in said(tiles + more)
     enough = tiles_to_show(tiles + more, tiles + more + 100)
     assert enough > tiles + more
     assert f"Imagery with about {enough:,} test tiles" in said(tiles + more + 100)
@@ -123,8 +123,8 @@ def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
     checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
     page, verdict = asked(run_folder, LENIENT)
     assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
-    assert "RetinaNet: no verdict, because it failed the check: " in page
-    assert "Faster R-CNN: no verdict, because nothing says whether it is worth attacking" in page
+    assert "RetinaNet: no verdict, because it failed the precheck: " in page
+    assert "Faster R-CNN: no verdict, because no precheck of it is here" in page
     assert all(not each["attacks"] for each in verdict["detectors"])
 
 
@@ -140,7 +140,7 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})
     doubted = _doubted(ruling, requirement)
     assert (doubted.answer, doubted.more_vehicles) == ("undecided", None)
-    assert "but its gradients mislead attacks" in doubted.sentences[0]
+    assert "but the detector masks its gradients" in doubted.sentences[0]
     assert doubted.sentences[1:] == ["T-U hides 0 %."]
     rejected = Ruling("mine", "rejected", ["mine is REJECTED: so."], 0, {})
     assert _doubted(rejected, requirement) is rejected
@@ -149,13 +149,13 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
 def test_the_verdict_holds_the_alarms(run_folder, monkeypatch):
     change_tiles(run_folder, keep)
     alarm = "T-U hides 0 % where it follows the detector’s gradients, and 80 % by its answers."
-    found = ByAnswers([], Markup(""), only=False, alarms=[alarm], told="Masking alarm.")
-    monkeypatch.setattr("skyproof.report.report.by_answers", lambda _: found)
+    found = QueryPart([], Markup(""), only=False, alarms=[alarm], told="Masking alarm.")
+    monkeypatch.setattr("skyproof.report.report.query_part", lambda _: found)
     page, verdict = asked(run_folder, STRICT)
     assert [each["answer"] for each in verdict["detectors"]] == ["undecided", "undecided"]
     assert verdict["alarms"] == [alarm]
     assert "ACCEPTED" not in page
-    assert "RetinaNet is UNDECIDED: every attack hides surely less than 40 %, but its" in page
+    assert "RetinaNet is UNDECIDED: every attack hides significantly less than 40 %, but" in page
 
 
 def test_what_was_asked_once_is_asked_again(run_folder):
@@ -168,7 +168,7 @@ def test_what_was_asked_once_is_asked_again(run_folder):
 
 def test_nobody_asked(run_folder):
     page = words_of(write_report(run_folder).read_text())
-    assert "Accepted or rejected" not in page
+    assert "verdict rests on" not in page
     assert not (run_folder / "verdict.json").exists()
 
 

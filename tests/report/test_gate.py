@@ -49,13 +49,14 @@ def test_who_failed_the_check_is_no_witness_that_the_ground_is_clear(run_folder)
     write_json(run_folder / "backgrounds/clearing.json", clearing)
     checked(run_folder, "retinanet", {})
     trusted = first_lines(write_report(run_folder).read_text())
-    assert "7 vehicles that stood in the photographs were removed" in trusted
-    assert "That none is left" not in trusted
+    assert "7 vehicles were removed from the photographs" in trusted
+    assert "searched for remaining vehicles" not in trusted
     (run_folder / "detectors/retinanet/precheck.json").unlink()
     checked(run_folder, "retinanet", {("paint_body", "#ffffff"): Interval(0.6, 0.5, 0.7)})
     doubted = first_lines(write_report(run_folder).read_text())
     assert (
-        "That none is left RetinaNet told, which failed its check: look at backgrounds" in doubted
+        "RetinaNet searched for remaining vehicles, but it failed its precheck. Look at backgrounds"
+        in doubted
     )
 
 
@@ -97,16 +98,18 @@ def checked(folder, detector, hidden, *, threshold=THRESHOLD, scenes=(60, "")):
 
 
 def told(folder):
-    return first_lines(write_report(folder).read_text())
+    """The page up to the attacks."""
+    text = words_of(write_report(folder).read_text()).replace("\u202f", " ")
+    return text[: text.index("What each attack hides")]
 
 
 def test_detectors_that_were_not_checked_are_named_first(run_folder):
     lines = told(run_folder)
-    unchecked = "was not checked: nothing in this run folder says whether it is worth attacking"
+    unchecked = ": no precheck."
     for name in ("RetinaNet", "Faster R-CNN"):
-        assert f"{name} {unchecked}" in lines
+        assert f"{name}{unchecked}" in lines
     assert lines.index(unchecked) < lines.index("Synthetic")
-    assert "are the detectors worth attacking?" not in words_of(
+    assert "is the detector worth attacking?" not in words_of(
         (run_folder / "report.html").read_text()
     )
 
@@ -117,15 +120,15 @@ def test_passed_and_failed_are_named_first_with_the_worst_finding(run_folder):
     checked(run_folder, "faster_rcnn", {})
     lines = told(run_folder)
     assert (
-        "Worth attacking? RetinaNet FAILED the check: 1 of 27 plain paints on "
+        "RetinaNet: precheck FAILED. 1 of 27 plain paints on "
         "body panels hides more than 5 %; the worst, RGB (128, 128, 0), hides 97 % (90 to 99 %). "
-        "Faster R-CNN passed the check: "
+        "Faster R-CNN: precheck passed. "
     ) in lines
     assert (
         "The frozen threshold of RetinaNet, 0.50, does not carry over to KIT: recall 47 % at "
         "precision 98 %; the best one there, 0.31, has 90 % at 95 %."
     ) in lines
-    assert "may do so for the same reason" in lines
+    assert "may lose vehicles for the reason" in lines
     page = (run_folder / "report.html").read_text()
     assert page.count('class="swatch failed" style="background:#808000') == 1
     assert page.count('class="swatch passed"') == 4 * 27 - 1
@@ -148,8 +151,8 @@ def test_a_threshold_left_to_chance_is_told_though_the_check_is_passed(run_folde
 def test_borderline_is_neither(run_folder):
     checked(run_folder, "retinanet", {("paint_whole", "#ffff00"): Interval(0.08, -0.01, 0.2)})
     lines = told(run_folder)
-    assert "RetinaNet is borderline in the check: 1 of 27" in lines
-    assert "may do so for the same reason" not in lines
+    assert "RetinaNet: precheck borderline. 1 of 27" in lines
+    assert "may lose vehicles for the reason" not in lines
 
 
 def test_a_check_on_other_scenes_than_the_runs_is_told(run_folder):
@@ -159,18 +162,18 @@ def test_a_check_on_other_scenes_than_the_runs_is_told(run_folder):
     write_scenes(run_folder / "scenes" / "test.jsonl", scenes)
     # The check takes the first of the run's scenes; in others a single number may differ.
     checked(run_folder, "retinanet", {}, scenes=(3, scenes_digest(scenes[:3])))
-    assert "checked before" not in told(run_folder)
+    assert "was made earlier" not in told(run_folder)
     checked(run_folder, "faster_rcnn", {}, scenes=(3, scenes_digest(scenes[1:4])))
     (run_folder / "report.html").unlink()
     assert (
-        "Faster R-CNN was checked before, on 3 scenes of procedural ground, and not on the scenes "
-        "of this run."
+        "The precheck of Faster R-CNN was made earlier, on 3 scenes of procedural ground, not on "
+        "the scenes of this run."
     ) in told(run_folder)
 
 
 def test_a_record_of_another_threshold_counts_for_nothing(run_folder):
     checked(run_folder, "retinanet", {}, threshold=0.4)
-    assert "RetinaNet was not checked" in told(run_folder)
+    assert "RetinaNet: no precheck" in told(run_folder)
 
 
 def test_a_damaged_record_is_refused(run_folder):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skyproof.files import write_json
-from skyproof.report.queries import by_answers
+from skyproof.report.queries import query_part
 from skyproof.report.report import write_report
 from skyproof.results.results import Results
 from skyproof.results.score_folder import ScoreRecord, write_record
@@ -36,7 +36,7 @@ def test_gradients_that_hide_less_than_answers_raise_an_alarm(
 ) -> None:
     hides = {"T-U": by_gradients, "T-U_transfer": {0}, "T-U_asked": {0, 1, 2, 3}, "R-U-0": set()}
     sought(tmp_path, "T-U_asked")
-    found = by_answers(scored(tmp_path, missed(hides)))
+    found = query_part(scored(tmp_path, missed(hides)))
     assert found is not None
     assert not found.only
     (row,) = found.rows
@@ -46,11 +46,11 @@ def test_gradients_that_hide_less_than_answers_raise_an_alarm(
     # Five vehicles are too few to be sure of half of them.
     assert bool(found.alarms) == alarmed
     page = write_report(tmp_path).read_text()
-    assert ("Masking alarm" in page) == alarmed
-    assert ("nothing hints that the detector’s gradients mislead" in page) != alarmed
+    assert ("Gradient masking: " in page) == alarmed
+    assert ("no sign of gradient masking" in page) != alarmed
     if alarmed:
         assert "T-U hides 0" in found.alarms[0]
-        assert "by its answers alone: +100 points" in found.alarms[0]
+        assert "by queries: +100 points" in found.alarms[0]
 
 
 @pytest.mark.parametrize(("low", "alarmed"), [(0.01, False), (0.24, True), (-0.02, False)])
@@ -61,11 +61,11 @@ def test_what_another_start_can_change_is_no_alarm(
     results = scored(tmp_path, missed({"T-U": {0}, "T-U_transfer": {0}, "T-U_asked": {0, 1}}))
     more = Interval(low + 0.03, low, low + 0.06)
     monkeypatch.setattr(Results, "difference", lambda *_: more)
-    found = by_answers(results)
+    found = query_part(results)
     assert found is not None
     assert bool(found.alarms) == alarmed
-    assert ("no more than another start" in found.told) == (0 < low < 0.2)
-    assert ("do not surely hide more" in found.told) == (low < 0)
+    assert ("Another start of an attack" in found.told) == (0 < low < 0.2)
+    assert ("do not hide significantly more" in found.told) == (low < 0)
 
 
 def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Pa
     sought(tmp_path, "T-Ma", "R-Ma_search")
     # Two of the three are still seen, beside where they are.
     seen = hides | {"T-Ma": {0}}
-    found = by_answers(scored(tmp_path, missed(hides), missed(seen)))
+    found = query_part(scored(tmp_path, missed(hides), missed(seen)))
     assert found is not None
     assert found.only
     assert not found.alarms
@@ -90,8 +90,8 @@ def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Pa
     assert [rate.estimate for rate in rates if rate] == pytest.approx([0.25, 0.75, 0.25])
     assert (row.gradients, row.images) == (None, IMAGES)
     page = write_report(tmp_path).read_text()
-    assert "Of this detector only answers are known" in page
-    assert "learnt by<br>gradients" not in page
+    assert "This detector is a black box" in page
+    assert "by gradients" not in page
 
 
 def test_a_detector_that_was_only_checked_hides_no_alarm(tmp_path: Path) -> None:
@@ -103,12 +103,12 @@ def test_a_detector_that_was_only_checked_hides_no_alarm(tmp_path: Path) -> None
     write_json(other / "baselines.json", {"rows": []})
     results = Results.open(tmp_path)
     assert (results.judges, results.checked) == (["retinanet"], ["retinanet", "other"])
-    found = by_answers(results)
+    found = query_part(results)
     assert found is not None
     assert found.alarms
-    assert "Masking alarm" in write_report(tmp_path).read_text()
+    assert "Gradient masking: " in write_report(tmp_path).read_text()
 
 
 def test_where_nothing_was_asked_nothing_is_said(tmp_path: Path) -> None:
-    assert by_answers(scored(tmp_path, missed({"T-U": {0}, "R-U_search": {1}}))) is None
-    assert "By its answers alone" not in write_report(tmp_path).read_text()
+    assert query_part(scored(tmp_path, missed({"T-U": {0}, "R-U_search": {1}}))) is None
+    assert "Query attacks" not in write_report(tmp_path).read_text()

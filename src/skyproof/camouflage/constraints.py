@@ -33,6 +33,15 @@ class TextureConstraints:
         colours = {"free": "", "learnt": "Lc", "fixed": "Fc"}[self.colours]
         return ("Pix" if self.pixelised else "") + colours + ("Ma" if self.masked else "") or "U"
 
+    @property
+    def in_words(self) -> str:
+        """The texture for people: "free texture on the whole vehicle"."""
+        where = "on painted panels" if self.masked else "on the whole vehicle"
+        if self.colours == "free":
+            return f"{'texture in blocks' if self.pixelised else 'free texture'} {where}"
+        colours = "ground colours" if self.colours == "fixed" else "a few optimised colours"
+        return f"{'blocks' if self.pixelised else 'texture'} in {colours} {where}"
+
     @classmethod
     def parse(cls, text: str) -> TextureConstraints:
         """Reads the constraints that `name` gave this text.

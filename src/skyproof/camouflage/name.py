@@ -178,6 +178,42 @@ class CamouflageName:
         return f"{drawn}C-{self.constraints.name}{order}"
 
     @property
+    def in_words(self) -> str:
+        """What the camouflage is, for people: "blocks in ground colours on painted panels"."""
+        words = self._drawn_in_words
+        if self.variant == TRANSFER:
+            words += ", optimised on other detectors"
+        elif self.variant == ASKED:
+            words += ", by a query attack"
+        elif self.variant == IN_WEATHER:
+            words += ", optimised in all weathers"
+        elif self.variant and not self.choice:
+            words += f" ({self.variant})"
+        return words
+
+    @property
+    def _drawn_in_words(self) -> str:
+        if self.kind == "other":
+            return self.label
+        texture = "" if self.constraints is None else self.constraints.in_words
+        shape = (
+            "" if self.magnitude is None else f"up to {100 * self.magnitude:g}\u202f% of the width"
+        )
+        if self.choice == "plain":
+            paint = "best plain paint" if texture else "own paint"
+            where = " on painted panels" if self.constraints and self.constraints.masked else ""
+            return f"{paint}{where}" + (f", every vertex out {shape}" if shape else "")
+        if texture and shape:
+            words = f"{texture}, with a changed shape ({shape})"
+        else:
+            words = texture or f"changed shape ({shape})"
+        if self.choice == "search":
+            return f"random search: {words}"
+        if self.random:
+            return f"{'best of many random draws' if self.choice else 'random'}: {words}"
+        return words
+
+    @property
     def pooled(self) -> CamouflageName:
         """The row it belongs to: the name without its repeat, "T-U-1" to "T-U"."""
         return replace(self, repeat="")

@@ -1,4 +1,4 @@
-"""Is a detector accepted? The first part of a report that was asked it, and `verdict.json`."""
+"""The verdict on each detector by a requirement, for the report and for `verdict.json`."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from skyproof.results.statistics.acceptance import Decision, Evidence, Requireme
 from skyproof.results.statistics.compliance import chances_on_tiles
 from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_show
 from skyproof.scenes.scene import Scene, read_scenes, scenes_digest
-from skyproof.words import body_name, detector_name, percent, renderer_name
+from skyproof.words import body_name, detector_name, interval, percent, renderer_name
 
 _REMEDY = "move it away, or report again with --accept and --reject"
 
 
 @dataclass(frozen=True)
 class Ruling:
-    """What is decided of one detector.
+    """The verdict on one detector.
 
     Attributes:
         detector: its name.
-        answer: accepted, rejected, undecided; or not applicable, where it did not pass the check.
+        answer: accepted, rejected or undecided; not applicable after a failed or missing precheck.
         sentences: the answer and its reason.
-        more_vehicles: how many more in sight would decide, on tiles like these; 0 where it is
-            decided, None where none would or the question does not arise.
-        attacks: by camouflage and renderer, the most hidden first; empty where not applicable.
+        more_vehicles: further vehicles, on tiles like these, that would decide; 0 where it is
+            decided, None where no number would or the question does not arise.
+        attacks: by camouflage and renderer, the strongest first; empty where not applicable.
     """
 
     detector: str
@@ -61,8 +61,8 @@ class Acceptance:
     Attributes:
         asked: the requirement, in a sentence.
         rulings: detector by detector.
-        figure: what this test does with better and worse detectors; None where it tells nothing.
-        validity: what the answer holds for, in a sentence.
+        figure: the operating characteristic; None where the run is too small for one.
+        validity: the scope of the verdict, in a sentence.
     """
 
     asked: str
@@ -76,7 +76,7 @@ class _Asked(Struct, frozen=True):
 
 
 def read_requirement(path: Path) -> Requirement | None:
-    """Reads what an earlier report was asked; None where none was.
+    """Reads the requirement of an earlier report; None without one.
 
     Raises:
         StoredFileError: the file is damaged.
@@ -85,18 +85,17 @@ def read_requirement(path: Path) -> Requirement | None:
 
 
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:
-    """Decides on every detector of a run that passed its check.
+    """Decides on every detector of a run that did not fail its precheck.
 
-    Attacks are all camouflages of the run on all renderers, learnt ones on whichever detectors and
-    in whichever weather, those that were sought by answers, and those that were chosen as controls,
-    every repeat for itself; not single random draws, and no copies of unfinished ones. Where
-    gradients mislead attacks, no detector is accepted: what the others could have hidden nobody
-    knows.
+    Attacks are all camouflages of the run on all renderers: those optimised on any detectors and in
+    any weather, query attacks, and chosen controls, every repeat by itself. Single random draws and
+    copies of unfinished camouflages are none. Under gradient masking no detector is accepted,
+    because other attacks could hide more.
 
     Args:
         results: of the run.
-        requirement: what is asked.
-        alarms: a sentence for every attack that hides more by answers than by gradients.
+        requirement: accepted and rejected shares with their risks.
+        alarms: a sentence for every attack that hides more by queries than by gradients.
 
     Raises:
         ConfigurationError: no camouflage of the run is such an attack.
@@ -108,20 +107,20 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
         attacks = _attacks(results.tiles, name)
         if not attacks:
             raise ConfigurationError(
-                "A verdict expects learnt camouflages or chosen controls among the scores, found "
-                f"none before {name}; attack the detector, then score and report again."
+                "A verdict expects optimised camouflages or chosen controls among the scores, "
+                f"found none for {name}; attack the detector, then score and report again."
             )
         decision = decide(attacks, requirement)
         outcome = worst(findings(checked[name])) if name in checked else None
         if outcome is None or outcome.outcome == "failed":
             why = (
-                "nothing says whether it is worth attacking (skyproof precheck)"
+                "no precheck of it is here (skyproof precheck)"
                 if outcome is None
-                else f"it failed the check: {outcome.words}"
+                else f"it failed the precheck: {outcome.words}"
             )
             sentence = (
-                f"{detector_name(name)}: no verdict, because {why}. A detector that is no good "
-                "without camouflage is not accepted for what camouflage does to it."
+                f"{detector_name(name)}: no verdict, because {why}. A detector that fails without "
+                "camouflage cannot be accepted for its robustness to camouflage."
             )
             rulings.append(Ruling(name, "not applicable", [sentence], None, {}))
         else:
@@ -134,7 +133,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
 def write_verdict(
     results: Results, requirement: Requirement, acceptance: Acceptance, alarms: Sequence[str] = ()
 ) -> None:
-    """Writes `verdict.json`: the answers, and digests of everything that they hold for."""
+    """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
     facts = results.detectors
     scenes = layout.scenes("test")
@@ -200,40 +199,41 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
     shown = detector_name(name)
     rank = f"worst of {len(attacks)} attacks" if len(attacks) > 1 else "only attack"
     lost = (
-        f"{worst_name}, the {rank}, hides {percent(worst_said.share)} of "
-        f"the vehicles found before (mean of the tiles; these leave {percent(worst_said.at_least)} "
-        f"to {percent(worst_said.at_most)} open)"
+        f"{worst_name}, the {rank}, hides {percent(worst_said.share)} of the vehicles found before "
+        f"(mean of the tiles, bounds {interval(worst_said.at_least, worst_said.at_most)})"
     )
     more: int | None = 0
     if decision.answer == "accepted":
         said = [
-            f"{shown} is ACCEPTED: every attack hides surely less than "
+            f"{shown} is ACCEPTED: every attack hides significantly less than "
             f"{percent(requirement.reject)}.",
             f"{lost}.",
         ]
     elif decision.answer == "rejected":
-        said = [f"{shown} is REJECTED: {lost}, surely more than {percent(requirement.accept)}."]
+        said = [
+            f"{shown} is REJECTED: {lost}, significantly more than {percent(requirement.accept)}."
+        ]
     else:
         more = _more_vehicles(decision.more_tiles, results)
         enough = (
-            "No number of vehicles would decide while it stays like that."
+            "At this rate no number of vehicles would decide."
             if more is None
             else f"About {more:,} more test vehicles on {decision.more_tiles:,} more tiles would "
-            f"decide, if they fare alike.{_how(decision.more_tiles or 0, results)}"
+            f"decide at this rate.{_how(decision.more_tiles or 0, results)}"
         )
         said = [f"{shown} is UNDECIDED: {lost}.", enough]
     return Ruling(name, decision.answer, said, more, attacks)
 
 
 def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
-    """Takes back that a detector is accepted whose gradients mislead attacks."""
+    """Withdraws the acceptance of a detector that masks its gradients."""
     if ruling.answer != "accepted":
         return ruling
     _, *lost = ruling.sentences
     sentences = [
-        f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides surely less than "
-        f"{percent(requirement.reject)}, but its gradients mislead attacks (“By its answers "
-        "alone”, below), so others could hide more than these.",
+        f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides significantly less "
+        f"than {percent(requirement.reject)}, but the detector masks its gradients (“Query "
+        "attacks”, below), so other attacks could hide more.",
         *lost,
     ]
     return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)
@@ -248,7 +248,7 @@ def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
 
 
 def _how(more_tiles: int, results: Results) -> str:
-    """Says what shows so many more tiles, or that no imagery does."""
+    """Says how much imagery shows so many more tiles, or that none does."""
     place = Layout(results.folder).scenes("test")
     if not place.exists():
         return ""
@@ -256,20 +256,21 @@ def _how(more_tiles: int, results: Results) -> str:
     needed = len({tile for tile, _ in results.tiles.cells}) + more_tiles
     if needed >= scenes:
         return (
-            f" {scenes} test scenes do not stand on so many; ask for a wider gap between the two "
+            f" {scenes} test scenes cannot show so many. Ask for a wider gap between the two "
             "shares, or allow larger risks."
         )
-    return f" Imagery with about {tiles_to_show(needed, scenes):,} test tiles shows so many."
+    return f" Imagery with about {tiles_to_show(needed, scenes):,} test tiles is enough."
 
 
 def _asked(requirement: Requirement) -> str:
     return (
-        f"Asked: a detector that loses {percent(requirement.accept)} of its found vehicles to the "
-        f"worst attack is accepted, one that loses {percent(requirement.reject)} rejected; each "
-        f"is decided wrongly in at most {percent(requirement.producer_risk)} and "
-        f"{percent(requirement.consumer_risk)} of such tests. Between the two, either answer is "
-        "right. Lost is a vehicle where no detection’s centre lies within 1 m of its own, though a "
-        "part of it may still be seen."
+        f"Requirement: accept a detector that loses {percent(requirement.accept)} of its found "
+        f"vehicles to the strongest attack, and reject one that loses "
+        f"{percent(requirement.reject)}. The first is rejected wrongly in at most "
+        f"{percent(requirement.producer_risk)} of such tests, the second accepted wrongly in at "
+        f"most {percent(requirement.consumer_risk)}. Between the two, either answer is right. A "
+        "vehicle is lost when no detection’s centre lies within 1 m of its own, though a detection "
+        "may still touch it."
     )
 
 
@@ -283,10 +284,10 @@ def _figure(results: Results, requirement: Requirement) -> Markup | None:
 
 
 def _validity(results: Results) -> str:
-    """Says for which pictures the answer holds."""
+    """States the scope of the verdict."""
     place = Layout(results.folder).scenes("test")
     if not place.exists():
-        return "For which scenes this holds is not known: their file is missing."
+        return "The scope of the verdict is unknown: the file of the test scenes is missing."
     scenes = read_scenes(place)
     kinds = sorted(
         {body_name(each.vehicle.rpartition("-")[0]) for one in scenes for each in one.placements}
@@ -295,10 +296,10 @@ def _validity(results: Results) -> str:
     tilts = [math.degrees(scene.camera.tilt_rad) for scene in scenes]
     suns = [math.degrees(scene.sun.elevation_rad) for scene in scenes]
     return (
-        f"Holds for ground like {_ground(results)}, {_resolution(scenes)} cm a pixel, the camera "
+        f"Scope: ground like {_ground(results)}, {_resolution(scenes)} cm a pixel, the camera "
         f"up to {max(tilts):.0f}° off the vertical, the sun {min(suns):.0f}° to {max(suns):.0f}° "
         f"high, {' and '.join(weather)} weather, vehicles of the kinds {', '.join(kinds)}, and "
-        "these attacks alone; a new attack makes a new question."
+        "these attacks. Another attack needs another test."
     )
 
 

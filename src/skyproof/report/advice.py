@@ -1,4 +1,4 @@
-"""What the numbers suggest for the detectors, and what limits them; never how to hide."""
+"""Advice on the detectors, and the limits of the numbers; never how to hide."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MUCH_BY_CHANCE = 0.1
 
 
 def advice(headline: Headline) -> list[str]:
-    """Says what the first camouflage's numbers suggest for the detectors."""
+    """Gives advice on the detectors from the numbers of one camouflage."""
     single = [
         row
         for row in headline.by_detector
@@ -36,33 +36,30 @@ def advice(headline: Headline) -> list[str]:
         # Neither holds where an interval is undefined.
         elif best.easr.high >= worst.easr.low:
             sentences.append(
-                "The detectors' intervals overlap: this result gives no ground to prefer one of "
-                "them."
+                "The detectors’ intervals overlap, so this result gives no reason to prefer one."
             )
     random = headline.row.random
     if random is not None and random.easr > _MUCH_BY_CHANCE:
         sentences.append(
-            f"Random patterns already hide {words.percent(random.easr)}: the detectors depend on "
-            "ordinary vehicle colours. Train with more varied vehicle textures before anything "
-            "else."
+            f"Random patterns already hide {words.percent(random.easr)}, so the detectors depend "
+            "on ordinary vehicle colours. Train with more varied vehicle textures first."
         )
     unlearnt = headline.row.unlearnt
     if unlearnt is not None and unlearnt.easr > _MUCH_BY_CHANCE:
         sentences.append(
-            f"{unlearnt.control}, which nobody learnt, hides {words.percent(unlearnt.easr)}: that "
-            "is the cheapest weakness to close, with such vehicles in training."
+            f"The control {unlearnt.control} hides {words.percent(unlearnt.easr)} without any "
+            "optimisation. This weakness is the cheapest to close: add such vehicles to training."
         )
     surest = unlearnt or random
     if surest is not None and surest.net.low > 0:
         sentences.append(
-            "The learnt pattern does more than its controls, so variety alone may not suffice: put "
-            "such camouflaged vehicles, with their true labels, into training, then measure again "
-            "with a newly optimised pattern. A detector hardened against a known pattern is not "
-            "thereby hardened against the next."
+            "The optimised pattern hides more than its controls, so variety alone may not "
+            "suffice. Add vehicles with this camouflage and their labels to training, then measure "
+            "again with a newly optimised pattern. A detector that is hardened against a known "
+            "pattern is not thereby hardened against the next."
         )
     sentences.append(
-        "After hardening, check accuracy on clean images and false alarms as well; robustness can "
-        "cost both."
+        "After hardening, measure the baseline and false alarms again: robustness can cost both."
     )
     sentences.append(
         "Quote net success with its interval, not the gross rate, when comparing detectors or "
@@ -78,28 +75,28 @@ def limits(
     asked: bool = False,
     more: bool = False,
 ) -> list[str]:
-    """Says what the numbers do not cover.
+    """Names the limits of the numbers.
 
     Args:
         results: of the run.
         every: headlines by camouflage.
-        asked: whether attacks by answers were made beside those by gradients.
+        asked: whether query attacks were run beside those by gradients.
         more: whether the page has further sections, which tell of other detectors.
     """
     sentences = []
     if results.sources == ["procedural"]:
         sentences.append(
-            "Ground and vehicles are synthetic. How far these rates carry over to real cameras is "
-            "not measured here."
+            "Ground and vehicles are synthetic. This report does not measure how far the rates "
+            "carry over to real cameras."
         )
     elif results.sources:
         sentences.append(
-            "The ground is real, the vehicles are rendered. Success on painted vehicles is not "
-            "measured here."
+            "The ground is real and the vehicles are rendered. This report does not measure "
+            "success on painted vehicles."
         )
     if len(results.renderers) > 1:
         sentences.append(
-            "Blender Cycles draws the same synthetic vehicle shapes, in another light and with "
+            "Blender Cycles draws the same synthetic vehicle shapes in another light and with "
             "other materials. It shows whether a camouflage survives a change of renderer, not "
             "whether it survives in reality."
         )
@@ -108,29 +105,28 @@ def limits(
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
         sentences.append(
-            "The intervals cover which tiles and vehicles were drawn and, where there are several, "
-            "which seeds of the attack and draws of the random control. They do not cover another "
-            "training of the detectors."
+            "The intervals cover the draw of tiles and vehicles and, with several of them, of "
+            "attack seeds and random controls. They do not cover another training of the "
+            "detectors."
         )
         attacked = _attacked(results, every[0][0])
         if attacked:
             others = any(name.variant.startswith(("on_", "without_")) for name in results.names)
             sentences.append(
-                f"The pattern was optimised with full knowledge of {', '.join(attacked)}: a worst "
-                "case for them. Detectors that the pattern was not optimised against may lose "
-                "fewer vehicles; "
-                + ("the tables show some." if others or more else "that is not measured here.")
+                f"The attack had full knowledge of {', '.join(attacked)}, a worst case for them. "
+                "Held-out detectors may lose fewer vehicles"
+                + (" (see the tables)." if others or more else "; none was scored here.")
             )
         if attacked and not asked:
             sentences.append(
-                "Attacks by answers alone were not made beside these, so nothing tells whether the "
-                "detectors’ gradients mislead attacks, as those of some defences do."
+                "No query attack was run beside the gradient attacks, so this report cannot tell "
+                "whether the detectors mask their gradients, as some defences do."
             )
         growing = _not_converged(results, every)
         if growing:
             sentences.append(
-                f"{', '.join(growing)}: the second half of the attack’s steps still hid over 2 "
-                "points more on its own scenes, so more steps may hide more than is said here."
+                f"{', '.join(growing)}: the second half of the steps still added over 2 points on "
+                "the attack’s own scenes, so more steps may hide more."
             )
     for size in ("slim", "wide"):
         names = [
@@ -140,18 +136,18 @@ def limits(
         ]
         if names:
             sentences.append(
-                f"{', '.join(names)}: reduced ({size}) versions, not the published networks."
+                f"{', '.join(names)}: reduced ({size}) versions of the published networks."
             )
     if every:
         sentences.append(
-            "The test against random draws treats tiles as independent, McNemar's against no "
-            "camouflage even vehicles; trust the interval more."
+            "The test against random draws treats tiles as independent, and McNemar’s test even "
+            "treats vehicles so. Trust the interval more."
         )
     return sentences
 
 
 def _not_converged(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
-    """Gives the headlines' camouflages of which a repeat was still getting stronger."""
+    """Gives the camouflages with a repeat that was still getting stronger."""
     growing = []
     for headline, *_ in every:
         own = [
@@ -165,7 +161,7 @@ def _not_converged(results: Results, every: Sequence[Sequence[Headline]]) -> lis
 
 
 def _attacked(results: Results, headline: Headline) -> list[str]:
-    """Gives the detectors that a camouflage was learnt against; empty where it is not recorded."""
+    """Gives the detectors that a camouflage was optimised against; empty where not recorded."""
     for name in (str(headline.camouflage), str(headline.camouflage.with_repeat(0))):
         record = results.records.get(name)
         if record is not None and record.attack is not None:

@@ -29,17 +29,17 @@ def answer(headline: Headline) -> list[str]:
             if math.isnan(other.easr.estimate) and other is not row
         ]
         return [
-            f"The success rate is undefined, because {', '.join(silent) or whose} found none of "
-            "the vehicles even without camouflage."
+            f"The success rate is undefined: {', '.join(silent) or whose} found none of the "
+            "vehicles without camouflage."
         ]
     sentences = [
-        f"Of the vehicles that {whose} found before, the camouflage {headline.camouflage} hides "
-        f"{percent(easr)} ({_sure(row.easr)})."
+        f"{headline.camouflage} hides {percent(easr)} ({_sure(row.easr)}) of the vehicles that "
+        f"{whose} found without camouflage."
     ]
     if easr < 0:
         sentences = [
-            f"With the camouflage {headline.camouflage}, {whose} found {percent(-easr)} more "
-            f"vehicles than before, not fewer ({_sure(row.easr)} for the share hidden)."
+            f"With {headline.camouflage}, {whose} found {percent(-easr)} more vehicles, not fewer "
+            f"({_sure(row.easr)} for the share hidden)."
         ]
     if several:
         rates = [
@@ -49,28 +49,24 @@ def answer(headline: Headline) -> list[str]:
         ]
         least = percent(min(rates))
         most = percent(max(rates))
-        alike = f"For every detector it is {most}."
-        sentences.append(
-            alike if least == most else f"Detector by detector it is {least} to {most}."
-        )
+        alike = f"The share is {most} for every detector."
+        sentences.append(alike if least == most else f"The share is {least} to {most} by detector.")
     lenient = [] if headline.lenient is None else [_leniently(row, headline.lenient)]
     return [*sentences, *_beside_controls(row), *lenient, *left_out(row)]
 
 
 def _leniently(row: Row, lenient: Row) -> str:
-    """Says what is hidden where half a vehicle finds the vehicle: who counts vehicles loses less
-    than who needs their places.
-    """
+    """Says what is hidden by the lenient rule, which matters for counting vehicles."""
     said = (
-        "Counted leniently, where a detection finds a vehicle if its centre lies anywhere in the "
-        f"vehicle’s box, it hides {percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
+        "By the lenient rule, which accepts a detection anywhere in the vehicle’s box, it hides "
+        f"{percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
     )
     beside = row.easr.estimate - lenient.easr.estimate
     if not beside >= _WORTH_SAYING:
         return f"{said}."
     return (
-        f"{said}: the other {points(beside).removeprefix('+')} points are vehicles that are still "
-        "seen, but more than 1 m from where they are."
+        f"{said}. The other {points(beside).removeprefix('+')} points are vehicles detected more "
+        "than 1 m off their centre."
     )
 
 
@@ -78,45 +74,42 @@ def worst_case(case: WorstCase) -> str:
     """Says in a sentence what all attacks together hide from one detector."""
     where = "" if case.renderer == RENDERER else f" on images of the {renderer_name(case.renderer)}"
     words = (
-        f"Of the vehicles that {detector_name(case.detector)} found before, at least one of the "
-        f"{len(case.attacks)} attacks hides {percent(case.hidden.estimate)}{where} "
-        f"({_sure(case.hidden)}); the strongest alone, {case.strongest}, hides "
-        f"{percent(case.alone)}"
+        f"At least one of the {len(case.attacks)} attacks hides {percent(case.hidden.estimate)} "
+        f"({_sure(case.hidden)}) of the vehicles that {detector_name(case.detector)} found "
+        f"before{where}. The strongest alone, {case.strongest}, hides {percent(case.alone)}"
     )
     if case.random is None or case.net is None:
         return f"{words}."
     return (
-        f"{words}. At least one of as many random controls hides {percent(case.random)}: the "
-        f"attacks hide {points(case.net.estimate).removeprefix('+')} points more "
-        f"({_sure(case.net)})."
+        f"{words}. At least one of as many random controls hides {percent(case.random)}, "
+        f"{points(case.net.estimate).removeprefix('+')} points less ({_sure(case.net)})."
     )
 
 
 def _beside_controls(row: Row) -> list[str]:
-    """Says how much more it hides than an average random pattern, and than the best unlearnt one.
+    """Says how much more it hides than random controls and than the strongest chosen control.
 
-    Of a combination it also says what the learnt shape adds.
+    Of a combination it also says what the optimised shape adds.
     """
     sentences = []
     if row.random is not None:
         sentences.append(_more(row.random, "an average random pattern of the same kind"))
     elif row.unlearnt is None:
         sentences.append(
-            "No random control was run beside it, so it is not known what just any pattern would "
-            "hide."
+            "No random control was scored, so the share that any pattern hides is unknown."
         )
     if row.drawn_shape is not None:
         sentences.append(_more(row.drawn_shape, "its own texture under random shapes"))
     if row.unlearnt is None:
         sentences.append(
-            "No control was chosen beside it, such as the best plain paint or the best of many "
-            "random patterns, so it is not known what is due to learning."
+            "No chosen control was scored (best plain paint, best of many random draws, random "
+            "search), so the effect of the optimisation is unknown."
         )
         return sentences
-    best = f"the best control that was chosen and not learnt, {_how(row.unlearnt.control)}"
-    sentences.append(_more(row.unlearnt, best))
+    strongest = f"the strongest control without optimisation, {_how(row.unlearnt.control)}"
+    sentences.append(_more(row.unlearnt, strongest))
     if row.unlearnt.net.low > 0:
-        sentences[-1] += " That is due to learning."
+        sentences[-1] += " The difference is the optimisation’s own effect."
     return sentences
 
 
@@ -127,20 +120,20 @@ def _more(beside: Contrast, control: str) -> str:
         for value in (beside.net.estimate, beside.net.low, beside.net.high)
     )
     sure = f"95{_THIN}% interval {low} to {high}"
-    hides = f"{control}, which hides {percent(beside.easr)}"
+    hides = f"{control} ({percent(beside.easr)})"
     if math.isnan(beside.net.low):
-        return f"It hides {estimate} points more than {hides}; too few tiles for an interval."
+        return f"It hides {estimate} points more than {hides}. Too few tiles for an interval."
     if beside.net.low > 0:
         return f"It hides {estimate} points more ({sure}) than {hides}."
     if beside.net.high < 0:
-        return f"It hides fewer than {hides}: {estimate} points ({sure})."
-    return f"It cannot be told from {hides}: {estimate} points ({sure})."
+        return f"It hides less than {hides}: {estimate} points ({sure})."
+    return f"The difference from {hides} is not significant: {estimate} points ({sure})."
 
 
 def _how(control: CamouflageName) -> str:
     """Says in words how a control was chosen."""
     if control.choice == "search":
-        return "found by a random search with as many images"
+        return "a random search with as many images"
     if control.choice == "best":
         return "the best of many random draws"
     even = "" if control.magnitude is None else "every vertex out"

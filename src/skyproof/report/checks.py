@@ -1,4 +1,4 @@
-"""On which imagery the detectors were checked, what they scored, and what follows from it."""
+"""The baseline of the detectors by image set, and what follows from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from skyproof.results.baseline import Baseline
 from skyproof.results.findings import findings, verdict
 from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import Results
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name, interval, listed, percent
 
 _FEW_FOUND = 0.8
 """Below this AP a detector misses or invents so many real vehicles that its rates say little about
@@ -29,11 +29,10 @@ class CheckedSet:
     """One set of images without camouflage.
 
     Attributes:
-        name: as the evaluation calls it.
+        name: of the set.
         real: whether a camera took the images.
-        contents: how many images and vehicles, what was done to them, and what the intervals rest
-            on.
-        checks: per detector its check; None where it was not checked on this set.
+        contents: numbers of images and vehicles, their processing, and the unit of the intervals.
+        checks: per detector its baseline; None where it was not measured on this set.
     """
 
     name: str
@@ -44,14 +43,14 @@ class CheckedSet:
 
 @dataclass(frozen=True)
 class Standing:
-    """The first lines of the report: on what data its numbers rest, and what follows."""
+    """The data that the numbers rest on, and what follows from it."""
 
     heading: str
     sentences: Sequence[str]
 
 
 def checked_sets(results: Results) -> list[CheckedSet]:
-    """Lists the sets that detectors were checked on, rendered ones first, entries by detector."""
+    """Lists the image sets of the baseline, rendered ones first, entries by detector."""
     sets = []
     for name in dict.fromkeys(check.dataset for check in results.checks):
         by_detector = {check.detector: check for check in results.checks if check.dataset == name}
@@ -69,17 +68,12 @@ def _contents(check: Baseline) -> str:
     else:
         # Frames of one flight repeat parked vehicles and share their light: they are not
         # independent.
-        parts.append(
-            f"one place: intervals over its {check.clusters} images, which is rather too narrow"
-        )
+        parts.append(f"one place: intervals over its {check.clusters} images, which are too narrow")
     return "; ".join(part for part in parts if part)
 
 
 def standing(results: Results) -> Standing:
-    """Says what the report rests on, in plain words.
-
-    Where all of it is synthetic, that is said first.
-    """
+    """Says what data the report rests on; that all of it is synthetic comes first."""
     real = [checked for checked in checked_sets(results) if checked.real]
     scores = _scores(real, results.checked)
     synthetic = results.sources == ["procedural"]
@@ -87,46 +81,46 @@ def standing(results: Results) -> Standing:
         return Standing(
             "Synthetic data only.",
             [
-                "Ground, vehicles and every image that the detectors were checked on are "
-                "computer-generated; no pixel comes from a real camera.",
-                "The numbers say how the detectors behave in that world. They are not evidence "
-                "about real imagery: it was not tested whether these detectors find real vehicles "
-                "at all. In the published study that this report follows, detectors trained on "
-                "renders alone reached an AP of 49 to 64 % on real images.",
-                "Check the detectors on annotated real images before you quote a number from here.",
+                "Ground, vehicles and all images of the baseline are computer-generated. No pixel "
+                "comes from a camera.",
+                "The numbers say how the detectors behave in that world. They are no evidence "
+                "about real imagery, because these detectors were not tested on real vehicles. In "
+                "the published study that this report follows, detectors trained on renders alone "
+                "reached an AP of 49 to 64 % on photographs.",
+                "Measure the baseline on annotated photographs before you quote any number.",
             ],
         )
     unchecked = (
-        "The detectors were not checked on real vehicles, so nothing here says whether they find "
-        "any."
+        "No annotated photographs were scored, so this report cannot say whether the detectors "
+        "find real vehicles."
     )
     if not results.rows:
-        heading = "Detectors checked on images without camouflage."
-        sentences = ["No camouflage was compared here."]
+        heading = "Baseline only."
+        sentences = ["No camouflage was scored."]
         if real:
-            sentences.append(f"On real images the detectors score {scores}.")
+            sentences.append(f"On photographs the detectors score {scores}.")
         else:
             sentences.append(unchecked)
     elif synthetic:
-        heading = "Synthetic ground and vehicles; detectors checked on real images."
+        heading = "Synthetic ground and vehicles, baseline on photographs."
         sentences = [
-            "No camouflaged image comes from a real camera: the success rates say how the "
-            "detectors behave in a computer-generated world, not what painted vehicles would do.",
-            f"On real images without camouflage they score {scores}.",
+            "No camouflaged image comes from a camera. The success rates say how the detectors "
+            "behave in a computer-generated world, not what painted vehicles would do.",
+            f"On photographs without camouflage they score {scores}.",
         ]
     elif not results.sources:
-        heading = "It is not recorded what the ground is."
+        heading = "Unknown ground."
         sentences = [
-            "Every vehicle that is tested is computer-generated; whether the ground under it is, "
-            "these scores do not say. Give `skyproof score` the --backgrounds of the scenes.",
-            f"On real images without camouflage the detectors score {scores}."
+            "Every tested vehicle is computer-generated. The scores do not record the ground: give "
+            "skyproof score the --backgrounds of the scenes.",
+            f"On photographs without camouflage the detectors score {scores}."
             if real
             else unchecked,
         ]
     else:
         heading = "Real ground, rendered vehicles."
         sentences = [
-            "The ground is real imagery; every vehicle that is tested is computer-generated.",
+            "The ground is real imagery. Every tested vehicle is computer-generated.",
             _removed(Layout(results.folder)),
             f"On real vehicles without camouflage the detectors score {scores}."
             if real
@@ -135,8 +129,8 @@ def standing(results: Results) -> Standing:
     weak = _weak(real, results.checked)
     if weak:
         sentences.append(
-            f"{weak}: what hides vehicles from detectors this unsure of real ones may say little "
-            "about real imagery."
+            f"{weak}: attacks on detectors with so low a baseline may say little about real "
+            "imagery."
         )
     return Standing(heading, sentences)
 
@@ -152,14 +146,14 @@ class _Checker(Struct, frozen=True):
 
 
 class _Clearing(Struct, frozen=True):
-    """Of what clearing a background set records, what is told here."""
+    """The part of a clearing record that the report reads."""
 
     totals: _Removed
     checked_by: _Checker | str = ""
 
 
 def _removed(layout: Layout) -> str:
-    """Says what became of the vehicles that stood in the photographs.
+    """Says whether the vehicles in the photographs were removed.
 
     Raises:
         StoredFileError: the record is damaged.
@@ -167,15 +161,15 @@ def _removed(layout: Layout) -> str:
     path = layout.backgrounds / CLEARING_RECORD
     if not path.is_file():
         return (
-            "Vehicles that stand in the photographs are taught as ground in training tiles and "
-            "count as false alarms in test tiles, unless they were removed beforehand."
+            "Vehicles in the photographs were not removed by skyproof. Any that remain count as "
+            "ground in training tiles and as false alarms in test tiles."
         )
     record: _Clearing = read_document(path, _Clearing, "clear the ground again")
     totals = record.totals
     count = totals.labelled_removed + totals.detected_removed
     removed = (
-        f"{count:,} vehicles that stood in the photographs were removed, and "
-        f"{percent(totals.masked_share)} of the ground was filled for it."
+        f"{count:,} vehicles were removed from the photographs, which filled "
+        f"{percent(totals.masked_share)} of the ground."
     )
     if not isinstance(record.checked_by, _Checker):
         return removed
@@ -185,8 +179,8 @@ def _removed(layout: Layout) -> str:
     if checker not in checked or verdict(findings(checked[checker])) != "failed":
         return removed
     return (
-        f"{removed} That none is left {detector_name(checker)} told, which failed its check: look "
-        f"at {path.parent.name}/sheets before you trust the ground."
+        f"{removed} {detector_name(checker)} searched for remaining vehicles, but it failed its "
+        f"precheck. Look at {path.parent.name}/sheets before you trust the ground."
     )
 
 
@@ -200,8 +194,8 @@ def _scores(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
                 ap = check.ap_centre_1m
                 shown = "" if math.isnan(ap.low) else f", {interval(ap.low, ap.high)}"
                 cells.append(f"{percent(ap.estimate)} ({detector_name(name)}{shown})")
-        parts.append(f"an AP of {_listed(cells)} on {checked.name}")
-    return _listed(parts)
+        parts.append(f"an AP of {listed(cells)} on {checked.name}")
+    return listed(parts)
 
 
 def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
@@ -213,19 +207,9 @@ def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
     ]
     if not weak:
         return ""
-    names = _listed([detector_name(name) for name in weak])
+    names = listed([detector_name(name) for name in weak])
     return f"{names} {'is' if len(weak) == 1 else 'are'} below {percent(_FEW_FOUND)}"
 
 
 def _is_weak(check: Baseline | None) -> bool:
     return check is not None and not check.ap_centre_1m.estimate >= _FEW_FOUND
-
-
-def _listed(words: Sequence[str]) -> str:
-    return (
-        words[0]
-        if len(words) == 1
-        else f"{', '.join(words[:-1])} and {words[-1]}"
-        if words
-        else "nothing"
-    )

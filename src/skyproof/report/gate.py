@@ -13,7 +13,6 @@ from skyproof.results.findings import (
     misfit_thresholds,
     rate_outcome,
     rate_words,
-    verdict,
     worst,
 )
 from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, read_prechecks
@@ -45,17 +44,34 @@ class Swatch:
 
 
 @dataclass(frozen=True)
-class Gate:
-    """What a report says of its detectors before anything else.
+class State:
+    """What the precheck says of one detector.
 
     Attributes:
-        sentences: the first lines, detector by detector.
-        names: the detectors that were checked.
-        rows: per criterion, what was found of each of them; None where it was not measured.
+        name: as people write it.
+        outcome: None where the precheck was not run.
+        words: the worst finding, in a sentence.
+    """
+
+    name: str
+    outcome: Outcome | None
+    words: str
+
+
+@dataclass(frozen=True)
+class Gate:
+    """The precheck of a run's detectors: whether they were worth attacking.
+
+    Attributes:
+        states: detector by detector.
+        notes: what limits the precheck, a sentence each.
+        names: the detectors that were prechecked.
+        rows: per criterion, the finding of each of them; None where it was not measured.
         strips: per detector and kind of paint all paints, in the order of the lattice.
     """
 
-    sentences: Sequence[str]
+    states: Sequence[State]
+    notes: Sequence[str]
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Finding | None]]]
     strips: Sequence[tuple[str, Sequence[Swatch]]]
@@ -69,17 +85,17 @@ def read_gate(results: Results) -> Gate:
     """
     records = read_prechecks(Layout(results.folder).detectors)
     found = {name: findings(records[name]) for name in results.judges if name in records}
-    sentences = [_sentence(name, found.get(name)) for name in results.judges]
-    sentences += _elsewhere({name: records[name].measured_on for name in found}, results)
+    states = [_state(name, found.get(name)) for name in results.judges]
+    notes = _elsewhere({name: records[name].measured_on for name in found}, results)
     for name in results.judges:
         if name in results.detectors:
-            sentences += results.detectors[name].doubts(detector_name(name))
+            notes += results.detectors[name].doubts(detector_name(name))
     for name in found:
-        sentences += misfit_thresholds(records[name].sets)
-    if any(name in found and verdict(found[name]) == "failed" for name in results.judges):
-        sentences.append(
-            "What hides vehicles from a detector that fails may do so for the same reason, and "
-            "not because it was learnt."
+        notes += misfit_thresholds(records[name].sets)
+    if any(state.outcome == "failed" for state in states):
+        notes.append(
+            "A detector that fails the precheck may lose vehicles for the reason found there, not "
+            "because of the attack."
         )
     criteria = dict.fromkeys(each.criterion for own in found.values() for each in own)
     rows = [
@@ -94,23 +110,15 @@ def read_gate(results: Results) -> Gate:
         for name in found
         for kind, where in _STRIPS.items()
     ]
-    return Gate(sentences, list(found), rows, strips)
+    return Gate(states, notes, list(found), rows, strips)
 
 
-def _sentence(name: str, found: Sequence[Finding] | None) -> str:
+def _state(name: str, found: Sequence[Finding] | None) -> State:
     shown = detector_name(name)
     if found is None:
-        return (
-            f"{shown} was not checked: nothing in this run folder says whether it is worth "
-            "attacking (skyproof precheck)."
-        )
-    said = {
-        "passed": "passed the check",
-        "borderline": "is borderline in the check",
-        "failed": "FAILED the check",
-    }
+        return State(shown, None, "")
     last = worst(found)
-    return f"{shown} {said[last.outcome]}: {last.words}."
+    return State(shown, last.outcome, f"{last.words[0].upper()}{last.words[1:]}.")
 
 
 def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str]:
@@ -128,8 +136,8 @@ def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str
             ground = "procedural ground" if on.sources == ("procedural",) else "imagery"
             others.setdefault((on.scenes, ground), []).append(detector_name(name))
     return [
-        f"{' and '.join(names)} {'was' if len(names) == 1 else 'were'} checked before, on {count} "
-        f"scenes of {ground}, and not on the scenes of this run."
+        f"The precheck of {' and '.join(names)} was made earlier, on {count} scenes of {ground}, "
+        "not on the scenes of this run."
         for (count, ground), names in others.items()
     ]
 

@@ -1,4 +1,4 @@
-"""What to add to training, and by which commands; never how to hide."""
+"""Images to add to training, and the commands that make them; never how to hide."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _COATS = ("paint_body", "paint_whole", "two_tone", "control")
 
 @dataclass(frozen=True)
 class Hardening:
-    """How the weaknesses that were found are trained away.
+    """How to train the weaknesses away.
 
     Attributes:
-        images: sentences that say which images to add.
-        commands: to be given in the run folder, one per line.
-        after: sentences on what to do then.
+        images: sentences that name the images to add.
+        commands: for the run folder, one per line.
+        after: sentences on the steps after that.
     """
 
     images: Sequence[str]
@@ -41,10 +41,9 @@ def hardening(
     every: Sequence[Sequence[Headline]],
     panels: Callable[[Results, Headline], Sequence[Panel]],
 ) -> Hardening | None:
-    """Says which images help against the strongest attacks, and how they are made.
+    """Names the images that help against the strongest attacks, and how to make them.
 
-    They show vehicles and tiles of the attack, not those of the test, which would flatter the next
-    test.
+    They show vehicles and tiles of the attack split. Those of the test would flatter the next test.
 
     Args:
         results: of the run.
@@ -65,10 +64,9 @@ def hardening(
     names = [shlex.quote(str(_folder(results, headline.camouflage))) for headline in ranked]
     shown = " and ".join(str(headline.camouflage) for headline in ranked)
     images = [
-        f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most: add images of vehicles in such "
-        "coats or shapes, with their true labels, to those that the detector learns from. The "
-        "commands below draw them on the ground and with the vehicles that the attack saw, not "
-        "with those of the test."
+        f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most. Add images of such vehicles with "
+        "their labels to the training images. The commands below render them on the ground and "
+        "with the vehicles of the attack, not those of the test."
     ]
     for headline in ranked:
         for panel in panels(results, headline):
@@ -76,16 +74,16 @@ def hardening(
             if extremes is not None and _apart(*extremes):
                 images.append(
                     f"{headline.camouflage} hides most at {panel.title.lower()} "
-                    f"{_told(extremes[0])}: see that such views are among them."
+                    f"{_told(extremes[0])}: include such views."
                 )
     size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
     commands = []
     if _fails_at_coats(results):
         images.insert(
             0,
-            "First of all: coats that nobody learnt hide too many vehicles. Those that skyproof "
-            "draws to train on wear plain and two-tone paints, liveries and random patterns beside "
-            "usual paints; add images of them.",
+            "First, plain paints or random patterns hide too many vehicles. The training fleets of "
+            "skyproof wear plain and two-tone paints, liveries and random patterns beside usual "
+            "paints: add images of them.",
         )
         commands += _coats(size_px)
     places = "--backgrounds backgrounds --fleet fleets/attack"
@@ -102,7 +100,7 @@ def hardening(
         "Train on your images and these together. Ultralytics trains from data.yaml in the "
         "rendered folders, others from annotations.json (COCO). A detector of skyproof’s own "
         "learns from the folders themselves (skyproof train).",
-        "Then assess the new detector again: its attacks are learnt anew. A detector that is "
+        "Then assess the new detector, which optimises its attacks anew. A detector that is "
         "hardened against a known pattern is not thereby hardened against the next.",
     ]
     return Hardening(images, commands, after)

@@ -1,4 +1,4 @@
-"""What answers alone reach: carried over from other detectors, then asked for; beside gradients."""
+"""Query attacks: transferred from other detectors, then optimised by queries; beside gradients."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Row:
     """One attack.
 
     Attributes:
-        name: its.
-        gradients: share hidden by what was learnt on the detector itself; None of a black box.
-        transfer: by what was learnt on other detectors.
-        asked: after all answers.
-        lenient: the same where half a vehicle finds the vehicle; None where that was not scored.
-        images: how many these were.
-        searched: by a random search with as many answers; None where there was none.
+        name: the camouflage without variant.
+        gradients: share hidden by the gradient attack; None for a black-box detector.
+        transfer: by the camouflage of other detectors.
+        asked: after all queries.
+        lenient: the same by the lenient rule; None where that was not scored.
+        images: number of queries.
+        searched: by a random search with as many queries; None without one.
     """
 
     name: CamouflageName
@@ -45,16 +45,16 @@ class Row:
 
 
 @dataclass(frozen=True)
-class ByAnswers:
-    """What the page shows of attacks by answers.
+class QueryPart:
+    """The page's part on query attacks.
 
     Attributes:
         rows: one per attack.
-        figure: success against answers.
-        only: whether the detector has nothing but answers.
-        alarms: a sentence for every attack that hides more by answers than by gradients, and by
+        figure: success against queries.
+        only: whether the detector is a black box.
+        alarms: a sentence for every attack that hides more by queries than by gradients, and by
             more than another start of either could explain.
-        told: a sentence that says what it comes to.
+        told: the conclusion.
     """
 
     rows: Sequence[Row]
@@ -66,14 +66,14 @@ class ByAnswers:
 
 @dataclass(frozen=True)
 class _More:
-    """That answers hide more than gradients, and whether by more than starts explain."""
+    """A query attack that hides more than gradients, and whether by more than starts explain."""
 
     told: str
     misleads: bool
 
 
-def by_answers(results: Results) -> ByAnswers | None:
-    """Gives what was reached by answers alone; None where nothing was asked."""
+def query_part(results: Results) -> QueryPart | None:
+    """Gives the results of query attacks; None without any."""
     scored = [CamouflageName.read(key.camouflage) for key in results.tiles.series]
     names = list(dict.fromkeys(name for name in scored if _is_final(results, name)))
     if not names:
@@ -85,11 +85,11 @@ def by_answers(results: Results) -> ByAnswers | None:
     alarms = [found.told for found in more if found.misleads]
     small = [found.told for found in more if not found.misleads]
     told = _told(rows, only, alarms, small)
-    return ByAnswers(rows, Markup(queries_figure(curves)), only, alarms, told)
+    return QueryPart(rows, Markup(queries_figure(curves)), only, alarms, told)
 
 
 def _is_final(results: Results, name: CamouflageName) -> bool:
-    """Whether it is the end of a search by answers, and no control."""
+    """Whether it is the end of a query attack, and no control."""
     record = results.records.get(str(name))
     return record is not None and record.queries is not None and not name.random
 
@@ -109,13 +109,13 @@ def _row(results: Results, name: CamouflageName) -> Row | None:
         asked,
         None if lenient is None else lenient.easr,
         record.images,
-        # Beside gradients the random search had losses to go by, and is no control of answers.
+        # Beside gradients the random search followed losses, so it is no control of queries.
         None if name.variant == ASKED else results.single_interval(str(search)),
     )
 
 
 def _curves(results: Results, row: Row, scored: Sequence[CamouflageName]) -> list[Curve]:
-    """Success against answers, of the attack and of the random search beside it."""
+    """Success against queries, of the attack and of the random search beside it."""
     own = [(0, row.transfer), *_kept(results, row.name, scored, ""), (row.images, row.asked)]
     curves = [Curve(str(row.name), _known(own), random=False)]
     if row.searched is not None:
@@ -142,16 +142,16 @@ def _known(curve: Sequence[tuple[int, Interval | None]]) -> list[tuple[int, Inte
 
 
 def _more(results: Results, row: Row) -> _More | None:
-    """Gives how much more answers surely hide than gradients; None where that is not sure."""
+    """Gives how much more queries hide than gradients; None where that is not significant."""
     if row.gradients is None:
         return None
     more = results.difference(str(row.name.with_variant(ASKED)), str(row.name))
     if more is None or not more.low > 0:
         return None
     told = (
-        f"{row.name} hides {percent(row.gradients.estimate)} where it follows the detector’s "
-        f"gradients, and {percent(row.asked.estimate)} by its answers alone: "
-        f"{points(more.estimate)} points (95 % interval {interval(more.low, more.high)})."
+        f"{row.name} hides {percent(row.gradients.estimate)} by gradients and "
+        f"{percent(row.asked.estimate)} by queries: {points(more.estimate)} points (95 % interval "
+        f"{interval(more.low, more.high)})."
     )
     # Either attack is one run; another start of it would have ended elsewhere.
     of_starts = _QUANTILE * math.sqrt(2) * SEEDS.usual_sd
@@ -162,24 +162,23 @@ def _more(results: Results, row: Row) -> _More | None:
 def _told(rows: Sequence[Row], only: bool, alarms: Sequence[str], small: Sequence[str]) -> str:
     if only:
         return (
-            "Of this detector only answers are known. Every attack was learnt on detectors that "
-            "come with skyproof, and then changed by what this detector answered. An attacker who "
-            "has its weights may hide more."
+            "This detector is a black box. Every attack was optimised on the detectors that come "
+            "with skyproof, then refined by queries to this detector. An attacker with its weights "
+            "may hide more."
         )
     if alarms:
         return (
-            "Masking alarm: the detector’s gradients mislead attacks, as some defences do that "
-            "only make attacks fail. What the suite hides is less than what can be hidden, and no "
-            "acceptance is to be trusted; attack a copy of the detector without that defence."
+            "Gradient masking: the detector’s gradients mislead attacks, as those of some defences "
+            "do. The suite hides less than an attacker could, so no acceptance is given. Attack a "
+            "copy of the detector without that defence."
         )
     if small:
         return (
-            f"{' '.join(small)} That is no more than another start of an attack can change, so it "
-            "is no sign that gradients mislead; but the suite’s numbers are not the most that can "
-            "be hidden."
+            f"{' '.join(small)} Another start of an attack can change as much, so this is no sign "
+            "of gradient masking. The suite’s numbers are not the most that an attack can hide."
         )
     tried = ", ".join(str(row.name) for row in rows)
     return (
-        f"Answers alone do not surely hide more than gradients do ({tried}), so nothing hints that "
-        "the detector’s gradients mislead attacks."
+        f"Query attacks do not hide significantly more than gradient attacks ({tried}), so there "
+        "is no sign of gradient masking."
     )

@@ -1,4 +1,4 @@
-"""Success of attacks by answers, against the number of images the detector was shown."""
+"""Success of query attacks against the number of queries."""
 
 from __future__ import annotations
 

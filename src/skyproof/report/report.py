@@ -28,7 +28,8 @@ from skyproof.report.figures import condition_figure, forest_figure, many_figure
 from skyproof.report.gate import read_gate
 from skyproof.report.hardening import hardening, readings
 from skyproof.report.losses import attack_loss, training_loss
-from skyproof.report.queries import by_answers
+from skyproof.report.opening import opening, strongest_of
+from skyproof.report.queries import query_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
@@ -168,8 +169,8 @@ def _write(
     requirement: Requirement | None,
     more: Sequence[Section],
 ) -> Path:
-    asked = by_answers(results)
-    alarms = [] if asked is None else asked.alarms
+    query = query_part(results)
+    alarms = [] if query is None else query.alarms
     acceptance = None if requirement is None else rule(results, requirement, alarms)
     worst = [case for renderer in results.renderers for case in worst_cases(results, renderer)]
     results.write([case.json() for case in worst])
@@ -185,6 +186,10 @@ def _write(
     sections = [_section(results, *headlines[:2]) for headlines in in_full]
     others = [headlines for headlines in every if headlines not in in_full]
     exhibits = [] if few else _exhibits(results, others)
+    precheck = read_gate(results)
+    checked = checked_sets(results)
+    hardened = hardening(results, every, _panels)
+    strongest = strongest_of(every)
     page = (
         _environment()
         .get_template("report.html.j2")
@@ -200,20 +205,23 @@ def _write(
             first=every[0][0] if every else None,
             tested=_tested(results, every),
             acceptance=acceptance,
-            asked=asked,
-            gate=read_gate(results),
+            every=every,
+            query=query,
+            precheck=precheck,
             standing=standing(results),
-            checked=checked_sets(results),
+            checked=checked,
+            opening=opening(every, acceptance, precheck, checked, hardened_by=hardened is not None),
+            example=next(iter(_pairs(results, strongest, count=1)), None) if strongest else None,
             tables=full_tables(results),
             errors=error_rows(results),
             more=more,
             training=training_loss(results),
             advice=advice(every[0][0]) if every else [],
-            hardening=hardening(results, every, _panels),
+            hardening=hardened,
             limits=limits(
                 results,
                 every,
-                asked=asked is not None,
+                asked=query is not None,
                 more=bool(more),
             ),
             settings=flat_settings(results.config.every),

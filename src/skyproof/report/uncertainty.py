@@ -1,4 +1,4 @@
-"""What the intervals are made of, and what they say nothing of."""
+"""The components of the intervals, and the sources of variation that they leave out."""
 
 from __future__ import annotations
 
@@ -32,17 +32,15 @@ def error_rows(results: Results) -> list[ErrorRow]:
 
 
 def left_out(row: Row) -> list[str]:
-    """Says in a sentence each what the intervals of a row do not cover though it could differ."""
+    """Names each source of variation that the intervals of a row do not cover."""
     sentences = []
     if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:
-        sentences.append("One vehicle was tested: the interval says nothing of others.")
+        sentences.append("One vehicle was tested, so the interval does not cover other vehicles.")
     if row.repeats == 1:
-        sentences.append(
-            "One attack was run: the interval says nothing of what other seeds would have learnt."
-        )
+        sentences.append("One attack was run, so the interval does not cover other seeds.")
     if row.random is not None and row.random.draws == 1:
         sentences.append(
-            "One random pattern was drawn: the net interval says nothing of other draws."
+            "One random pattern was drawn, so the net interval does not cover other draws."
         )
     return sentences
 

@@ -1,0 +1,172 @@
+"""The first screen: the answer as one large figure, the detectors' state, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from skyproof.report.acceptance import Acceptance, Ruling
+from skyproof.report.checks import CheckedSet
+from skyproof.report.gate import Gate
+from skyproof.results.rows import MEAN, Headline
+from skyproof.results.statistics.intervals import Interval
+from skyproof.words import detector_name, interval, listed, percent
+
+_MOST_STEPS = 3
+_SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The answer in ten seconds.
+
+    Attributes:
+        tone: which colours it is shown in.
+        label: what the figure is, in two or three words: "REJECTED", "Strongest attack".
+        figure: the one number; empty where there is none.
+        interval: its interval in words; empty where it has none.
+        sentence: what the figure counts.
+        beside: the figure of a random control, as a sentence; empty where none was scored.
+        next_steps: what to do next, the most urgent first.
+    """
+
+    tone: Literal["neutral", "accepted", "rejected", "undecided", "not applicable"]
+    label: str
+    figure: str
+    interval: str
+    sentence: str
+    beside: str
+    next_steps: Sequence[str]
+
+
+def opening(
+    every: Sequence[Sequence[Headline]],
+    acceptance: Acceptance | None,
+    precheck: Gate,
+    checked: Sequence[CheckedSet],
+    *,
+    hardened_by: bool,
+) -> Opening:
+    """Gives the first screen of a report.
+
+    Args:
+        every: results to quote, by camouflage.
+        acceptance: what was decided of the detectors; None where nothing was asked.
+        precheck: whether they were worth attacking.
+        checked: the image sets that their baseline was measured on.
+        hardened_by: whether the page says how to harden the detectors.
+    """
+    steps = _next_steps(every, acceptance, precheck, checked, hardened_by)
+    if acceptance is not None:
+        return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
+    strongest = strongest_of(every)
+    if strongest is None:
+        return _baseline(checked, steps)
+    row = strongest.row
+    whose = (
+        "the detectors found" if row.detector == MEAN else f"{detector_name(row.detector)} found"
+    )
+    return Opening(
+        "neutral",
+        "Hidden by the strongest attack",
+        percent(row.easr.estimate),
+        _sure(row.easr),
+        f"of the vehicles that {whose} without camouflage are missed with: "
+        f"{strongest.camouflage.in_words} ({strongest.camouflage}).",
+        ""
+        if row.random is None
+        else f"Random patterns of the same kind hide {percent(row.random.easr)}.",
+        steps,
+    )
+
+
+def strongest_of(every: Sequence[Sequence[Headline]]) -> Headline | None:
+    """Gives the camouflage that hides most, on the renderer of the attack."""
+    known = [one[0] for one in every if not math.isnan(one[0].row.easr.estimate)]
+    return max(known, key=lambda one: one.row.easr.estimate, default=None)
+
+
+def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
+    name = detector_name(ruling.detector)
+    if not ruling.attacks:
+        return Opening(
+            ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], "", steps
+        )
+    attack, worst = next(iter(ruling.attacks.items()))
+    return Opening(
+        ruling.answer,
+        f"{name}: {ruling.answer.upper()}",
+        percent(worst.share),
+        f"bounds {interval(worst.at_least, worst.at_most)} at the risks of the requirement",
+        f"of the vehicles found without camouflage are missed with the strongest attack, {attack}.",
+        "",
+        steps,
+    )
+
+
+def _baseline(checked: Sequence[CheckedSet], steps: Sequence[str]) -> Opening:
+    """No camouflage was scored: the lowest baseline is the figure."""
+    known = [
+        (check.ap_centre_1m, check.detector, each.name)
+        for each in checked
+        for check in each.checks
+        if check is not None and not math.isnan(check.ap_centre_1m.estimate)
+    ]
+    if not known:
+        return Opening("neutral", "Nothing was scored", "", "", "", "", steps)
+    lowest, detector, images = min(known, key=lambda one: one[0].estimate)
+    return Opening(
+        "neutral",
+        "Lowest baseline",
+        percent(lowest.estimate),
+        _sure(lowest),
+        f"average precision of {detector_name(detector)} on {images}, without camouflage.",
+        "",
+        steps,
+    )
+
+
+def _next_steps(
+    every: Sequence[Sequence[Headline]],
+    acceptance: Acceptance | None,
+    precheck: Gate,
+    checked: Sequence[CheckedSet],
+    hardened_by: bool,
+) -> list[str]:
+    steps = []
+    failed = [state.name for state in precheck.states if state.outcome == "failed"]
+    unchecked = [state.name for state in precheck.states if state.outcome is None]
+    if failed:
+        steps.append(
+            f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
+            "ordinary changes, so its attack figures say little."
+        )
+    if unchecked:
+        steps.append(
+            f"Run skyproof precheck on {listed(unchecked)}: nothing in this run folder shows yet "
+            "whether attacks on them mean anything."
+        )
+    more = [each for each in acceptance.rulings if each.more_vehicles] if acceptance else []
+    if more:
+        steps.append("Add test vehicles: the details below say how many would decide.")
+    if not any(each.real for each in checked):
+        steps.append(
+            "Measure the detectors on annotated photographs (--labels of assess, --frames of "
+            "precheck) before you quote a figure for real imagery."
+        )
+    if hardened_by:
+        steps.append(
+            "Harden the detectors with the images listed below, then assess them again with newly "
+            "optimised attacks."
+        )
+    elif every:
+        steps.append("Quote net figures with their intervals when you compare detectors.")
+    return steps[:_MOST_STEPS]
+
+
+def _sure(rate: Interval) -> str:
+    if math.isnan(rate.low):
+        return "no interval: too few background tiles"
+    return f"95 % interval {interval(rate.low, rate.high)}"
