@@ -194,7 +194,7 @@ def test_the_page_loads_nothing_from_outside(page):
 
 
 def test_pairs_are_drawn_and_their_choice_is_stated(page):
-    assert page.count('with camouflage"') == 8
+    assert page.count('with T-U"') == 8
     assert page.count("Chosen by hash") == 6
     assert "Fewest vehicles hidden" in page
 
