@@ -188,6 +188,6 @@ def test_without_an_attack_there_is_nothing_to_decide(run_folder):
     tiles = read_tiles(place)
     controls = {key: counts for key, counts in tiles.series.items() if key.camouflage != "T-U"}
     write_tiles(place, TileCounts(tiles.cells, controls))
-    with pytest.raises(ConfigurationError, match="found none before retinanet; attack"):
+    with pytest.raises(ConfigurationError, match="found none for retinanet; attack"):
         write_report(run_folder, STRICT)
     assert not (run_folder / "verdict.json").exists()

@@ -104,8 +104,8 @@ def test_every_number_stands_in_the_cell_of_its_renderer(both, page):
 def test_both_renderers_have_an_answer_and_their_tables(page):
     text = words_of(page)
     first, second = (
-        text.index("images of the differentiable renderer, which"),
-        text.index("images of Blender Cycles, which"),
+        text.index("images of the differentiable renderer, used by"),
+        text.index("images of Blender Cycles, unknown to"),
     )
     assert first < second < text.index("Results in full")
     for heading in ("Differentiable renderer, found = centre", "Blender Cycles, found = boxes"):
@@ -115,7 +115,9 @@ def test_both_renderers_have_an_answer_and_their_tables(page):
 
 
 def test_detectors_are_checked_on_the_images_of_both(run_folder, page):
-    checked = {(row[0], row[1]): row[4] for row in table_of(page, "On clean, annotated images")}
+    checked = {
+        (row[0], row[1]): row[4] for row in table_of(page, "On annotated images without camouflage")
+    }
     assert {
         key: words_of(percent(ap, 1))
         for key, ap in (("rendered test", 0.97), ("Blender Cycles test", 0.88))
@@ -140,15 +142,16 @@ def test_pairs_come_from_the_images_of_their_renderer(page):
         return bool(np.abs(colour.astype(int) - (30, 60, 200)).max() < 12)
 
     pictures = re.findall(
-        r'<img src="data:image/jpeg;base64,([^"]+)" alt="Scene (\S+) [^"]*?camouflage(.*?)"', page
+        r'<img src="data:image/jpeg;base64,([^"]+)" alt="Scene (\S+) (.*?)"', page
     )
     drawn = [(scene, "Cycles" in rest, is_blue(picture)) for picture, scene, rest in pictures]
     assert (
         [blue for _, _, blue in drawn]
         == [said for _, said, _ in drawn]
-        == [False] * 16 + [True] * 10
+        == [False] * 18 + [True] * 10
     )
-    assert [scene for scene, _, _ in drawn[:6]] == [scene for scene, _, _ in drawn[16:22]]
+    # The first two are those of the first screen.
+    assert [scene for scene, _, _ in drawn[2:8]] == [scene for scene, _, _ in drawn[18:24]]
 
 
 def test_without_cycles_the_page_is_as_before(both, run_folder):
