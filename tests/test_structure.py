@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
@@ -33,6 +34,11 @@ PRINTING = ("cli", "assessment", "__main__", *ROOMS_OF_THEIR_OWN)
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 
+# A module is read and parsed once for all rules.
+parsed = cache(ast.parse)
+
+
+@cache
 def sources():
     """Every module's dotted name below skyproof and its text."""
     return {
@@ -41,9 +47,10 @@ def sources():
     }
 
 
+@cache
 def imports(text, *, at_import_time=False):
     """Dotted names a module imports; with `at_import_time` only those outside functions."""
-    found, waiting = set(), [ast.parse(text)]
+    found, waiting = set(), [parsed(text)]
     while waiting:
         node = waiting.pop()
         if isinstance(node, ast.Import):
@@ -119,7 +126,7 @@ def printers(modules):
     """Modules that call print, or write to a stream of sys."""
     found = []
     for module, text in modules.items():
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(text)):
             if not isinstance(node, ast.Call):
                 continue
             called = ast.unparse(node.func)
@@ -201,7 +208,7 @@ def rooms_without_a_description(modules):
         module
         for module, text in modules.items()
         if module.endswith(".__init__")
-        and len(re.findall(r"\.\s", (ast.get_docstring(ast.parse(text)) or "") + "\n")) < 2
+        and len(re.findall(r"\.\s", (ast.get_docstring(parsed(text)) or "") + "\n")) < 2
     ]
 
 
@@ -243,7 +250,7 @@ def packed_calls(text):
     """The lines that assign two values or more at once, of which one is computed by a call."""
     return [
         node.lineno
-        for node in ast.walk(ast.parse(text))
+        for node in ast.walk(parsed(text))
         if isinstance(node, ast.Assign)
         and isinstance(node.value, ast.Tuple)
         and any(isinstance(target, ast.Tuple) for target in node.targets)
