@@ -20,7 +20,7 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
 from tests.report.fabricate import fabricate
-from tests.report.test_gate import checked
+from tests.report.test_precheck import checked
 from tests.report.test_queries import missed
 from tests.report.test_report import words_of
 from tests.results.test_worst import scored

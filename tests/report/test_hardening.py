@@ -15,7 +15,7 @@ from skyproof.results.conditions import Bin, Panel
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
 from tests.report.fabricate import HIDES, fabricate
-from tests.report.test_gate import checked
+from tests.report.test_precheck import checked
 
 
 def with_world(folder):

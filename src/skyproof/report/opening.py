@@ -9,7 +9,7 @@ from typing import Literal
 
 from skyproof.report.acceptance import Acceptance, Ruling
 from skyproof.report.checks import CheckedSet
-from skyproof.report.gate import Gate
+from skyproof.report.precheck import PrecheckPart
 from skyproof.results.rows import MEAN, Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent
@@ -44,7 +44,7 @@ class Opening:
 def opening(
     every: Sequence[Sequence[Headline]],
     acceptance: Acceptance | None,
-    precheck: Gate,
+    precheck: PrecheckPart,
     checked: Sequence[CheckedSet],
     *,
     hardened_by: bool,
@@ -131,7 +131,7 @@ def _baseline(checked: Sequence[CheckedSet], steps: Sequence[str]) -> Opening:
 def _next_steps(
     every: Sequence[Sequence[Headline]],
     acceptance: Acceptance | None,
-    precheck: Gate,
+    precheck: PrecheckPart,
     checked: Sequence[CheckedSet],
     hardened_by: bool,
 ) -> list[str]:

@@ -25,10 +25,10 @@ from skyproof.report.appendix import flat_settings, full_tables
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure, many_figure
-from skyproof.report.gate import read_gate
 from skyproof.report.hardening import hardening, readings
 from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.opening import opening, strongest_of
+from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
@@ -186,7 +186,7 @@ def _write(
     sections = [_section(results, *headlines[:2]) for headlines in in_full]
     others = [headlines for headlines in every if headlines not in in_full]
     exhibits = [] if few else _exhibits(results, others)
-    precheck = read_gate(results)
+    precheck = precheck_part(results)
     checked = checked_sets(results)
     hardened = hardening(results, every, _panels)
     strongest = strongest_of(every)

@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, write_bytes
 from skyproof.layout import Layout
-from skyproof.report.gate import read_gate
+from skyproof.report.precheck import precheck_part
 from skyproof.report.report import Section, write_report
 from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown
 from skyproof.reproduction.colour_figure import colour_figure
@@ -118,7 +118,7 @@ def paper_part(results: Results) -> PaperPart | None:
 def _preamble(run: Reproduction) -> list[Block]:
     """Says what stands above the tables where they are a page of their own."""
     title = run.results.config.title or "The paper’s tables"
-    gate = " ".join(read_gate(run.results).sentences)
+    gate = " ".join(precheck_part(run.results).sentences)
     parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
     scores = standing(run)
     checked = f" (AP with centres within 1 m: {scores})" if scores else ""

@@ -59,7 +59,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Gate:
+class PrecheckPart:
     """The precheck of a run's detectors: whether they were worth attacking.
 
     Attributes:
@@ -77,7 +77,7 @@ class Gate:
     strips: Sequence[tuple[str, Sequence[Swatch]]]
 
 
-def read_gate(results: Results) -> Gate:
+def precheck_part(results: Results) -> PrecheckPart:
     """Reads what `skyproof precheck` left beside the detectors of a run.
 
     Raises:
@@ -110,7 +110,7 @@ def read_gate(results: Results) -> Gate:
         for name in found
         for kind, where in _STRIPS.items()
     ]
-    return Gate(states, notes, list(found), rows, strips)
+    return PrecheckPart(states, notes, list(found), rows, strips)
 
 
 def _state(name: str, found: Sequence[Finding] | None) -> State:
