@@ -57,6 +57,13 @@ class State:
     outcome: Outcome | None
     words: str
 
+    @property
+    def title(self) -> str:
+        """The outcome in words; a failure is loud."""
+        if self.outcome is None:
+            return "no precheck"
+        return f"precheck {self.outcome.upper() if self.outcome == 'failed' else self.outcome}"
+
 
 @dataclass(frozen=True)
 class PrecheckPart:
@@ -75,6 +82,14 @@ class PrecheckPart:
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Finding | None]]]
     strips: Sequence[tuple[str, Sequence[Swatch]]]
+
+    @property
+    def sentences(self) -> list[str]:
+        """States and notes as running text."""
+        return [
+            *(f"{each.name}: {each.title}. {each.words}".strip() for each in self.states),
+            *self.notes,
+        ]
 
 
 def precheck_part(results: Results) -> PrecheckPart:
