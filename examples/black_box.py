@@ -1,6 +1,6 @@
-"""A detector that only answers, through any library or over HTTP, is judged like any other.
+"""Evaluates a black-box detector, from any library or over HTTP.
 
-Its threshold is frozen, its success rates are measured, and a report is written.
+Freezes its threshold, measures its success rates and writes a report.
 """
 
 import torch
@@ -10,7 +10,7 @@ import skyproof as sp
 network = sp.load_detector("runs/trained/detectors/retinanet").detector
 
 
-def ask(picture):  # [H, W, 3] bytes; in place of this ask your library, or a server
+def ask(picture):  # [H, W, 3] bytes, replace by a call of your library or server
     found = network.detect(torch.from_numpy(picture).permute(2, 0, 1)[None] / 255)[0]
     return torch.cat([found.boxes, found.scores[:, None]], dim=1).tolist()
 
@@ -32,11 +32,11 @@ card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
 original = sp.Dataset.open(f"{demo}/datasets/test")
 renderer = sp.TorchRenderer(sp.BackgroundSet.open(f"{demo}/backgrounds"))
 fleet = sp.Fleet.load(f"{demo}/fleets/test")
-worn = {name: f"runs/mine/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
-for name, place in worn.items():
+camouflaged = {name: f"runs/mine/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
+for name, folder in camouflaged.items():
     camouflage = sp.load_camouflage(f"{demo}/camouflages/{name}")
-    sp.render_dataset(place, original.scenes, fleet, renderer, camouflage=camouflage)
-judge = sp.LoadedDetector(BlackBox(), card)
+    sp.render_dataset(folder, original.scenes, fleet, renderer, camouflage=camouflage)
+frozen = sp.LoadedDetector(BlackBox(), card)
 scores = "runs/mine/black_box/scores/first"
-sp.score_detectors([judge], scores, original=original.folder, camouflaged=worn)
+sp.score_detectors([frozen], scores, original=original.folder, camouflaged=camouflaged)
 print(sp.write_report("runs/mine/black_box"))

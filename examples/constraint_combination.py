@@ -1,4 +1,4 @@
-"""Learns blocks of about 15 cm, in five colours of the ground and on painted parts only.
+"""Optimises blocks of about 15 cm in five colours of the ground, on painted parts only.
 
 The attack runs against all detectors of the demo.
 """

@@ -1,6 +1,6 @@
-"""A detector behind a network address: one command from its answers to a report.
+"""Assesses a detector behind a network address in one call.
 
-It takes a picture as PNG and answers boxes in pixels with scores; change `ask` to what yours wants.
+The service takes a PNG and returns boxes in pixels with scores. Change `ask` to suit yours.
 """
 
 import io

@@ -1,6 +1,6 @@
-"""A checkpoint file of torchvision is imported, validated and attacked.
+"""Imports, validates and attacks a checkpoint file of torchvision.
 
-The file is made here by a short training.
+A short training makes the file.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""MAITE's own `evaluate`: what a texture of the demo hides from a detector of the demo."""
+"""MAITE's own `evaluate` measures how many vehicles a texture hides from a detector."""
 
 import json
 from pathlib import Path

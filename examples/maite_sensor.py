@@ -1,4 +1,4 @@
-"""A sensor of NRTK through MAITE: which vehicles does a camera hide that shakes?"""
+"""A shaking camera of NRTK, evaluated through MAITE."""
 
 from pathlib import Path
 

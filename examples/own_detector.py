@@ -1,6 +1,6 @@
-"""A detector of one's own can be attacked.
+"""Attacks a detector of your own.
 
-All it needs is to give one loss per image, which is small where it finds nothing.
+It needs one loss per image, small if it finds nothing.
 """
 
 import torch

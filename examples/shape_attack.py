@@ -1,4 +1,4 @@
-"""A body that may grow by up to a fifth of its width, against one detector of the demo."""
+"""Attacks one detector with a body that may grow by up to a fifth of its width."""
 
 import torch
 
