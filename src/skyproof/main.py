@@ -44,9 +44,8 @@ COMMANDS: dict[str, dict[str, str]] = {
         "attack": "skyproof.cli.attack:Attack",
         "score": "skyproof.cli.score:Score",
     },
-    "Planning and timing": {
+    "Planning": {
         "sample-size": "skyproof.cli.sample_size:SampleSize",
-        "bench": "skyproof.cli.bench:Bench",
     },
 }
 

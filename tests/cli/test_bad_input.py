@@ -214,7 +214,7 @@ def test_wrong_flags(tmp_path: Path, skyproof: Skyproof) -> None:
         assert answer.code == 2
         assert answer.err
         assert "Traceback" not in answer.err
-    for arguments in (["--help"], ["demo", "--help"], ["bench", "--help"]):
+    for arguments in (["--help"], ["demo", "--help"], ["report", "--help"]):
         answer = skyproof(*arguments)
         assert (answer.code, answer.err) == (0, "")
         assert "usage: skyproof" in answer.out

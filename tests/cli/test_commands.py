@@ -1,10 +1,8 @@
-"""render, train, attack, evaluate, report and bench on the folders of the tiny run."""
+"""render, train, attack, evaluate and report on the folders of the tiny run."""
 
 import json
 import shutil
 from pathlib import Path
-
-import pytest
 
 from tests.cli.conftest import WORN, Answer, Skyproof, bytes_of
 
@@ -272,21 +270,3 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
         skyproof("report", "--run-folder", folder).refused(str(folder / file))
         assert not (folder / "report.html").exists()
         (folder / file).write_bytes(good)
-
-
-@pytest.mark.parametrize("extra", [[], ["--device", "cuda:77"]])
-def test_bench(extra: list[str], tmp_path: Path, skyproof: Skyproof) -> None:
-    file = tmp_path / "bench.json"
-    tiny = ["--image-px", 128, "--batch-size", 1, "--repeats", 1, "--detectors", "retinanet"]
-    answer = skyproof("bench", "--json", file, *tiny, *(extra or CPU))
-    if extra:
-        answer.refused("--device cuda:77")
-        assert not file.exists()
-        return
-    assert answer.code == 0, answer.err
-    figures = json.loads(file.read_text())
-    for key in ("forward", "again", "texture", "vertices"):
-        assert figures[f"crop_64px_{key}_ms"] > 0
-    assert figures["dataset_images_per_second"] > 0
-    for key in ("texture", "fixed_colours", "masked", "shape", "texture_and_shape"):
-        assert figures[f"{key}_step_over_detectors"] > 0

@@ -86,9 +86,6 @@ def test_any_seed_of_64_bits_is_taken(monkeypatch, capsys, seed):
         "reproduce --cores 0",
         "reproduce --cores 1000000000",
         "score --detectors a --out b --seed 9223372036854775808",
-        "bench --repeats 0",
-        "bench --batch-size 1000000000",
-        "bench --image-px 8",
     ],
 )
 def test_numbers_out_of_range_are_refused(skyproof: Skyproof, tmp_path, monkeypatch, arguments):
@@ -154,12 +151,6 @@ def test_a_camouflage_has_a_plain_name(skyproof: Skyproof, tmp_path, monkeypatch
         "score", "--detectors", "d", "--out", "out", "--original", "o", "--camouflaged", f"{name}=c"
     ).refused("--camouflaged expects NAME=FOLDER")
     assert not list(tmp_path.iterdir())
-
-
-def test_figures_of_a_bench_replace_nothing(skyproof: Skyproof, tmp_path):
-    (tmp_path / "mine.json").write_text("mine")
-    skyproof("bench", "--json", tmp_path / "mine.json").refused("mine.json exists already")
-    assert (tmp_path / "mine.json").read_text() == "mine"
 
 
 def test_training_settings_say_what_they_are_where_nothing_is_asked():

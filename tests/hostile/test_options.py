@@ -77,7 +77,6 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "attack": ["attack", "R-PixFc", "--palette", inputs / "palette.json", "--out", out / "new"],
         "score": ["score", "--detectors", detector, "--out", out / "new"],
         "sample-size": ["sample-size"],
-        "bench": ["bench", "--out", out / "new.json", "--device", "nowhere"],
     }
     return calls[name]
 

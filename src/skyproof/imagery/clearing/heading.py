@@ -39,10 +39,10 @@ def estimate_stance(
     outline. The box alone cannot tell a heading from its mirror image; the outline can. A square
     box, as stands for a point label, says nothing of the heading: then the outline decides alone.
 
-    How good it is, on 300 rendered vehicles of the demo's validation and test scenes at 12.5 cm
-    (tools/measure_headings.py): the median error is 1.1 degrees, and 1.0 % are off by more than 20;
-    with boxes that are 0.2 m too large on every side and off by 0.15 m more, 3.0 degrees and 1.0 %;
-    with sides off by 0.3 m, 4.6 degrees and 4.7 %; with squares around points, 7.0 and 17 %.
+    On 300 rendered vehicles of the demo at 12.5 cm the median error is 1.1 degrees, and 1.0 % are
+    off by more than 20 (`tools/measure_headings.py` of commit 37a385d). With boxes that are 0.2 m
+    too large on every side and off by 0.15 m more, it is 3.0 degrees and 1.0 %. With sides off by
+    0.3 m, it is 4.6 degrees and 4.7 %, and with squares around points 7.0 and 17 %.
 
     Args:
         image: sRGB bytes.
