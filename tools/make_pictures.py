@@ -29,7 +29,7 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.random_controls import wear_random_controls
 from skyproof.ground.procedural import write_procedural_backgrounds
-from skyproof.imagery.clearing.inpainting import Exemplar, apply_inpainting
+from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
@@ -281,7 +281,7 @@ def draw_clearing_sheet() -> Image.Image:
             shadow = estimate_shadow([darkness_profiles(image, frames.boxes, gsd_m=GSD_M)])
             mask = vehicle_mask((size_px, size_px), frames.boxes, shadow, gsd_m=GSD_M, margin_m=0.4)
             true = (backgrounds.window(scene.background, size_px) * 255).round().byte()
-            filled = apply_inpainting(Exemplar(), image, mask)
+            filled = fill_ground(image, mask)
             pictures += [
                 ("rendered", as_image(image)),
                 ("cleared", as_image(filled)),

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sys
 
 import pytest
 
@@ -14,16 +13,12 @@ from tests.imagery.test_clear import tiled
 
 
 def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof):
-    pytest.importorskip("cv2")
     folder = tiled(tmp_path / "tiled", labelled="acde")
-    answer = skyproof("clear", folder, "--out", tmp_path / "cleared", "--method", "telea")
+    answer = skyproof("clear", folder, "--out", tmp_path / "cleared")
     assert answer.code == 0
     assert "5 of 5 kept" in answer.out
     assert "Not checked by a detector" in answer.out
     assert "Overcast: over 1 of 1 sources vehicles cast no shadow" in answer.out
-    record = json.loads((tmp_path / "cleared" / "clearing.json").read_text())
-    assert record["inpainting"]["name"] == "opencv telea"
-    assert record["inpainting"]["opencv"]
     image = BackgroundSet.open(tmp_path / "cleared").pixels("c").int()
     assert (image[0] - image[1]).max() < 30
     assert skyproof("adjust", tmp_path / "cleared", "--drop", "c").code == 0
@@ -67,11 +62,10 @@ def test_it_warns_where_ground_was_smeared(labelled, detected, share, vehicles_f
 
 
 def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: Skyproof):
-    pytest.importorskip("cv2")
     folder = tiled(tmp_path / "tiled", labelled="acde")
     detector = tmp_path / "detector"
     shutil.copytree(reference_folder("retinanet"), detector)
-    call = ("clear", folder, "--detector", detector, "--method", "telea", "--device", "cpu")
+    call = ("clear", folder, "--detector", detector, "--device", "cpu")
     answer = skyproof(*call, "--out", tmp_path / "good")
     assert answer.code == 0
     assert "Not checked by a detector" not in answer.out
@@ -87,28 +81,16 @@ def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: 
     assert record["checked_by"] == "not checked by a detector"
 
 
-def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypatch):
+def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof):
     folder, out = tiled(tmp_path / "tiled"), tmp_path / "cleared"
     (tmp_path / "plain").mkdir()
-    (tmp_path / "network.onnx").write_text("no network")
 
     def refused(*words, text):
         skyproof("clear", *words).refused(text)
         assert not out.exists()
         assert not (tmp_path / ".cleared.partial").exists()
 
-    refused(tmp_path / "plain", "--out", out, "--method", "telea", text="index.json is missing")
-    refused(
-        folder,
-        "--out",
-        out,
-        "--inpainting",
-        tmp_path / "network.onnx",
-        text="network.onnx is no ONNX model",
-    )
-    refused(
-        folder, "--out", out, "--inpainting", tmp_path / "none.onnx", text="none.onnx is missing"
-    )
+    refused(tmp_path / "plain", "--out", out, text="index.json is missing")
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
     refused(
         folder,
@@ -118,19 +100,14 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof, monkeypa
         "2",
         text="largest-masked-share expects",
     )
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    refused(folder, "--out", out, text="extra 'imagery'")
-    monkeypatch.undo()
-    pytest.importorskip("cv2")
     refused(folder, "--out", out, text="no detector was given")
     out.mkdir()
     skyproof("clear", folder, "--out", out).refused("exists already")
 
 
 def test_scenes_have_vehicles_where_others_were_removed(tmp_path, skyproof: Skyproof):
-    pytest.importorskip("cv2")
     folder, ground = tiled(tmp_path / "tiled", labelled="acde"), tmp_path / "cleared"
-    answer = skyproof("clear", folder, "--out", ground, "--method", "telea")
+    answer = skyproof("clear", folder, "--out", ground)
     assert "places of 5 are kept for skyproof scenes --settings.places removed" in answer.out
     fleets = tmp_path / "fleets"
     assert skyproof("vehicles", "--counts", 3, 1, 1, 1, "--out", fleets).code == 0

@@ -48,7 +48,7 @@ def labelled(name: str) -> Callable[[Path, Path], Sequence[object]]:
 
 
 def clear(inputs: Path, out: Path) -> Sequence[object]:
-    return ["clear", inputs / "tiled", "--out", out / "new", *ON_CPU, "--method", "telea"]
+    return ["clear", inputs / "tiled", "--out", out / "new", *ON_CPU]
 
 
 def score(inputs: Path, out: Path) -> Sequence[object]:

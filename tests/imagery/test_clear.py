@@ -122,12 +122,12 @@ def finder(detector=None, gsd_m=0.125):
 
 
 def ground(image, mask):
-    return torch.tensor(GROUND)[:, None, None].expand_as(image) / 255
+    return torch.where(mask, torch.tensor(GROUND, dtype=torch.uint8)[:, None, None], image)
 
 
-def cleared(folder, tmp_path, inpainting=ground, **options):
+def cleared(folder, tmp_path, fill=ground, **options):
     with finished_folder(tmp_path / "cleared") as partial:
-        record = clear_backgrounds(folder, partial, inpainting, **options)
+        record = clear_backgrounds(folder, partial, fill=fill, **options)
     return BackgroundSet.open(tmp_path / "cleared"), record
 
 
@@ -151,7 +151,6 @@ def test_labelled_vehicles_and_ignore_regions_are_removed(tmp_path):
     assert (totals["labelled_removed"], totals["detected_removed"], totals["kept"]) == (5, 0, 5)
     assert record["checked_by"] == "not checked by a detector"
     assert record["vehicles_from"] == ["labels"]
-    assert record["inpainting"] == {"name": "ground"}
     assert json.loads((tmp_path / "cleared" / "clearing.json").read_text()) == record
     assert len(json.loads((tmp_path / "cleared" / "index.geojson").read_text())["features"]) == 5
 
@@ -230,7 +229,7 @@ def test_places_of_detections_are_kept_where_they_are_sure(tmp_path):
 
 def clear_again(tmp_path):
     with finished_folder(tmp_path / "again") as partial:
-        clear_backgrounds(tmp_path / "cleared", partial, ground, finder=finder())
+        clear_backgrounds(tmp_path / "cleared", partial, finder=finder())
     return BackgroundSet.open(tmp_path / "again")
 
 
@@ -250,7 +249,7 @@ def test_where_nobody_labelled_and_nothing_is_found_grey_ground_is_drivable(tmp_
 
 def test_bytes_beside_the_vehicles_stay(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="c")
-    result, _ = cleared(folder, tmp_path, inpainting=lambda image, mask: torch.zeros_like(image))
+    result, _ = cleared(folder, tmp_path, fill=lambda image, mask: image * ~mask)
     changed = (result.pixels("c") != BackgroundSet.open(folder).pixels("c")).any(0)
     # One label of this source: the shadow is unknown, so that the margin is twice 0.4 m.
     expected = torch.zeros_like(changed)
@@ -332,7 +331,7 @@ def test_what_cannot_be_repaired_is_left_out(tmp_path):
     def not_in_d(image, mask):
         return image if mask[95, 20] else ground(image, mask)
 
-    result, record = cleared(folder, tmp_path, inpainting=not_in_d, checker=finder())
+    result, record = cleared(folder, tmp_path, fill=not_in_d, checker=finder())
     rows = {row["id"]: row for row in record["tiles"]}
     assert rows["d"]["left_out"] == "a vehicle is still found"
     assert (rows["d"]["rounds"], rows["d"]["remaining"]) == (2, 1)

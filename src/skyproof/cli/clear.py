@@ -6,7 +6,7 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -16,7 +16,6 @@ from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
     from skyproof.detectors.loaded import Load
-    from skyproof.imagery.clearing.inpainting import Inpainting
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
 _MANY_MORE = 3
@@ -38,10 +37,6 @@ class Clear:
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default, unless
             its own check failed.
-        inpainting: ONNX file of a network that takes `image` and `mask`, such as LaMa (extra onnx).
-            It may come from anybody: it runs no code, and no other file is read for it.
-        method: how ground is filled without a network: exemplar (ground copied from nearby), or
-            telea or navier-stokes (OpenCV's).
         device: auto, cpu or cuda; where the detectors run.
         settings: how vehicles are removed.
     """
@@ -50,8 +45,6 @@ class Clear:
     out: Path
     detector: Path | None = None
     check_detector: Path | None = None
-    inpainting: Path | None = None
-    method: Literal["exemplar", "telea", "navier-stokes"] = "exemplar"
     device: str = "auto"
     settings: ClearSettings = field(default_factory=ClearSettings)
 
@@ -64,7 +57,6 @@ class Clear:
         from skyproof.imagery.clearing.clear import clear_backgrounds
 
         refuse_existing(self.out)
-        inpainting = self._inpainting()
         finder = _finder(self.detector, self.device, load)
         checker = finder
         if self.check_detector is not None:
@@ -84,24 +76,12 @@ class Clear:
             record = clear_backgrounds(
                 self.folder,
                 partial,
-                inpainting,
                 self.settings,
                 finder=finder,
                 checker=checker,
                 progress=progress,
             )
         self._say_record(record, checked=checker is not None)
-
-    def _inpainting(self) -> Inpainting:
-        from skyproof.imagery.clearing.inpainting import Diffusion, Exemplar
-        from skyproof.imagery.clearing.learnt_inpainting import LearntInpainting
-
-        if self.inpainting is not None:
-            return LearntInpainting(self.inpainting)
-        inpainting = Exemplar() if self.method == "exemplar" else Diffusion(self.method)
-        # Says at once when OpenCV is missing.
-        inpainting.record()
-        return inpainting
 
     def _say_record(self, record: dict[str, Any], *, checked: bool) -> None:
         totals = record["totals"]

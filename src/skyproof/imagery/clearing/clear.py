@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
-from skyproof.imagery.clearing.inpainting import Inpainting, apply_inpainting, inpainting_record
+from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.labelled import (
     TileLabels,
     read_labels_of_tiles,
@@ -46,6 +46,8 @@ from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
+
+Fill = Callable[[UInt8[Tensor, "3 H W"], Bool[Tensor, "H W"]], UInt8[Tensor, "3 H W"]]
 
 
 @dataclass
@@ -94,9 +96,9 @@ class _Found:
 def clear_backgrounds(
     folder: Path,
     out: Path,
-    inpainting: Inpainting,
     settings: ClearSettings | None = None,
     *,
+    fill: Fill = fill_ground,
     finder: VehicleFinder | None = None,
     checker: VehicleFinder | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -116,8 +118,8 @@ def clear_backgrounds(
         folder: a tiled folder, with or without `<split>/annotations.json`.
         out: gets the tiles, their maps of drivable ground and of shadows, `index.json`,
             `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
-        inpainting: fills masks; bytes outside the mask are never changed.
         settings: margins and limits.
+        fill: fills a mask of a tile and leaves every byte outside it as it was.
         finder: finds vehicles that are not labelled.
         checker: looks at the result, at its own threshold.
         progress: called with ("find" or "clear", tiles done, tiles in all).
@@ -127,7 +129,7 @@ def clear_backgrounds(
 
     Raises:
         ConfigurationError: neither labels nor a finder, or a detector of another resolution.
-        ImageryError: no tile is left, or the inpainting returned something unusable.
+        ImageryError: no tile is left.
         StoredFileError: the folder is not a tiled folder.
     """
     settings = settings or ClearSettings()
@@ -159,7 +161,7 @@ def clear_backgrounds(
                 tile,
                 found[tile.id],
                 shadows[picture_of(tile)],
-                inpainting,
+                fill,
                 settings,
                 checker,
                 out,
@@ -173,7 +175,7 @@ def clear_backgrounds(
                 sheet.add(sheet_row)
             if progress is not None:
                 progress("clear", done, len(tiles))
-    record = _record(rows, shadows, inpainting, settings, finder, checker, labels is not None)
+    record = _record(rows, shadows, settings, finder, checker, labels is not None)
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
@@ -257,7 +259,7 @@ def _clear_tile(
     tile: BackgroundTile,
     found: _Found,
     shadow: Shadow | None,
-    inpainting: Inpainting,
+    fill: Fill,
     settings: ClearSettings,
     checker: VehicleFinder | None,
     out: Path,
@@ -280,7 +282,7 @@ def _clear_tile(
             row.left_out = "too much to remove"
             break
         if tile_mask.any():
-            image = apply_inpainting(inpainting, image, tile_mask)
+            image = fill(image, tile_mask)
         if checker is None:
             break
         remaining = checker.detections(image, checker.loaded.threshold).boxes
@@ -312,7 +314,6 @@ def _caption(row: Cleared) -> str:
 def _record(
     rows: Sequence[Cleared],
     shadows: Mapping[str, Shadow | None],
-    inpainting: Inpainting,
     settings: ClearSettings,
     finder: VehicleFinder | None,
     checker: VehicleFinder | None,
@@ -331,7 +332,6 @@ def _record(
     return {
         "format_version": 1,
         "settings": asdict(settings),
-        "inpainting": inpainting_record(inpainting),
         "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
         "checked_by": checked_by,
         "shadows": {

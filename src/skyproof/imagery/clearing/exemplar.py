@@ -4,56 +4,37 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta
+import torch
+from jaxtyping import Bool, UInt8
 from numpy.typing import NDArray
 from scipy import fft, ndimage, sparse
 from scipy.sparse.linalg import splu
-
-from skyproof.ranges import Fraction, check_ranges
+from torch import Tensor
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shift = tuple[int, int]
 
-_Reach = Annotated[int, Meta(ge=1, le=4096)]
-_Weight = Annotated[float, Meta(ge=0, le=1000)]
-
-SEEN_SHARE = 0.6
-"""Of a shifted ring, how much must lie on ground that may be compared."""
-
-
-@dataclass(frozen=True)
-class ExemplarSettings:
-    """How a hole finds the ground it is filled with; the pixel figures suit 10 to 15 cm per pixel.
-
-    Attributes:
-        search_px: how far away the copied ground may lie, rows and columns.
-        ring_px: width of the known ring around a hole that the copied ground's own ring must look
-            like.
-        piece_px: larger holes are filled piece by piece, each about this wide.
-        shifts: most places one piece may be put together from; each serves the side of the hole it
-            suits.
-        plainness: weight of the copied ground's contrast against the ring's mismatch: plain ground
-            is preferred to ground with things on it.
-        hold: weight of the copied ground's own values, brightened as a whole, against a stepless
-            joint.
-        brightness_freedom: 0 to 1, how much of an even difference in brightness is no mismatch,
-            because it is levelled.
-    """
-
-    search_px: _Reach = 112
-    ring_px: _Reach = 7
-    piece_px: _Reach = 72
-    shifts: Annotated[int, Meta(ge=1, le=100)] = 4
-    plainness: _Weight = 0.3
-    hold: _Weight = 0.02
-    brightness_freedom: Fraction = 0.7
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
+# Lengths suit ground of 10 to 15 cm per pixel.
+_SEARCH_PX = 112
+"""How far away the copied ground may lie, in rows and in columns."""
+_RING_PX = 7
+"""Width of the known ring around a hole that the copied ground's own ring must look like."""
+_PIECE_PX = 72
+"""Larger holes are filled piece by piece, each about this wide."""
+_SHIFTS = 4
+"""Most places that one piece is put together from; each serves the side of the hole it suits."""
+_PLAINNESS = 0.3
+"""Weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred."""
+_HOLD = 0.02
+"""Weight of the copied ground's own values, levelled as a whole, against a joint without a step."""
+_BRIGHTNESS_FREEDOM = 0.7
+"""How much of an even difference in brightness is no mismatch, because it is levelled."""
+_SEEN_SHARE = 0.6
+"""How much of a shifted ring must lie on ground that may be compared."""
 
 
 @dataclass(frozen=True)
@@ -65,57 +46,63 @@ class _Window:
     hole: Flags
 
 
-def fill_by_exemplar(
-    image: Array,
-    mask: Flags,
-    settings: ExemplarSettings | None = None,
-    *,
-    start: Array | None = None,
-) -> Array:
+def fill_ground(image: UInt8[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> UInt8[Tensor, "3 H W"]:
+    """Fills the mask as `fill_by_exemplar` does; every byte outside it stays as it was."""
+    pixels = (image.float() / 255).permute(1, 2, 0).double().numpy()
+    filled = torch.from_numpy(fill_by_exemplar(pixels, mask.numpy())).permute(2, 0, 1).float()
+    return torch.where(mask, (filled.clamp(0, 1) * 255).round().to(torch.uint8), image)
+
+
+def fill_by_exemplar(image: Array, mask: Flags) -> Array:
     """Fills `mask` with ground of the same picture.
 
-    For every piece of a hole all shifts within `search_px` are compared (exactly, by Fourier
+    For every piece of a hole all shifts within a reach are compared (exactly, by Fourier
     transform): the known ring around the piece against the same ring shifted. The best shifts each
     serve the side they suit best, and a screened Poisson equation joins them to the ring, so that
-    texture and noise are the picture's own and no step is left.
+    texture and noise are the picture's own and no step is left. Where no place nearby is large
+    enough and free of vehicles, the colours of the hole's edge go on into it smoothly.
 
     Args:
         image: `[H, W, 3]`.
         mask: `[H, W]` True where to fill.
-        settings: sizes and weights.
-        start: `[H, W, 3]` what stays where no place fits, such as a diffused filling; the image
-            itself by default.
 
     Returns:
         A new image; equal to `image` outside `mask`.
     """
-    settings = settings or ExemplarSettings()
     filled = image.copy()
     unknown = mask.copy()
-    if start is not None:
-        filled[mask] = start[mask]
+    smooth = None
     # Small holes first: once filled they may serve the large ones' rings, but are never copied
     # from.
-    pieces = sorted(_pieces(mask, settings.piece_px), key=lambda piece: int(piece.sum()))
+    pieces = sorted(_pieces(mask), key=lambda piece: int(piece.sum()))
     for piece in pieces:
-        rows, columns = _reach(piece, settings.search_px + settings.ring_px + 1)
+        rows, columns = _reach(piece)
         window = _Window(filled[rows, columns], ~unknown[rows, columns], piece[rows, columns])
-        result = _fill(window, ~mask[rows, columns], settings)
+        result = _fill(window, ~mask[rows, columns])
         if result is not None:
             filled[rows, columns] = result
+        else:
+            smooth = _smooth(image, mask) if smooth is None else smooth
+            filled[piece] = smooth[piece]
         unknown &= ~piece
     return filled
 
 
-def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
+def _smooth(image: Array, mask: Flags) -> Array:
+    """Fills the mask by Laplace's equation; where the edge says nothing, with the mean colour."""
+    even = np.broadcast_to(image[~mask].mean(axis=0), (1, *image.shape))
+    return _join(_Window(image, ~mask, mask), even, np.zeros(mask.shape, np.int64), hold=1e-6)
+
+
+def _pieces(mask: Flags) -> list[Flags]:
     """Divides the connected holes, large ones into about square pieces."""
     labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
     for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
         piece = labels == number
         height, width = rows.stop - rows.start, columns.stop - columns.start
-        down = math.ceil(height / piece_px)
-        across = math.ceil(width / piece_px)
+        down = math.ceil(height / _PIECE_PX)
+        across = math.ceil(width / _PIECE_PX)
         for row in range(down):
             for column in range(across):
                 part = np.zeros_like(mask)
@@ -134,7 +121,8 @@ def _pieces(mask: Flags, piece_px: int) -> list[Flags]:
     return pieces
 
 
-def _reach(piece: Flags, margin_px: int) -> tuple[slice, slice]:
+def _reach(piece: Flags) -> tuple[slice, slice]:
+    margin_px = _SEARCH_PX + _RING_PX + 1
     rows, columns = ndimage.find_objects(piece.astype(np.int8))[0]
     return (
         slice(max(0, rows.start - margin_px), min(piece.shape[0], rows.stop + margin_px)),
@@ -142,28 +130,27 @@ def _reach(piece: Flags, margin_px: int) -> tuple[slice, slice]:
     )
 
 
-def _fill(window: _Window, sound: Flags, settings: ExemplarSettings) -> Array | None:
+def _fill(window: _Window, sound: Flags) -> Array | None:
     """Fills the window's hole; None where no shift keeps the copy on sound ground."""
-    near = ndimage.binary_dilation(window.hole, iterations=settings.ring_px)
+    near = ndimage.binary_dilation(window.hole, iterations=_RING_PX)
     ring = near & ~window.hole & window.known
     if not ring.any():
         return None
-    shifts = _best_shifts(window, ring, sound, settings)
+    shifts = _best_shifts(window, ring, sound)
     if not shifts:
         return None
-    levels = []
+    copies = []
     for shift in shifts:
         seen = ring & _shifted(sound, shift)
-        levels.append(np.median((window.values - _shifted(window.values, shift))[seen], axis=0))
-    return _join(window, _serve_sides(window, ring, sound, shifts), shifts, levels, settings.hold)
+        copy = _shifted(window.values, shift)
+        copies.append(copy + np.median((window.values - copy)[seen], axis=0))
+    return _join(window, np.stack(copies), _serve_sides(window, ring, sound, shifts), _HOLD)
 
 
-def _best_shifts(
-    window: _Window, ring: Flags, sound: Flags, settings: ExemplarSettings
-) -> list[Shift]:
+def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
     """Finds shifts (down, across) at which the ring looks the same, best first."""
     # Room for the largest shift, so that none wraps around.
-    size = tuple(fft.next_fast_len(side + settings.search_px, real=True) for side in ring.shape)
+    size = tuple(fft.next_fast_len(side + _SEARCH_PX, real=True) for side in ring.shape)
 
     def spectrum(values: NDArray[Any]) -> NDArray[np.complex64]:
         return fft.rfft2(values.astype(np.float32), size)
@@ -180,7 +167,7 @@ def _best_shifts(
     copied = ndimage.binary_dilation(window.hole)
     seen = correlate(ring_spectrum, ground).round()
     valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (
-        seen >= SEEN_SHARE * ring.sum()
+        seen >= _SEEN_SHARE * ring.sum()
     )
     seen = np.maximum(seen, 1)
     # How the shifted ring differs from ours, and how lively the copied ground is.
@@ -201,20 +188,18 @@ def _best_shifts(
             - 2 * correlate(ring_field, field)
         )
         even = correlate(ring_field, ground) - correlate(ring_spectrum, field)
-        mismatch += squared / seen - settings.brightness_freedom * (even / seen) ** 2
+        mismatch += squared / seen - _BRIGHTNESS_FREEDOM * (even / seen) ** 2
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
     # What a shift costs; those that are not allowed cost infinitely much.
-    cost = np.where(
-        valid, np.maximum(mismatch, 0) + settings.plainness * np.maximum(contrast, 0), np.inf
-    )
+    cost = np.where(valid, np.maximum(mismatch, 0) + _PLAINNESS * np.maximum(contrast, 0), np.inf)
     down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
-    far = np.maximum(abs(down), abs(across)) > settings.search_px
+    far = np.maximum(abs(down), abs(across)) > _SEARCH_PX
     cost[far] = np.inf
     # The cheapest shifts, apart from each other.
     chosen: list[Shift] = []
     best = math.inf
-    while len(chosen) < settings.shifts:
+    while len(chosen) < _SHIFTS:
         at = int(cost.argmin())
         lowest = float(cost.flat[at])
         best = min(best, lowest)
@@ -256,26 +241,17 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
-def _join(
-    window: _Window,
-    choice: NDArray[np.int64],
-    shifts: list[Shift],
-    levels: list[Array],
-    hold: float,
-) -> Array:
+def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
     Wanted are the copies' differences between neighbours, the ring's values next to it and, with
-    weight `hold`, the copies levelled to the ring's brightness: what differs at one place of the
-    ring does not bleed through the hole.
+    weight `hold`, the copies themselves: what differs at one place of the ring does not bleed
+    through the hole.
+
+    Args:
+        copies: `[S, H, W, 3]` what each shift would copy, brought to the ring's brightness.
+        choice: `[H, W]` which of them is taken.
     """
-    # What each shift would copy, brought to its brightness.
-    copies = np.stack(
-        [
-            _shifted(window.values, shift) + level
-            for shift, level in zip(shifts, levels, strict=True)
-        ]
-    )
     # The pixels of the hole are the unknowns, numbered.
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
