@@ -24,7 +24,7 @@ PYTEST := $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 test: $(VENV)/test.ok
 	$(PYTEST) -m "not slow"
 
-# Also whole runs that are killed, meet a full disk, or go from nothing to the tables.
+# Also whole runs that are killed or meet a full disk, trainings, and hostile input by the thousand.
 test-all: test
 	$(PYTEST) -m slow
 

@@ -76,6 +76,7 @@ def cut(patch: pytest.MonkeyPatch, detector: TrainableDetector) -> None:
     patch.setattr(detector, "loss", loss)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sabotage", [flip, cut])
 @pytest.mark.parametrize("name", REFERENCE_DETECTORS)
 def test_a_texture_learnt_with_a_sabotaged_loss_does_not(

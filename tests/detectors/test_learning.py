@@ -18,6 +18,8 @@ from skyproof.detectors.inference import to_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train, validate
 
+pytestmark = pytest.mark.slow
+
 TRAINING_IMAGES, VALIDATION_IMAGES, TEST_IMAGES = 160, 24, 40
 # Focal loss starts slowly.
 STEPS = {"retinanet": 200, "faster_rcnn": 140, "yolov5_anchors": 200}

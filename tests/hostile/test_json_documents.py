@@ -6,7 +6,7 @@ from tests.hostile.documents import try_any_json, try_damage, try_mutations
 from tests.hostile.kinds import JSON_KINDS
 from tests.hostile.sandbox import Kind, Sandbox
 
-pytestmark = pytest.mark.parametrize("kind", JSON_KINDS, ids=str)
+pytestmark = [pytest.mark.slow, pytest.mark.parametrize("kind", JSON_KINDS, ids=str)]
 
 
 def test_any_json(sandbox: Sandbox, kind: Kind) -> None:

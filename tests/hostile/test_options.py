@@ -18,6 +18,8 @@ from tests.hostile.sandbox import RAN, Sandbox
 from tests.hostile.values import NUMBERS, examples
 from tests.hostile.world import DEMO
 
+pytestmark = pytest.mark.slow
+
 NAMES = [name for group in COMMANDS.values() for name in group]
 
 

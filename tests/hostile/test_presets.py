@@ -11,6 +11,8 @@ from tests.hostile.documents import try_any_json, try_damage, try_mutations
 from tests.hostile.kinds import PRESETS
 from tests.hostile.sandbox import Sandbox
 
+pytestmark = pytest.mark.slow
+
 KIND = PRESETS[0]
 
 

@@ -4,6 +4,8 @@ import pytest
 
 from tests.hostile.sandbox import RAN
 
+pytestmark = pytest.mark.slow
+
 FEWEST = 2000
 
 

@@ -24,7 +24,7 @@ KINDS = [
     Kind("weights of a detector", "detectors/retinanet/weights.safetensors", compare),
 ]
 
-pytestmark = pytest.mark.parametrize("kind", KINDS, ids=str)
+pytestmark = [pytest.mark.slow, pytest.mark.parametrize("kind", KINDS, ids=str)]
 
 
 def with_header(content: bytes, header: bytes) -> bytes:

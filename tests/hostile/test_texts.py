@@ -7,7 +7,7 @@ from tests.hostile.kinds import TEXTS
 from tests.hostile.sandbox import Kind, Sandbox
 from tests.hostile.values import mutated_text
 
-pytestmark = pytest.mark.parametrize("kind", TEXTS, ids=str)
+pytestmark = [pytest.mark.slow, pytest.mark.parametrize("kind", TEXTS, ids=str)]
 
 
 def test_one_word_or_line(sandbox: Sandbox, kind: Kind) -> None:
