@@ -24,7 +24,7 @@ def missing_tests(text: str) -> list[str]:
 
 def promises(text: str) -> dict[str, list[str]]:
     """The promises of a page, each with the tests that it names."""
-    part = text.partition("## What is promised")[2].partition("\n## ")[0]
+    part = text.partition("## Promises")[2].partition("\n## ")[0]
     return {
         re.match(r"\*\*(.+?)\*\*", item)[1]: re.findall(r"tests/[\w/]+\.py::\w+", item)  # type: ignore[index]
         for item in re.split(r"^- ", part, flags=re.MULTILINE)[1:]
@@ -46,7 +46,5 @@ def test_every_promise_names_a_test() -> None:
 def test_these_checks_can_fail() -> None:
     text = "`tests/test_files.py::test_nothing`, `tests/nowhere.py`, `tests/test_files.py`"
     assert missing_tests(text) == ["tests/test_files.py::test_nothing", "tests/nowhere.py"]
-    page = (
-        "## What is promised\n- **A.** `tests/a.py::test_a`\n- **B.** Nothing.\n## What\n- **C.**"
-    )
+    page = "## Promises\n- **A.** `tests/a.py::test_a`\n- **B.** Nothing.\n## What\n- **C.**"
     assert promises(page) == {"A.": ["tests/a.py::test_a"], "B.": []}
