@@ -18,6 +18,8 @@ from skyproof.generator.settings import FitSettings
 from skyproof.vehicles.vehicle import Part
 from tests.generator.photographs import Photographs
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = FitSettings(candidates=10, choose_steps=8, steps=30)
 FITTED = 6
 

@@ -175,6 +175,7 @@ def test_a_stopped_training_ends_at_the_same_numbers(
         assert torch.equal(value, expected[name]), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=ON_GPU)])
 def test_training_changes_what_is_made(device: str, fitted: FittedVehicles, tmp_path: Path) -> None:
     rows: list[dict[str, float]] = []
