@@ -26,7 +26,6 @@ COMMANDS: dict[str, dict[str, str]] = {
     "Ground and vehicles": {
         "ground": "skyproof.cli.ground:Ground",
         "clear": "skyproof.cli.clear:Clear",
-        "adjust": "skyproof.cli.adjust:Adjust",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
         "learn-vehicles": "skyproof.generator.command:LearnVehicles",
     },

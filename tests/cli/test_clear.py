@@ -1,4 +1,4 @@
-"""`skyproof clear` and `skyproof adjust --drop`: from the command line, and what they refuse."""
+"""`skyproof clear`: from the command line, and what it refuses."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
     assert "Overcast: over 1 of 1 sources vehicles cast no shadow" in answer.out
     image = BackgroundSet.open(tmp_path / "cleared").pixels("c").int()
     assert (image[0] - image[1]).max() < 30
-    assert skyproof("adjust", tmp_path / "cleared", "--drop", "c").code == 0
+    assert skyproof("clear", tmp_path / "cleared", "--reject", "c").code == 0
     assert BackgroundSet.open(tmp_path / "cleared").tiles("validation") == []
 
 
@@ -101,6 +101,10 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof):
         text="largest-masked-share expects",
     )
     refused(folder, "--out", out, text="no detector was given")
+    refused(folder, text="--out with a folder to write, or --reject")
+    refused(folder, "--out", out, "--reject", "a", text="got both")
+    refused(folder, "--reject", "x", text="no tile 'x'")
+    refused(tmp_path / "plain", "--reject", "a", text="index.json is missing")
     out.mkdir()
     skyproof("clear", folder, "--out", out).refused("exists already")
 

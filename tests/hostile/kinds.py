@@ -26,12 +26,8 @@ def scenes(inputs: Path, out: Path) -> Sequence[object]:
     return [*words, *sizes, "--settings.vehicles-minimum", 1, "--out", out / "new.jsonl"]
 
 
-def adjust(inputs: Path, out: Path) -> Sequence[object]:
-    return ["adjust", out / "copy", "--noise", 0.1]
-
-
-def drop(inputs: Path, out: Path) -> Sequence[object]:
-    return ["adjust", out / "copy", "--drop", "epsg2193-e1550005-n5190000"]
+def reject(inputs: Path, out: Path) -> Sequence[object]:
+    return ["clear", out / "copy", "--reject", "epsg2193-e1550005-n5190000"]
 
 
 def cut(inputs: Path, out: Path, *more: object) -> Sequence[object]:
@@ -113,12 +109,11 @@ SCENES = [
     Kind("fleet of scenes", "fleets/test/fleet.json", scenes),
 ]
 GROUND = [
-    Kind("index, adjusted", "backgrounds/index.json", adjust, copied="backgrounds"),
     Kind("index, rendered", "backgrounds/index.json", render),
     Kind("index, cleared", "tiled/index.json", clear, slow=True),
-    Kind("index with places", "cleared/index.json", adjust, copied="cleared"),
-    Kind("places of tiles", "tiled/index.geojson", drop, copied="tiled"),
-    Kind("record of clearing", "cleared/clearing.json", drop, copied="cleared"),
+    Kind("index with places", "cleared/index.json", reject, copied="cleared"),
+    Kind("places of tiles", "tiled/index.geojson", reject, copied="tiled"),
+    Kind("record of clearing", "cleared/clearing.json", reject, copied="cleared"),
     Kind("annotations, cleared", "tiled/test/annotations.json", clear, slow=True),
 ]
 DATASETS = [

@@ -65,7 +65,6 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "report": ["report", "--run-folder", inputs / "nowhere"],
         "ground": ["ground", "--out", out / "new", "--tiles", 1, 1, 1, 1, "--tiling.size-px", 24],
         "clear": kinds.clear(inputs, out),
-        "adjust": ["adjust", out / "copy"],
         "vehicles": ["vehicles", "--out", out / "new", "--counts", 1, 1, 1, 1],
         "learn-vehicles": [
             *("learn-vehicles", inputs / "tiled", inputs / "cleared", "--out", out / "new")

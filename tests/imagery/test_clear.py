@@ -18,7 +18,7 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds
-from skyproof.imagery.clearing.dropping import drop_tiles
+from skyproof.imagery.clearing.rejecting import reject_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, grown_to_what_is_seen
 from skyproof.imagery.settings import ClearSettings
@@ -193,7 +193,7 @@ def test_it_is_kept_where_and_how_the_vehicles_stood(tmp_path):
     assert pictured.width_m == pytest.approx(14 * 0.125, abs=0.1)
     assert record["totals"]["places"] == 4
     # It goes with the tiles when some are rejected.
-    drop_tiles(tmp_path / "cleared", ["a"])
+    reject_tiles(tmp_path / "cleared", ["a"])
     assert BackgroundSet.open(tmp_path / "cleared").tile("c").removed == (oriented,)
 
 
@@ -461,7 +461,7 @@ def test_on_the_sheet_a_tile_that_was_left_out_cannot_be_rejected_and_names_are_
 def test_rejected_tiles_are_dropped(tmp_path):
     cleared(tiled(tmp_path / "tiled", labelled="acde"), tmp_path)
     folder = tmp_path / "cleared"
-    assert drop_tiles(folder, ["a", "c"]) == ["validation"]
+    assert reject_tiles(folder, ["a", "c"]) == ["validation"]
     assert [tile.id for split in SPLITS for tile in BackgroundSet.open(folder).tiles(split)] == [
         "b",
         "d",
@@ -470,9 +470,9 @@ def test_rejected_tiles_are_dropped(tmp_path):
     assert json.loads((folder / "clearing.json").read_text())["rejected"] == ["a", "c"]
     assert len(json.loads((folder / "index.geojson").read_text())["features"]) == 3
     with pytest.raises(ConfigurationError, match="has no tile 'a'"):
-        drop_tiles(folder, ["a"])
+        reject_tiles(folder, ["a"])
     with pytest.raises(ConfigurationError, match="Every tile"):
-        drop_tiles(folder, ["b", "d", "e"])
+        reject_tiles(folder, ["b", "d", "e"])
 
 
 def test_dropped_tiles_leave_the_annotations_too(tmp_path):
@@ -480,7 +480,7 @@ def test_dropped_tiles_leave_the_annotations_too(tmp_path):
     before = {
         split: json.loads((folder / split / "annotations.json").read_text()) for split in SPLITS
     }
-    assert drop_tiles(folder, ["a", "e"]) == ["test"]
+    assert reject_tiles(folder, ["a", "e"]) == ["test"]
     assert [row["scene_id"] for row in before["train"]["images"]] == ["a", "b"]
     for split in SPLITS:
         kept = [row for row in before[split]["images"] if row["scene_id"] not in ("a", "e")]

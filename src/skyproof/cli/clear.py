@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.files import finished_folder, refuse_existing
+from skyproof.errors import ConfigurationError
+from skyproof.files import alone, finished_folder, refuse_existing
 from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
@@ -29,11 +31,15 @@ class Clear:
 
     Labelled vehicles and what a detector finds are masked with their shadows and filled with
     ground; a detector checks the result, and sheets/index.html shows a person what was done. Where
-    and how the vehicles stood is kept in index.json, for scenes with vehicles at their places.
+    and how the vehicles stood is kept in index.json, for scenes with vehicles at their places. Give
+    the cleared folder with --reject to take out the tiles that do not look right.
 
     Attributes:
-        folder: tiled folder, as `skyproof ground` writes it from imagery.
-        out: tiled folder to write.
+        folder: tiled folder, as `skyproof ground` writes it from imagery; with --reject a cleared
+            one.
+        out: tiled folder to write; not with --reject.
+        reject: ids of tiles to take out of a cleared folder, as on its sheets, with their
+            annotations. Their pictures stay on disk.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default, unless
             its own check failed.
@@ -42,20 +48,31 @@ class Clear:
     """
 
     folder: Positional[Path]
-    out: Path
+    out: Path | None = None
+    reject: tuple[str, ...] = ()
     detector: Path | None = None
     check_detector: Path | None = None
     device: str = "auto"
     settings: ClearSettings = field(default_factory=ClearSettings)
 
+    def __post_init__(self) -> None:
+        if (self.out is None) == (not self.reject):
+            raise ConfigurationError(
+                "clear expects --out with a folder to write, or --reject with tiles of a cleared "
+                f"folder, got {'neither' if self.out is None else 'both'}."
+            )
+
     def run(self, load: Load | None = None) -> None:
-        """Clears the folder.
+        """Clears the folder, or takes rejected tiles out of it.
 
         Args:
             load: gives the detector of a folder, where a folder alone does not hold it.
         """
         from skyproof.imagery.clearing.clear import clear_backgrounds
 
+        if self.out is None:
+            self._reject()
+            return
         refuse_existing(self.out)
         finder = _finder(self.detector, self.device, load)
         checker = finder
@@ -81,18 +98,25 @@ class Clear:
                 checker=checker,
                 progress=progress,
             )
-        self._say_record(record, checked=checker is not None)
+        self._say_record(record, self.out, checked=checker is not None)
 
-    def _say_record(self, record: dict[str, Any], *, checked: bool) -> None:
+    def _reject(self) -> None:
+        from skyproof.imagery.clearing.rejecting import reject_tiles
+        from skyproof.scenes.backgrounds import BackgroundSet
+
+        # A folder that is no background set is refused before anything is written.
+        BackgroundSet.open(self.folder)
+        with alone(self.folder):
+            emptied = reject_tiles(self.folder, self.reject)
+        say(f"Took {len(set(self.reject))} tiles out of {self.folder.resolve()}")
+        _say_emptied(emptied)
+
+    def _say_record(self, record: dict[str, Any], out: Path, *, checked: bool) -> None:
         totals = record["totals"]
         reasons = [f"{count} because {why}" for why, count in totals["left_out"].items()]
         left_out = ", ".join(reasons) or "none"
         say(f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}.")
-        for split in totals["splits_without_tiles"]:
-            say(
-                f"No tile of the split {split} is left; give more imagery before using this folder "
-                "for it."
-            )
+        _say_emptied(totals["splits_without_tiles"])
         removed = totals["labelled_removed"] + totals["detected_removed"]
         say(
             f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
@@ -103,8 +127,16 @@ class Clear:
         say_light(record)
         if not checked:
             say("Not checked by a detector: a person has to look at every tile.")
-        sheet = (self.out / "sheets" / "index.html").resolve()
-        say(f"Look at {sheet}; reject tiles with skyproof adjust {self.out} --drop.")
+        sheet = (out / "sheets" / "index.html").resolve()
+        say(f"Look at {sheet}; take tiles out with skyproof clear {out} --reject TILE.")
+
+
+def _say_emptied(splits: Sequence[str]) -> None:
+    for split in splits:
+        say(
+            f"No tile of the split {split} is left; give more imagery before using this folder "
+            "for it."
+        )
 
 
 def say_light(record: dict[str, Any]) -> None:

@@ -19,8 +19,8 @@ from skyproof.scenes.splits import SPLITS
 _REMEDY = "copy the whole folder again, or clear the imagery again"
 
 
-def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Takes tiles a person rejected out of the index and out of the annotations of their splits.
+def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
+    """Takes tiles that a person rejected out of the index and of the annotations of their splits.
 
     Their pictures stay where they are.
 
@@ -39,7 +39,7 @@ def drop_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
     kept = [tile for tile in tiles if tile.id not in set(ids)]
     if not kept:
         raise ConfigurationError(
-            f"Every tile of {folder} would be dropped; clear the imagery again instead."
+            f"Every tile of {folder} would be rejected; clear the imagery again instead."
         )
     if (folder / CLEARING_RECORD).is_file():
         path = folder / CLEARING_RECORD
