@@ -155,7 +155,7 @@ def test_a_camouflage_has_a_plain_name(skyproof: Skyproof, tmp_path, monkeypatch
 
 def test_training_settings_say_what_they_are_where_nothing_is_asked():
     told = " ".join((TrainingChanges.__doc__ or "").split())
-    assert "optimiser steps; slim and wide 600 (retinanet 800), full 10000." in told
+    assert "optimiser steps; slim 600 (retinanet 800), full 10000." in told
     assert "fraction of the steps; usually 0.1." in told
     done = subprocess.run(
         [sys.executable, "-m", "skyproof", "train", "--help"],
@@ -163,6 +163,4 @@ def test_training_settings_say_what_they_are_where_nothing_is_asked():
         text=True,
         env={**os.environ, "COLUMNS": "200"},
     )
-    assert "optimiser steps; slim and wide 600 (retinanet 800), full 10000." in " ".join(
-        done.stdout.split()
-    )
+    assert "optimiser steps; slim 600 (retinanet 800), full 10000." in " ".join(done.stdout.split())

@@ -176,22 +176,9 @@ def test_a_seed_gives_slim_networks_the_initial_weights_it_always_gave(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_wide_networks_have_two_to_four_times_the_parameters_of_slim_ones(name: str) -> None:
-    slim, wide = (
-        sum(
-            parameter.numel()
-            for parameter in build_detector(name, size, generator=torch.Generator()).parameters()
-        )
-        for size in ("slim", "wide")
-    )
-    assert 2 <= wide / slim <= 4
-
-
-@pytest.mark.parametrize("size", ["wide", "full"])
-@pytest.mark.parametrize("name", NAMES)
-def test_larger_sizes_give_finite_losses_and_gradients(name: str, size: str) -> None:
+def test_full_size_gives_finite_losses_and_gradients(name: str) -> None:
     detector = (
-        build_detector(name, size, generator=torch.Generator().manual_seed(0))
+        build_detector(name, "full", generator=torch.Generator().manual_seed(0))
         .eval()
         .requires_grad_(False)
     )

@@ -24,7 +24,7 @@ class Train:
         data: dataset folder to train on.
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.
-        size: slim (for a CPU), wide (for a CPU, more parameters in more time) or full (for a GPU).
+        size: slim (for a CPU) or full (for a GPU).
         settings: what is to differ from the usual settings of this detector and size, such as
             `--settings.steps 300`.
         seed: decides weights, order and augmentation.

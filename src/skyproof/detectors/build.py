@@ -15,8 +15,7 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
 
     Args:
         name: "retinanet", "faster_rcnn", "yolov5" (YOLOv5u) or "yolov5_anchors" (of 2020).
-        size: "slim" (about 1 to 2.5 M parameters, for a CPU), "wide" (2 to 5.3 M, for a CPU at
-            up to twice the time) or "full" (9 to 43 M, for a GPU).
+        size: "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
         generator: one number is drawn from it.
 
     Raises:

@@ -42,7 +42,7 @@ class DetectorCard:
     Attributes:
         name: as tables show it: of ours one of `DETECTOR_NAMES`; of another detector the name it
             was given.
-        size: "slim", "wide" or "full" of ours, "brought" of an imported one, empty of a black box.
+        size: "slim" or "full" of ours, "brought" of an imported one, empty of a black box.
         threshold: frozen score threshold, chosen by F1 on clean validation images where
             `threshold_from` says nothing else; see `frozen_threshold`.
         gsd_m: metres per pixel of the images it takes.

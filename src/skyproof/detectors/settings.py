@@ -13,7 +13,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
 
 # Of our own networks: two for a CPU, one for a GPU.
-Size = Literal["slim", "wide", "full"]
+Size = Literal["slim", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)
 
 
@@ -93,10 +93,6 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
     ("faster_rcnn", "slim"): _CPU,
     ("yolov5", "slim"): _CPU,
     ("yolov5_anchors", "slim"): _CPU,
-    ("retinanet", "wide"): replace(_CPU, steps=800),
-    ("faster_rcnn", "wide"): _CPU,
-    ("yolov5", "wide"): _CPU,
-    ("yolov5_anchors", "wide"): _CPU,
     ("retinanet", "full"): _GPU,
     ("faster_rcnn", "full"): _GPU,
     ("yolov5", "full"): _GPU,
@@ -107,7 +103,7 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
 def _usual(name: str) -> str:
     """Says what a setting is where nothing is asked."""
     told = []
-    for size, label in (("slim", "slim and wide"), ("full", "full")):
+    for size in ("slim", "full"):
         found = {
             detector: getattr(preset, name)
             for (detector, each), preset in TRAINING_PRESETS.items()
@@ -115,10 +111,10 @@ def _usual(name: str) -> str:
         }
         common = Counter(found.values()).most_common(1)[0][0]
         others = [f"{one} {value:g}" for one, value in found.items() if value != common]
-        told.append((label, f"{common:g}" + (f" ({', '.join(others)})" if others else "")))
+        told.append((size, f"{common:g}" + (f" ({', '.join(others)})" if others else "")))
     if told[0][1] == told[1][1]:
         return f"usually {told[0][1]}"
-    return ", ".join(f"{label} {value}" for label, value in told)
+    return ", ".join(f"{size} {value}" for size, value in told)
 
 
 if not TYPE_CHECKING:

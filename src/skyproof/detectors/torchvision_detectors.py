@@ -35,7 +35,7 @@ from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import Levels, anchor_levels, area_levels, pool_boxes
 from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
-from skyproof.detectors.slim import WIDTHS, SlimBackbone
+from skyproof.detectors.slim import PYRAMID_CHANNELS, REGION_CHANNELS, SlimBackbone
 
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the
 # diagonal.
@@ -52,7 +52,7 @@ POSITIVES_PER_VEHICLE = 8.0
 # not saturate: the sum is about 60 per vehicle for the trained slim detector.
 EMPTY_PROPOSAL_DIVISOR = 64.0
 PRIOR_PROBABILITY = 0.01
-PROPOSALS = {"slim": 100, "wide": 100, "full": 300}
+PROPOSALS = {"slim": 100, "full": 300}
 
 
 class TorchvisionDetector(TrainableDetector):
@@ -99,7 +99,7 @@ class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
     Args:
-        size: "slim" or "wide" (two pyramid levels, strides 8 and 16), or "full" (ResNet-50 FPN v2,
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2,
             from scratch).
     """
 
@@ -166,7 +166,7 @@ class FasterRcnnDetector(TorchvisionDetector):
     regions' cross-entropy is the mean over all proposals.
 
     Args:
-        size: "slim" or "wide" (two pyramid levels, strides 8 and 16), or "full" (ResNet-50 FPN v2,
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2,
             from scratch).
     """
 
@@ -326,11 +326,10 @@ def _build_retinanet(size: str) -> RetinaNet:
         thirds = tuple(tuple(side * 2 ** (step / 3) for step in range(3)) for side in FULL_SIDES_PX)
         model.anchor_generator = AnchorGenerator(thirds, (FULL_RATIOS,) * len(thirds))
         return model
-    widths = WIDTHS[size]
     anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
     # Before the backbone: the order decides which initial weights a seed gives.
     head = RetinaNetHead(
-        widths.pyramid,
+        PYRAMID_CHANNELS,
         anchors.num_anchors_per_location()[0],
         1,
         norm_layer=partial(nn.GroupNorm, 8),
@@ -338,7 +337,7 @@ def _build_retinanet(size: str) -> RetinaNet:
     for branch in (head.classification_head, head.regression_head):
         # Two of torchvision's four convolutions are enough for one class and halve the time.
         branch.conv = branch.conv[:2]
-    return RetinaNet(SlimBackbone(widths), num_classes=1, anchor_generator=anchors, head=head)
+    return RetinaNet(SlimBackbone(), num_classes=1, anchor_generator=anchors, head=head)
 
 
 def _build_faster_rcnn(size: str) -> FasterRCNN:
@@ -356,18 +355,17 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
             tuple((side,) for side in FULL_SIDES_PX), (FULL_RATIOS,) * len(FULL_SIDES_PX)
         )
     else:
-        widths = WIDTHS[size]
         anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
         model = FasterRCNN(
-            SlimBackbone(widths),
+            SlimBackbone(),
             rpn_anchor_generator=anchors,
-            rpn_head=RPNHead(widths.pyramid, anchors.num_anchors_per_location()[0]),
+            rpn_head=RPNHead(PYRAMID_CHANNELS, anchors.num_anchors_per_location()[0]),
             rpn_fg_iou_thresh=0.6,
             # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is
             # enough.
             box_roi_pool=CentreAlign((8.0, 16.0), output_size=5),
-            box_head=TwoMLPHead(widths.pyramid * 5 * 5, widths.region),
-            box_predictor=FastRCNNPredictor(widths.region, 2),
+            box_head=TwoMLPHead(PYRAMID_CHANNELS * 5 * 5, REGION_CHANNELS),
+            box_predictor=FastRCNNPredictor(REGION_CHANNELS, 2),
             **limits,
         )
         for layer in model.rpn.head.conv.modules():

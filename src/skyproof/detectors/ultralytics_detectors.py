@@ -34,7 +34,7 @@ from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
 # Of the layers in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
-WIDTH_FACTORS = {"slim": 0.25, "wide": 0.375, "full": 0.5}
+WIDTH_FACTORS = {"slim": 0.25, "full": 0.5}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
@@ -52,8 +52,7 @@ class YoloV5Detector(TrainableDetector):
     It is built from its YAML file, without weights, and never fused.
 
     Args:
-        size: "slim" (YOLOv5n, 2.5 M parameters), "wide" (each layer one and a half times as wide,
-            5.3 M) or "full" (YOLOv5s, 9.1 M).
+        size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
 
     Raises:
         ConfigurationError: ultralytics is not installed, or another size.

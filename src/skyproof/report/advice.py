@@ -128,16 +128,11 @@ def limits(
                 f"{', '.join(growing)}: the second half of the steps still added over 2 points on "
                 "the attack’s own scenes, so more steps may hide more."
             )
-    for size in ("slim", "wide"):
-        names = [
-            words.detector_name(name)
-            for name, card in results.detectors.items()
-            if card.size == size
-        ]
-        if names:
-            sentences.append(
-                f"{', '.join(names)}: reduced ({size}) versions of the published networks."
-            )
+    names = [
+        words.detector_name(name) for name, card in results.detectors.items() if card.size == "slim"
+    ]
+    if names:
+        sentences.append(f"{', '.join(names)}: reduced (slim) versions of the published networks.")
     if every:
         sentences.append(
             "The test against random draws treats tiles as independent, and McNemar’s test even "

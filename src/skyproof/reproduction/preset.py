@@ -65,7 +65,7 @@ class Preset:
     Attributes:
         seed: of everything; repeat k of an attack takes seed + k.
         detectors: attacked together, judged one by one (section 3.2).
-        size: of the detectors, slim, wide or full.
+        size: of the detectors, slim or full.
         world: how much ground, how many vehicles and scenes.
         training: per detector, what differs from its usual `TrainingSettings`; of those that come
             trained it is not used.
