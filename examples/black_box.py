@@ -29,14 +29,15 @@ demo = "runs/trained"
 validation = sp.Dataset.open(f"{demo}/datasets/validation")  # any folder with annotations.json
 threshold = sp.validate(BlackBox(), validation)["threshold"]
 card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
-original = sp.Dataset.open(f"{demo}/datasets/test")
-renderer = sp.TorchRenderer(sp.BackgroundSet.open(f"{demo}/backgrounds"))
-fleet = sp.Fleet.load(f"{demo}/fleets/test")
-camouflaged = {name: f"runs/mine/images/{name}" for name in ("T-U", "R-U-0", "R-U-1")}
-for name, folder in camouflaged.items():
-    camouflage = sp.load_camouflage(f"{demo}/camouflages/{name}")
-    sp.render_dataset(folder, original.scenes, fleet, renderer, camouflage=camouflage)
-frozen = sp.LoadedDetector(BlackBox(), card)
-scores = "runs/mine/black_box/scores/first"
-sp.score_detectors([frozen], scores, original=original.folder, camouflaged=camouflaged)
+camouflages = {
+    name: sp.load_camouflage(f"{demo}/camouflages/{name}") for name in ("T-U", "R-U-0", "R-U-1")
+}
+sp.measure(
+    [sp.LoadedDetector(BlackBox(), card)],
+    sp.Dataset.open(f"{demo}/datasets/test").scenes,
+    camouflages,
+    fleet=sp.Fleet.load(f"{demo}/fleets/test"),
+    renderer=sp.TorchRenderer(sp.BackgroundSet.open(f"{demo}/backgrounds")),
+    folder="runs/mine/black_box/scores/first",
+)
 print(sp.write_report("runs/mine/black_box"))

@@ -38,15 +38,10 @@ from .detectors.loaded import LoadedDetector as LoadedDetector
 from .detectors.loaded import load_detector as load_detector
 from .detectors.reference_detectors import reference_detector as reference_detector
 from .detectors.training import validate as validate
-from .measure.baseline import BaselineSet as BaselineSet
-from .measure.precheck import precheck as precheck
-from .measure.score import score_detectors as score_detectors
+from .measure.measure import measure as measure
 from .render.dataset import render_dataset as render_dataset
 from .render.renderer import TorchRenderer as TorchRenderer
 from .report.report import write_report as write_report
-from .results.findings import findings as findings
-from .results.findings import verdict as verdict
-from .results.precheck import PrecheckRecord as PrecheckRecord
 from .results.results import Results as Results
 from .scenes.backgrounds import BackgroundSet as BackgroundSet
 from .scenes.sampling import sample_scenes as sample_scenes

@@ -134,7 +134,6 @@ RESULTS = (
     "camouflages/T-U/camouflage.safetensors",
     "camouflages/T-U/texture.png",
     "scores/test/outcomes.parquet",
-    "scores/test/tiles.parquet",
     "datasets/test/annotations.json",
 )
 

@@ -155,45 +155,35 @@ def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     attack(detector).refused(str(texture), "again")
 
 
-def test_score_of_ready_datasets(
-    finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
+def test_scoring_again_measures_the_same(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
     call = [
         *("score", "--detectors", finished / "detectors/retinanet"),
-        *("--original", finished / "datasets/test", *CPU),
+        *("--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test", *CPU),
     ]
-    pairs = [f"{name}={worn}/test-{name}" for name in WORN]
+    names = [finished / "camouflages" / name for name in WORN]
+    original = ["--original", finished / "datasets/test"]
     out = tmp_path / "scores"
-    answer = skyproof(*call, "--camouflaged", *pairs, "--out", out)
+    answer = skyproof(*call, *original, "--camouflages", *names, "--out", out)
     assert answer.code == 0, answer.err
     assert "EASR" in answer.out
-    for name in ("outcomes.parquet", "tiles.parquet", "sets.json"):
+    for name in ("outcomes.parquet", "sets.json"):
         assert (out / name).read_bytes() == (finished / "scores/test" / name).read_bytes()
-    skyproof(*call, "--camouflaged", *pairs, "--out", out).refused(str(out), "not overwritten")
-    for bad, words in (
-        ([f"T-U={finished}/datasets/validation"], ("does not show the scenes",)),
-        (["T-U"], ("NAME=FOLDER",)),
-        ([f"T-U={tmp_path}/missing"], ("missing",)),
-        ([pairs[0], pairs[0]], ("twice",)),
-        ([pairs[0], pairs[0].replace("T-U=", "T-V=")], ("called 'test-T-U'",)),
-    ):
-        skyproof(*call, "--camouflaged", *bad, "--out", tmp_path / "x").refused(*words)
-        assert not (tmp_path / "x").exists()
-    # Another run numbers its scenes alike: only their content tells.
-    other = tmp_path / "test-T-U"
-    shutil.copytree(worn / "test-T-U", other)
-    rows = [json.loads(line) for line in (other / "scenes.jsonl").read_text().splitlines()]
-    rows[0]["sun"]["azimuth_rad"] += 0.5
-    (other / "scenes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(
-        "does not show the scenes"
-    )
-    shutil.copy(finished / "datasets/test/scenes.jsonl", other / "scenes.jsonl")
+    again = [*call, *original, "--out", out, "--camouflages"]
+    skyproof(*again, *names).refused(str(out), "not overwritten")
+    again[again.index(out)] = tmp_path / "x"
+    skyproof(*again, tmp_path / "missing").refused("missing")
+    skyproof(*again, names[0], names[0]).refused("different names")
+    other = tmp_path / "test"
+    shutil.copytree(finished / "datasets/test", other)
     image = next((other / "images").iterdir())
     image.write_bytes(image.read_bytes()[:500])
-    skyproof(*call, "--camouflaged", f"T-U={other}", "--out", tmp_path / "x").refused(
-        str(image), "again"
-    )
+    again[again.index(finished / "datasets/test")] = other
+    skyproof(*again, *names).refused(str(image), "again")
+    rows = (other / "scenes.jsonl").read_text().splitlines(keepends=True)
+    (other / "scenes.jsonl").write_text("".join(rows[1:]))
+    skyproof(*again, *names).refused("other images or vehicles than its scenes.jsonl")
     assert not (tmp_path / "x").exists()
 
 
@@ -213,7 +203,8 @@ def test_score_at_another_resolution(copied, tmp_path: Path, skyproof: Skyproof)
     card.write_text(json.dumps({**json.loads(card.read_text()), "gsd_m": 0.25}))
     skyproof(
         *("score", "--detectors", card.parent, "--original", folder / "datasets/test", *CPU),
-        *("--camouflaged", f"T-U={folder}/datasets/test", "--out", tmp_path / "x"),
+        *("--camouflages", folder / "camouflages/T-U", "--out", tmp_path / "x"),
+        *("--backgrounds", folder / "backgrounds", "--fleet", folder / "fleets/test"),
     ).refused(str(card.parent), "0.25 m per pixel")
 
 
@@ -252,7 +243,6 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
         ("config.json", "{"),
         ("scores/test/score.json", "{"),
         ("scores/test/score.json", '{"rows": []}'),
-        ("scores/test/tiles.parquet", "damaged"),
         ("scores/test/outcomes.parquet", "damaged"),
         ("scores/test/baselines.json", "{"),
         ("scores/test/pairs/pairs.json", "{}"),

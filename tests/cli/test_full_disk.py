@@ -42,8 +42,6 @@ CASES = {
     "camouflage picture": ("T-U/texture.png", 1, "camouflages/T-U/camouflage.json"),
     "camouflage record": ("T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
     "control": ("R-U-1/texture.png", 1, "camouflages/R-U-1/camouflage.json"),
-    "camouflaged image": ("T-U/images/", 4, "scores/test"),
-    "detections": ("detections/T-U", 1, "scores/test"),
     "outcomes": ("outcomes.parquet", 1, "scores/test"),
     "score record": ("scores/test/score.json", 1, "scores/test"),
     "pair picture": ("pairs/T-U/", 1, "scores/test"),

@@ -55,14 +55,17 @@ def test_an_imported_detector_is_used_like_any_other(
     record = json.loads((out / "detector.json").read_text())
     (out / "detector.json").write_text(json.dumps({**record, "threshold": 0.01}))
     both = ["--detectors", finished / "detectors/retinanet", out]
-    pair = f"T-U={worn}/test-T-U"
     answer = skyproof(
         "score",
         *both,
         "--original",
         finished / "datasets/test",
-        "--camouflaged",
-        pair,
+        "--camouflages",
+        finished / "camouflages/T-U",
+        "--backgrounds",
+        finished / "backgrounds",
+        "--fleet",
+        finished / "fleets/test",
         "--out",
         tmp_path / "e",
         *CPU,

@@ -144,15 +144,6 @@ def test_a_reader_who_has_gone_is_no_error():
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "..", "", "x" * 200])
-def test_a_camouflage_has_a_plain_name(skyproof: Skyproof, tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    skyproof(
-        "score", "--detectors", "d", "--out", "out", "--original", "o", "--camouflaged", f"{name}=c"
-    ).refused("--camouflaged expects NAME=FOLDER")
-    assert not list(tmp_path.iterdir())
-
-
 def test_training_settings_say_what_they_are_where_nothing_is_asked():
     told = " ".join((TrainingChanges.__doc__ or "").split())
     assert "optimiser steps; slim 600 (retinanet 800), full 10000." in told

@@ -14,7 +14,6 @@ import pytest
 from skyproof.cycles import blender as blender_module
 from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError
-from skyproof.results.results import Results
 from tests.cli.conftest import Skyproof, bytes_of
 
 CPU = ["--device", "cpu"]
@@ -253,39 +252,6 @@ def test_score_refuses_before_it_renders(
     assert sorted(path.name for path in tmp_path.iterdir() if path != folder) == ["scores"]
 
 
-def test_a_score_takes_the_renderer_from_the_datasets(
-    copied: Callable[..., Path], tmp_path: Path, skyproof: Skyproof
-) -> None:
-    folder = copied()
-    datasets = folder / "datasets"
-    for name in ("T-U", "R-U-0"):
-        worn = ["--camouflage", folder / "camouflages" / name, "--out", datasets / f"test-{name}"]
-        assert skyproof("render", *world(folder), *worn).code == 0
-    for name in ("test", "test-T-U"):
-        rewritten(datasets / name, "cycles")
-    call = ["score", "--detectors", folder / "detectors/retinanet"]
-    call += ["--original", datasets / "test", *CPU]
-    answer = skyproof(
-        *call, "--camouflaged", f"T-U={datasets}/test-T-U", "--out", tmp_path / "cycles"
-    )
-    assert answer.code == 0, answer.err
-    rows, before = (
-        [row.json() for row in Results.open(place).rows] for place in (tmp_path / "cycles", folder)
-    )
-    assert {row["renderer"] for row in rows} == {"cycles"}
-    assert {row["renderer"] for row in before} == {"torch"}
-    # Nothing else depends on it.
-    known = [{**row, "renderer": "cycles"} for row in before if row["camouflage"] == "T-U"]
-    figures = ("camouflage", "detector", "match", "asr", "er", "easr", "easr_low", "easr_high")
-    assert [[row[key] for key in figures] for row in rows if row["camouflage"] == "T-U"] == [
-        [row[key] for key in figures] for row in known
-    ]
-    skyproof(
-        *call, "--camouflaged", f"R-U-0={datasets}/test-R-U-0", "--out", tmp_path / "x"
-    ).refused(str(datasets / "test-R-U-0"), "torch", "cycles", "same --renderer")
-    assert not (tmp_path / "x").exists()
-
-
 @pytest.mark.blender
 @pytest.mark.usefixtures("blender")
 def test_a_score_stopped_while_judging_draws_nothing_again(
@@ -315,7 +281,7 @@ def test_a_score_stopped_while_judging_draws_nothing_again(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyproof.measure.score.score_detectors", stop)
+        patch.setattr("skyproof.measure.score.write_outcomes", stop)
         assert skyproof(*call).code == 130
 
     def render(*arguments: object) -> None:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from skyproof.results.pairs.tiles import Series, write_tiles
+from skyproof.results.pairs.tiles import Series
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import Assumptions, vehicles_needed
 from tests.cli.conftest import Skyproof, flags
-from tests.results.counted import on_tiles
+from tests.results.counted import on_tiles, write_counts
 
 
 def test_the_answer_and_the_table(skyproof: Skyproof):
@@ -65,7 +65,7 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
     counts = np.stack([np.full(40, 5), 4 - lost, lost, np.zeros(40, dtype=np.int64)], axis=1)
     series = {Series("T-U", "torch", "a", "centre_1m"): counts}
     tiles = on_tiles([f"t{i:02d}" for i in range(40)], series)
-    write_tiles(tmp_path / "tiles.parquet", tiles)
+    write_counts(tmp_path / "outcomes.parquet", tiles)
     said = skyproof("sample-size", "--pilot", tmp_path)
     assert "of an EASR of 62 %" in said.out
     assert "as T-U before a in the pilot: 5 vehicles a tile, 80 % of them found before" in said.out
@@ -91,7 +91,7 @@ def test_a_pilot_gives_what_is_not_given(skyproof: Skyproof, tmp_path):
         ("--intra-vehicle-correlation 2", "intra-vehicle-correlation"),
         ("--fleet 0", "--fleet"),
         ("--seeds 3 --half-width 0.01", "with so few seeds at best"),
-        ("--pilot nowhere", "tiles.parquet is missing"),
+        ("--pilot nowhere", "outcomes.parquet is missing"),
         ("--accept 0.2", "expects two shares, --accept and --reject, got only one"),
         ("--accept 0.3 --reject 0.2", "exchange them"),
         ("--accept 0.2 --reject 0.201", "set the two shares farther apart"),

@@ -62,7 +62,8 @@ def score(inputs: Path, out: Path) -> Sequence[object]:
 def compare(inputs: Path, out: Path) -> Sequence[object]:
     words = ["score", "--detectors", inputs / "detectors/retinanet", "--out", out / "new"]
     words += ["--original", inputs / "datasets/test", *ON_CPU]
-    return [*words, "--camouflaged", f"T-U={inputs / 'worn'}"]
+    words += ["--backgrounds", inputs / "backgrounds", "--fleet", inputs / "fleets/test"]
+    return [*words, "--camouflages", inputs / "camouflages/T-U"]
 
 
 def train(inputs: Path, out: Path) -> Sequence[object]:

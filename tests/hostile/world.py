@@ -74,10 +74,6 @@ def make_world(folder: Path) -> None:
     assert run(list(map(str, tiled))) == 0
     clear = ["clear", folder / "tiled", "--out", folder / "cleared", "--device", "cpu"]
     assert run(list(map(str, clear))) == 0
-    worn = ["render", "--scenes", folder / "scenes/test.jsonl", "--device", "cpu"]
-    worn += ["--backgrounds", folder / "backgrounds", "--fleet", folder / "fleets/test"]
-    worn += ["--camouflage", folder / "camouflages/T-U", "--out", folder / "worn"]
-    assert run(list(map(str, worn))) == 0
     palette = {"colours_srgb": [[90, 100, 80], [120, 110, 90], [60, 70, 50]]}
     (folder / "palette.json").write_text(json.dumps(palette))
     shutil.copy(PRESETS["quick"], folder / "preset.json")

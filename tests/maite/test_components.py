@@ -30,7 +30,7 @@ from skyproof.maite import (
     VehicleDataset,
 )
 from skyproof.render.settings import RenderSettings
-from skyproof.results.pairs.tiles import read_tiles
+from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.scenes.light import Light
 from skyproof.vehicles.fleet import Fleet
@@ -88,12 +88,15 @@ def test_maite_evaluates_a_camouflage(folders: Folders, model: DetectorModel) ->
 
 def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorModel) -> None:
     judge = sp.reference_detector("retinanet")
-    out = folders.original.parent / "scores"
-    sp.score_detectors(
-        [judge], out, original=folders.original, camouflaged={"R-U-0": folders.camouflaged}
+    outcomes = sp.measure(
+        [judge],
+        sp.Dataset.open(folders.original).scenes,
+        {"R-U-0": sp.load_camouflage(folders.camouflage)},
+        fleet=sp.Fleet.load(folders.fleet),
+        renderer=sp.TorchRenderer(sp.BackgroundSet.open(folders.ground)),
     )
-    tiles = read_tiles(out / "tiles.parquet")
-    (counts,) = (value.sum(0) for key, value in tiles.series.items() if key.match == "centre_1m")
+    series = count_tiles(outcomes).series
+    (counts,) = (value.sum(0) for key, value in series.items() if key.match == "centre_1m")
     dataset, rendered = VehicleDataset(folders.original), VehicleDataset(folders.camouflaged)
     metric = HiddenVehicles(model, dataset)
     predictions, _ = predict(model=model, dataset=rendered, batch_size=6)

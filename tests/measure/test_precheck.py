@@ -13,8 +13,11 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors import inference
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.precheck import _Gate, precheck
-from skyproof.measure.trials import Trial, make_trials
+from skyproof.measure.precheck import precheck
+from skyproof.measure.trials import make_trials
+from skyproof.measure.views import Change, Stage, views
+from skyproof.render.dataset import render_dataset
+from skyproof.render.renderer import TorchRenderer
 from skyproof.results.findings import findings, verdict, worst
 from skyproof.results.precheck import PRECHECK_FILE, read_precheck, read_prechecks, write_precheck
 from skyproof.vehicles.vehicle import Part
@@ -40,10 +43,12 @@ def test_every_trial_is_made_once_and_every_draw_differs():
     paints = {"paint_body": 27, "paint_whole": 27, "two_tone": 8}
     assert counted == {**paints, "blur": 4, "control": 6, "sun": 4}
     assert len(trials) == 27 + 27 + 8 + 4 + 12 + 4
-    first, second = (trial.camouflage for trial in trials if trial.name == "R-U")
+    first, second = (trial.change.camouflage for trial in trials if trial.name == "R-U")
     assert not torch.equal(first.cells, second.cells)
     again = make_trials(torch.rand(5, 3), draws=1, seed=0)
-    assert torch.equal(next(t for t in again if t.name == "R-U").camouflage.cells, first.cells)
+    assert torch.equal(
+        next(t for t in again if t.name == "R-U").change.camouflage.cells, first.cells
+    )
 
 
 def test_a_paint_lies_on_body_panels_or_everywhere_and_can_be_stored(fleet, tmp_path):
@@ -131,7 +136,7 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     with pytest.raises(ConfigurationError, match="got 0 scenes without any"):
         check(judging(toy), scenes=[])
     empty = [replace(scene, placements=()) for scene in scenes]
-    with pytest.raises(ConfigurationError, match="expects scenes with vehicles"):
+    with pytest.raises(ConfigurationError, match="Expected scenes with vehicles"):
         check(judging(toy), scenes=empty)
     image = torch.zeros(3, 96, 96, dtype=torch.uint8)
     unlabelled = Dataset.of_images([image], [torch.zeros(0, 4)], gsd_m=0.125)
@@ -184,7 +189,23 @@ def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_
 def test_large_scenes_are_seen_in_windows(backgrounds, fleet, scenes, monkeypatch):
     monkeypatch.setattr(inference, "LARGEST_WHOLE_PX", SIZE_PX - 1)
     toy = Toy("toy", scenes, fleet)
-    gate = _Gate([judging(toy)], backgrounds, fleet, scenes, 0, torch.device("cpu"), 3, None)
-    seen = gate.see(Trial("sun", "unchanged"))
+    stage = Stage(fleet, TorchRenderer(backgrounds))
+    (view,) = views([judging(toy)], scenes, [], stage)
     # Each large picture is looked at alone.
-    assert len(toy.contrasts) == len(seen.found["toy"]) == 3
+    assert len(toy.contrasts) == len(view.found["toy"]) == 3
+
+
+def test_views_are_what_a_dataset_folder_shows(backgrounds, fleet, scenes, tmp_path):
+    renderer = TorchRenderer(backgrounds)
+    paint = two_tone_paint((255, 0, 0), (0, 0, 255))
+    render_dataset(tmp_path / "drawn", scenes, fleet, renderer, camouflage=paint)
+    stored = Dataset.open(tmp_path / "drawn")
+    toy = Toy("toy", scenes, fleet)
+    stage = Stage(fleet, renderer)
+    before, after = views([judging(toy)], scenes, [Change("paint", paint)], stage)
+    assert list(after.images.ids) == list(stored.ids)
+    for index in range(len(scenes)):
+        assert torch.equal(after.images.image(index), stored.image(index))
+        assert not torch.equal(before.images.image(index), stored.image(index))
+        assert torch.equal(after.images.boxes[index], stored.boxes[index])
+        assert torch.equal(after.images.visible_fractions[index], stored.visible_fractions[index])

@@ -1,4 +1,4 @@
-"""Matched datasets to a score folder, with a detector whose answers are known."""
+"""Scenes to a score folder, with a detector whose answers are known."""
 
 import json
 from dataclasses import replace
@@ -7,22 +7,27 @@ import pytest
 import torch
 from PIL import Image
 
+from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_images
-from skyproof.errors import ConfigurationError
-from skyproof.measure import score as scoring
+from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.measure import views
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.score import score_detectors
+from skyproof.measure.measure import measure
+from skyproof.measure.score import score
+from skyproof.measure.views import Change, Stage
+from skyproof.render.frames import Frames
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
 from skyproof.results.pairs.tiles import Series, count_tiles
 from skyproof.results.results import Results
-from skyproof.scenes.scene import write_scenes
+from skyproof.scenes.scene import Placement
+
+BOX = torch.tensor([22.0, 22.0, 42.0, 42.0])
 
 
 class Brightest:
@@ -38,10 +43,66 @@ class Brightest:
         return [Detections(box, image.mean().reshape(1)) for image in images]
 
 
-def score(judges, original, camouflaged, folder, *, clean=()):
-    """Scores, and returns the rows that the run's results have then."""
-    score_detectors(judges, folder, original=original, camouflaged=camouflaged, clean=clean)
-    return [row.json() for row in Results.open(folder).rows]
+class Worn(Camouflage):
+    """Lifts the vehicles by as many kilometres as its number says, by which `Flat` knows it."""
+
+    def __init__(self, number):
+        super().__init__()
+        self.number = number
+
+    def forward(self, vehicles):
+        return replace(vehicles, vertices=vehicles.vertices + 1000 * self.number)
+
+
+class Flat:
+    """Draws images of one brightness, with a vehicle in the middle for each placement.
+
+    Args:
+        levels: of each image, of the vehicles as they are, and of each number of a `Worn`.
+    """
+
+    differentiable = concurrent = False
+
+    def __init__(self, *levels, name="torch"):
+        self.levels = levels
+        self.name = name
+        self.drawn = 0
+
+    def record(self, scenes):
+        return {}
+
+    def __call__(self, scenes, vehicles, *, masks=False):
+        self.drawn += len(scenes)
+        levels = self.levels[round(vehicles.vertices.max().item() / 1000)]
+        owner = [index for index, scene in enumerate(scenes) for _ in scene.placements]
+        level = torch.tensor([levels[int(scene.id[1:])] / 255 for scene in scenes])
+        return Frames(
+            image=level.view(-1, 1, 1, 1).expand(-1, 3, 64, 64),
+            scene_index=torch.tensor(owner, dtype=torch.int64),
+            boxes=BOX.expand(len(owner), 4),
+            centres=torch.full((len(owner), 2), 32.0),
+            visible_px=torch.full((len(owner),), 400.0),
+            visible_fraction=torch.ones(len(owner)),
+        )
+
+
+@pytest.fixture
+def scored(tmp_path, make_scene, fleet):
+    """Scores scenes of these levels of brightness, and gives the rows that the results have."""
+
+    def call(detectors, original, changed, *, vehicles=1, renderer="torch", **more):
+        scenes = some_scenes(make_scene, fleet, len(original), vehicles)
+        drawn = Flat(original, *changed.values(), name=renderer)
+        changes = [Change(name, Worn(number)) for number, name in enumerate(changed, 1)]
+        score(detectors, tmp_path / "scores", scenes, changes, Stage(fleet, drawn), **more)
+        return [row.json() for row in Results.open(tmp_path / "scores").rows]
+
+    return call
+
+
+def some_scenes(make_scene, fleet, count, vehicles=1):
+    placements = tuple(Placement(fleet.ids[0], 0.0, 0.0, 0.0) for _ in range(vehicles))
+    return [replace(make_scene(f"s{i}", f"tile-{i}"), placements=placements) for i in range(count)]
 
 
 def judging(detector, threshold):
@@ -49,33 +110,13 @@ def judging(detector, threshold):
     return LoadedDetector(detector, card)
 
 
-@pytest.fixture
-def make_dataset(tmp_path, make_scene):
-    def make(name, brightness, vehicles=1, source=None):
-        """One 64 px image per value of `brightness`, each on a tile of its own."""
-        scenes = [make_scene(f"s{i}", f"tile-{i}", vehicles) for i in range(len(brightness))]
-        mask = torch.zeros(64, 64, dtype=torch.bool)
-        mask[22:42, 22:42] = True
-        with CocoWriter(tmp_path / name, gsd_m=0.125, source=source) as writer:
-            for scene, value in zip(scenes, brightness, strict=True):
-                vehicle = Annotation(
-                    (22.0, 22.0, 42.0, 42.0), (32.0, 32.0), 1.0, mask, "pick-up-0000", 0
-                )
-                image = torch.full((3, 64, 64), value, dtype=torch.uint8)
-                writer.add(image, scene.id, [vehicle] * vehicles)
-        write_scenes(tmp_path / name / "scenes.jsonl", scenes)
-        return tmp_path / name
-
-    return make
+def flat_images(levels, vehicles=1):
+    images = [torch.full((3, 64, 64), level, dtype=torch.uint8) for level in levels]
+    return Dataset.of_images(images, [BOX.expand(vehicles, 4)] * len(levels), gsd_m=0.125)
 
 
-def test_all_that_was_found_is_written(make_dataset, tmp_path):
-    original, hidden = (
-        make_dataset("test", [200, 200, 200, 50]),
-        make_dataset("test-T-U-0", [50, 50, 200, 200]),
-    )
-    judge = judging(Brightest(), 0.5)
-    rows = score([judge], original, {"T-U-0": hidden}, tmp_path / "scores")
+def test_all_that_was_found_is_written(scored, tmp_path):
+    rows = scored([judging(Brightest(), 0.5)], [200, 200, 200, 50], {"T-U-0": [50, 50, 200, 200]})
     row = next(row for row in rows if row["match"] == "centre_1m")
     assert (row["camouflage"], row["asr"], row["er"]) == (
         "T-U",
@@ -96,87 +137,80 @@ def test_all_that_was_found_is_written(make_dataset, tmp_path):
     assert json.loads((tmp_path / "scores" / "results.json").read_text())["rows"] == rows
 
 
-def test_a_detector_that_finds_nothing_is_refused_before_the_long_part(make_dataset, tmp_path):
-    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
-    good, silent = Brightest("good"), Brightest("silent")
-    with pytest.raises(
-        ConfigurationError, match=r"silent finds none of the 2 vehicles .* threshold of 0\.9.*EASR"
-    ):
-        score(
-            [judging(good, 0.5), judging(silent, 0.9)],
-            original,
-            {"T-U": hidden},
-            tmp_path / "scores",
-        )
-    assert (good.images, silent.images) == (2, 2)
+def test_outcomes_are_the_same_with_and_without_a_folder(tmp_path, make_scene, fleet):
+    scenes = some_scenes(make_scene, fleet, 3)
+    detectors = [judging(Brightest("one"), 0.5), judging(Brightest("other"), 0.6)]
+    worn = {"T-U": Worn(1), "R-U-0": Worn(2)}
+    renderer = Flat([200, 200, 200], [50, 200, 200], [200, 200, 200])
+    world = {"fleet": fleet, "renderer": renderer}
+    outcomes = measure(detectors, scenes, worn, **world)
+    assert [(one.detector, one.camouflage) for one in outcomes[:: 3 * len(MATCHES)]] == [
+        (detector, name) for detector in ("one", "other") for name in worn
+    ]
+    assert measure(detectors, scenes, worn, folder=tmp_path / "scores", **world) == outcomes
+    assert read_outcomes(tmp_path / "scores" / "outcomes.parquet") == outcomes
+
+
+def test_images_that_were_drawn_otherwise_are_no_pairs(scored, tmp_path):
+    unchanged = replace(flat_images([200, 200]), ids=["s0", "s1"])
+    with pytest.raises(ConfigurationError, match="not by torch; give --renderer"):
+        scored([judging(Brightest(), 0.5)], [0, 0], {"T-U": [50, 200]}, unchanged=unchanged)
+    with pytest.raises(StoredFileError, match="other images or vehicles than its scenes"):
+        scored([judging(Brightest(), 0.5)], [0], {"T-U": [50]}, unchanged=unchanged)
     assert not (tmp_path / "scores").exists()
 
 
-def test_a_set_without_vehicles_is_refused(make_dataset, tmp_path):
-    original, hidden = make_dataset("test", [200, 200], 0), make_dataset("test-T-U", [50, 50], 0)
-    with pytest.raises(ConfigurationError, match="shows no vehicles to hide"):
-        score([judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "scores")
+@pytest.mark.parametrize(
+    ("vehicles", "words"),
+    [
+        (1, r"silent finds none of the 2 vehicles .* threshold of 0\.9.*EASR"),
+        (0, "scenes with vehicles, got 2 scenes without any"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_the_long_part(scored, tmp_path, vehicles, words):
+    good, silent = Brightest("good"), Brightest("silent")
+    detectors = [judging(good, 0.5), judging(silent, 0.9)]
+    with pytest.raises(ConfigurationError, match=words):
+        scored(detectors, [200, 200], {"T-U": [50, 50]}, vehicles=vehicles)
+    assert good.images == silent.images == 2 * vehicles
+    assert not (tmp_path / "scores").exists()
 
 
-def test_the_renderer_is_the_datasets_own(make_dataset, tmp_path):
-    cycles = {"renderer": "cycles"}
-    original = make_dataset("test", [200, 200, 200, 50], source=cycles)
-    hidden = make_dataset("test-T-U", [50, 50, 200, 200], source=cycles)
-    rows = score([judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "scores")
+@pytest.mark.parametrize(
+    ("detectors", "names", "words"),
+    [
+        (["one", "one"], ["T-U"], "Two detectors are called 'one'"),
+        (["one"], ["T-U", "T-U"], "Two camouflages are called 'T-U'"),
+    ],
+)
+def test_two_of_one_name_are_refused(tmp_path, make_scene, fleet, detectors, names, words):
+    scenes = some_scenes(make_scene, fleet, 1)
+    changes = [Change(name, Worn(1)) for name in names]
+    known = [judging(Brightest(name), 0.5) for name in detectors]
+    with pytest.raises(ConfigurationError, match=words):
+        score(known, tmp_path / "scores", scenes, changes, Stage(fleet, Flat([200], [50])))
+
+
+def test_the_renderer_is_the_stages_own(scored, tmp_path):
+    rows = scored([judging(Brightest(), 0.5)], [200, 50], {"T-U": [50, 200]}, renderer="cycles")
     assert {row["renderer"] for row in rows} == {"cycles"}
     tiles, sets = merge_counts([tmp_path / "scores"])
-    assert (
-        {key.renderer for key in tiles.series} == {score.renderer for score in sets} == {"cycles"}
-    )
-    assert {
-        outcome.renderer for outcome in read_outcomes(tmp_path / "scores" / "outcomes.parquet")
-    } == {"cycles"}
+    assert {key.renderer for key in tiles.series} == {one.renderer for one in sets} == {"cycles"}
+    (check,) = json.loads((tmp_path / "scores" / "baselines.json").read_text())["rows"]
+    assert check["dataset"] == "Blender Cycles test"
 
 
-@pytest.mark.parametrize("first", ["torch", "cycles"])
-def test_datasets_of_two_renderers_are_no_pairs(make_dataset, tmp_path, first):
-    second = {"torch": "cycles", "cycles": "torch"}[first]
-    # One that does not say it is of before there was a choice.
-    sources = {"torch": None, "cycles": {"renderer": "cycles"}}
-    original = make_dataset("test", [200, 200], source=sources[first])
-    hidden = make_dataset("test-T-U", [50, 50], source=sources[second])
-    judge = Brightest()
-    with pytest.raises(
-        ConfigurationError, match=rf"by {first} and .*test-T-U by {second}, .* same --renderer"
-    ):
-        score([judging(judge, 0.5)], original, {"T-U": hidden}, tmp_path / "scores")
-    assert judge.images == 0
-    assert not (tmp_path / "scores").exists()
-
-
-def test_datasets_of_one_renderer_under_other_settings_are_no_pairs(make_dataset, tmp_path):
-    sources = [
-        {"renderer": "cycles", "rendering": {"samples": samples, "finish": "matt"}}
-        for samples in (32, 64)
-    ]
-    original = make_dataset("test", [200, 200], source=sources[0])
-    hidden = make_dataset("test-T-U", [50, 50], source=sources[1])
-    with pytest.raises(
-        ConfigurationError, match=r"by cycles and .* by cycles with other settings \(samples\)"
-    ):
-        score([judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "scores")
-
-
-def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
-    original, hidden = (
-        make_dataset("test", [200, 200, 200, 50]),
-        make_dataset("test-T-U", [50, 50, 200, 200]),
-    )
-    images = Dataset.open(original)
+def test_baselines_say_what_they_rest_on(scored, tmp_path):
+    images = flat_images([200, 200, 200, 50])
     # A second vehicle that is never found halves recall on the real images.
-    twice = [torch.cat([boxes, boxes + 40]) for boxes in images.boxes]
-    real = replace(images, boxes=twice)
-    clean = [
+    real = replace(images, boxes=[torch.cat([boxes, boxes + 40]) for boxes in images.boxes])
+    sets = [
         BaselineSet("two places", real, real=True, note="note", places=["a", "a", "b", "b"]),
         BaselineSet("one place", real, real=True, places=["a"] * 4),
         BaselineSet("unknown", real, real=True),
     ]
-    score([judging(Brightest(), 0.5)], original, {"T-U": hidden}, tmp_path / "scores", clean=clean)
+    changed = {"T-U": [50, 50, 200, 200]}
+    scored([judging(Brightest(), 0.5)], [200, 200, 200, 50], changed, baselines=sets)
     rows = {
         row["dataset"]: row
         for row in json.loads((tmp_path / "scores" / "baselines.json").read_text())["rows"]
@@ -206,51 +240,39 @@ def test_checks_on_clean_images_say_what_they_rest_on(make_dataset, tmp_path):
     assert row["ap_centre_1m_high"] - row["ap_centre_1m_low"] > 0.3
 
 
-def test_a_clean_set_without_vehicles_has_no_average_precision(make_dataset, tmp_path):
-    original, hidden = make_dataset("test", [200, 200]), make_dataset("test-T-U", [50, 50])
-    empty = BaselineSet(
-        "empty", Dataset.open(make_dataset("empty", [10, 10], vehicles=0)), real=False
-    )
-    score(
-        [judging(Brightest(), 0.5)],
-        original,
-        {"T-U": hidden},
-        tmp_path / "scores",
-        clean=[empty],
-    )
+def test_a_set_without_vehicles_has_no_average_precision(tmp_path):
+    empty = BaselineSet("empty", flat_images([10, 10], vehicles=0), real=False)
+    assert score([judging(Brightest(), 0.5)], tmp_path / "scores", baselines=[empty]) == []
     text = (tmp_path / "scores" / "baselines.json").read_text()
     assert "NaN" not in text
-    row = json.loads(text)["rows"][1]
+    (row,) = json.loads(text)["rows"]
     assert [row[key] for key in ("ap_centre_1m", "ap_centre_1m_low", "ap_iou_50", "recall")] == [
         None
     ] * 4
 
 
-def test_whether_images_are_real_must_be_said(make_dataset):
+def test_whether_images_are_real_must_be_said():
     """The shipped example of a black box once reported rendered images as real ones."""
-    images = Dataset.open(make_dataset("validation", [200]))
     with pytest.raises(TypeError, match="real"):
-        BaselineSet("validation", images)
+        BaselineSet("validation", flat_images([200]))
 
 
-def test_every_dataset_is_matched_once_by_each_rule(make_dataset, tmp_path, monkeypatch):
-    original = make_dataset("test", [200, 200])
-    worn = {name: make_dataset(f"test-{name}", [50, 200]) for name in ("T-U", "R-U-0", "R-U-1")}
+def test_every_view_is_matched_once_by_each_rule(scored, monkeypatch):
     matched = []
 
     def counting(found, dataset, *, criterion):
-        matched.append((dataset.folder.name, criterion))
+        matched.append(criterion)
         return match_images(found, dataset, criterion=criterion)
 
-    monkeypatch.setattr(scoring, "match_images", counting)
-    score([judging(Brightest(), 0.5)], original, worn, tmp_path / "scores")
-    assert len(matched) == len(set(matched)) == len(MATCHES) * (1 + len(worn))
+    monkeypatch.setattr(views, "match_images", counting)
+    worn = {name: [50, 200] for name in ("T-U", "R-U-0", "R-U-1")}
+    scored([judging(Brightest(), 0.5)], [200, 200], worn)
+    assert len(matched) == len(MATCHES) * (1 + len(worn))
 
 
-def test_a_score_folder_has_pictures_of_what_is_shown(make_dataset, tmp_path):
-    original = make_dataset("test", [200, 200, 200])
-    worn = {name: make_dataset(f"test-{name}", [50, 200, 50]) for name in ("T-U", "R-U-0", "T-U-1")}
-    score([judging(Brightest(), 0.5)], original, worn, tmp_path / "scores")
+def test_a_score_folder_has_pictures_of_what_is_shown(scored, tmp_path):
+    worn = {name: [50, 200, 50] for name in ("T-U", "R-U-0", "T-U-1")}
+    scored([judging(Brightest(), 0.5)], [200, 200, 200], worn)
     pairs = Results.open(tmp_path / "scores").pairs(CamouflageName.read("T-U"), "torch")
     assert {pair.camouflage for _, pair in pairs} == {"T-U"}
     assert {(pair.scene, pair.found_before, pair.found_after) for _, pair in pairs} == {
@@ -264,4 +286,6 @@ def test_a_score_folder_has_pictures_of_what_is_shown(make_dataset, tmp_path):
             # The frame around the vehicle says whether it was found.
             red, green, _ = picture.convert("RGB").getpixel((40, 64))
             assert (green > red) == bool(pair.found_after)
+            level = 200 if pair.found_after else 50
+            assert picture.getpixel((4, 4)) == pytest.approx((level,) * 3, abs=3)
     assert not (tmp_path / "scores" / "pairs" / "R-U-0").exists()

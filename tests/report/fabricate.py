@@ -15,7 +15,6 @@ from PIL import Image, ImageDraw
 from skyproof.files import write_json, write_jsonl
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
-from skyproof.results.pairs.tiles import count_tiles, write_tiles
 from skyproof.results.pictures import choose_scenes
 from skyproof.results.score_folder import Pair, ScoreRecord, write_pairs, write_record
 
@@ -82,7 +81,6 @@ def fabricate(folder, scenes=40):
             pictures[name, scene] = picture
     score = folder / "scores" / "main"
     write_outcomes(score / "outcomes.parquet", outcomes)
-    write_tiles(score / "tiles.parquet", count_tiles(outcomes))
     _write_pairs(score, outcomes, pictures)
     sets = [
         SetScore(
@@ -205,7 +203,6 @@ def fabricate_cycles(folder):
         found = outcome.detected_original and not hidden
         outcomes.append(dataclasses.replace(outcome, renderer="cycles", detected_adversarial=found))
     write_outcomes(cycles / "outcomes.parquet", outcomes)
-    write_tiles(cycles / "tiles.parquet", count_tiles(outcomes))
     sets = [
         SetScore(
             camouflage,

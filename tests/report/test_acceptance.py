@@ -13,7 +13,7 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
 from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
-from skyproof.results.pairs.tiles import TileCounts, read_tiles, write_tiles
+from skyproof.results.pairs.tiles import TileCounts, read_tiles
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
@@ -23,6 +23,7 @@ from tests.report.fabricate import fabricate
 from tests.report.test_precheck import checked
 from tests.report.test_queries import missed
 from tests.report.test_report import words_of
+from tests.results.counted import write_counts
 from tests.results.test_worst import scored
 
 LENIENT = Requirement(0.97, 0.995)
@@ -51,10 +52,10 @@ def asked(folder, requirement=None):
 
 def change_tiles(folder, change):
     """Puts other counts in the place of a run's: in sight, both, lost, gained."""
-    place = folder / "scores" / "main" / "tiles.parquet"
+    place = folder / "scores" / "main" / "outcomes.parquet"
     tiles = read_tiles(place)
     series = {key: change(key, counts.copy()) for key, counts in tiles.series.items()}
-    write_tiles(place, TileCounts(tiles.cells, series))
+    write_counts(place, TileCounts(tiles.cells, series))
 
 
 def test_a_detector_that_loses_most_is_rejected(run_folder):
@@ -184,10 +185,10 @@ def test_the_verdict_names_what_it_holds_for(run_folder):
 
 
 def test_without_an_attack_there_is_nothing_to_decide(run_folder):
-    place = run_folder / "scores" / "main" / "tiles.parquet"
+    place = run_folder / "scores" / "main" / "outcomes.parquet"
     tiles = read_tiles(place)
     controls = {key: counts for key, counts in tiles.series.items() if key.camouflage != "T-U"}
-    write_tiles(place, TileCounts(tiles.cells, controls))
+    write_counts(place, TileCounts(tiles.cells, controls))
     with pytest.raises(ConfigurationError, match="found none for retinanet; attack"):
         write_report(run_folder, STRICT)
     assert not (run_folder / "verdict.json").exists()

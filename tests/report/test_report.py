@@ -207,7 +207,6 @@ def test_the_same_folder_gives_the_same_page(run_folder, page):
     ("missing", "said"),
     [
         ("environment.json", "does not say which versions"),
-        ("scores/main/outcomes.parquet", "no score folder holds a table of single outcomes"),
         ("scores/main/pairs", "no score folder holds pictures of T-U"),
         ("scores/main/patterns", "There is no picture of the texture map"),
         ("scores/main/patterns/T-U/on_vehicle.png", "no picture of the pattern on a vehicle"),
@@ -366,7 +365,7 @@ def test_a_single_score_folder_is_reported_too(run_folder):
 
 def test_checks_alone_are_reported(run_folder):
     score = run_folder / "scores" / "main"
-    for name in ("tiles.parquet", "sets.json", "outcomes.parquet"):
+    for name in ("sets.json", "outcomes.parquet"):
         (score / name).unlink()
     record = json.loads((score / "score.json").read_text())
     write_json(score / "score.json", record | {"renderer": None})

@@ -11,8 +11,9 @@ import numpy as np
 from skyproof.files import write_json
 from skyproof.results.baseline import write_baselines
 from skyproof.results.pairs.sets import SetScore, write_sets
-from skyproof.results.pairs.tiles import Series, TileCounts, write_tiles
+from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.score_folder import ScoreRecord, write_record
+from tests.results.counted import write_counts
 
 DETECTORS = ("retinanet", "yolov5")
 TILES = 20
@@ -41,7 +42,7 @@ def write_scores(
     """Writes one score folder.
 
     Args:
-        folder: gets tiles.parquet and sets.json.
+        folder: gets outcomes.parquet and sets.json.
         rates: per camouflage the share of vehicles found before that is lost, on every tile alike
             without `spread`.
         found: the share of vehicles found before.
@@ -73,7 +74,7 @@ def write_scores(
                 series[Series(name, renderer, detector, match)] = counts
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
-    write_tiles(folder / "tiles.parquet", TileCounts(CELLS, series))
+    write_counts(folder / "outcomes.parquet", TileCounts(CELLS, series))
     write_sets(folder / "sets.json", sets)
     write_baselines(folder / "baselines.json", checks)
     thresholds = dict.fromkeys(detectors, 0.5)

@@ -8,7 +8,6 @@ from skyproof.reproduction.report import write_reproduction_report
 from skyproof.results.baseline import write_baselines
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
-from skyproof.results.pairs.tiles import count_tiles, write_tiles
 from skyproof.results.score_folder import ScoreRecord, write_record
 
 DETECTORS = ("retinanet", "yolov5")
@@ -68,7 +67,6 @@ def write(folder, conditions, names=NAMES, detectors=DETECTORS):
     ]
     folder.mkdir(parents=True)
     write_outcomes(folder / "outcomes.parquet", outcomes)
-    write_tiles(folder / "tiles.parquet", count_tiles(outcomes))
     sets = [
         SetScore(name, "torch", detector, match, 0.9, 1.0)
         for name in ("original", *names)

@@ -1,20 +1,18 @@
-"""Counts per tile, on disk and merged."""
+"""Counts per tile, of outcomes and merged."""
 
 import dataclasses
 from typing import get_type_hints
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.results.merge import merge_counts
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.pairs.sets import SetScore, read_sets, write_sets
-from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles, write_tiles
+from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles
 from skyproof.results.score_folder import ScoreRecord, write_record
-from tests.results.counted import on_tiles
+from tests.results.counted import on_tiles, write_counts
 
 
 def outcome(tile, camouflage, before, after, vehicle="car-1", detector="yolov5"):
@@ -35,17 +33,20 @@ def outcome(tile, camouflage, before, after, vehicle="car-1", detector="yolov5")
 
 
 @pytest.fixture
-def tiles():
-    return count_tiles(
-        [
-            outcome("b", "T-U-1", True, False),
-            outcome("a", "T-U-1", True, True),
-            outcome("a", "T-U-1", True, False),
-            outcome("a", "T-U-1", False, True, "car-2"),
-            outcome("a", "T-U-1", False, False, "car-2"),
-            outcome("b", "T-U-0", True, True),
-        ]
-    )
+def outcomes():
+    return [
+        outcome("b", "T-U-1", True, False),
+        outcome("a", "T-U-1", True, True),
+        outcome("a", "T-U-1", True, False),
+        outcome("a", "T-U-1", False, True, "car-2"),
+        outcome("a", "T-U-1", False, False, "car-2"),
+        outcome("b", "T-U-0", True, True),
+    ]
+
+
+@pytest.fixture
+def tiles(outcomes):
+    return count_tiles(outcomes)
 
 
 def test_counts_by_hand(tiles):
@@ -64,41 +65,17 @@ def same(one, other):
     assert all(np.array_equal(one.series[key], other.series[key]) for key in one.series)
 
 
-def test_round_trip(tmp_path, tiles):
-    write_tiles(tmp_path / "tiles.parquet", tiles)
-    same(read_tiles(tmp_path / "tiles.parquet"), tiles)
-    assert pq.read_table(tmp_path / "tiles.parquet").num_rows == 4
-    write_tiles(tmp_path / "none.parquet", TileCounts((), {}))
+def test_counts_of_stored_outcomes_are_the_same(tmp_path, tiles, outcomes):
+    write_outcomes(tmp_path / "outcomes.parquet", outcomes)
+    same(read_tiles(tmp_path / "outcomes.parquet"), tiles)
+    write_outcomes(tmp_path / "none.parquet", [])
     assert read_tiles(tmp_path / "none.parquet").series == {}
+    assert count_tiles([]).cells == ()
 
 
-def test_bad_files_are_named(tmp_path, tiles):
-    path = tmp_path / "tiles.parquet"
-    with pytest.raises(StoredFileError, match=r"tiles\.parquet is missing"):
-        read_tiles(path)
-    path.write_bytes(b"not parquet")
-    with pytest.raises(StoredFileError, match="not a readable Parquet file"):
-        read_tiles(path)
-    pq.write_table(pa.table({"scene": ["a"]}), path)
-    with pytest.raises(StoredFileError, match="other columns"):
-        read_tiles(path)
-    # What was written before vehicles were told apart.
-    write_tiles(path, tiles)
-    table = pq.read_table(path).drop_columns(["vehicle"])
-    pq.write_table(table.rename_columns({"in_sight": "vehicles"}), path)
-    with pytest.raises(
-        StoredFileError, match=r"than this version writes \(in_sight, vehicle, vehicles\); copy"
-    ):
-        read_tiles(path)
-    write_tiles(path, tiles)
-    table = pq.read_table(path)
-    for wrong in (
-        pa.concat_tables([table, table]),
-        table.set_column(6, "in_sight", pa.array([1, 1, 1, 1], pa.int64())),
-    ):
-        pq.write_table(wrong, path)
-        with pytest.raises(StoredFileError, match="contradict each other"):
-            read_tiles(path)
+def test_outcomes_for_given_counts_give_them(tmp_path, tiles):
+    write_counts(tmp_path / "outcomes.parquet", tiles)
+    same(read_tiles(tmp_path / "outcomes.parquet"), tiles)
 
 
 def test_set_scores_round_trip(tmp_path):
@@ -125,7 +102,7 @@ def make_folder(tmp_path):
             Series(camouflage, renderer, "yolov5", "iou_50"): np.array([[2, *row] for row in rows])
             for camouflage, rows in counts.items()
         }
-        write_tiles(folder / "tiles.parquet", on_tiles("ab", series))
+        write_counts(folder / "outcomes.parquet", on_tiles("ab", series))
         scores = [SetScore("original", renderer, "yolov5", "iou_50", precision, 3.0)]
         scores += [
             SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts
@@ -177,9 +154,9 @@ def test_two_renderers_are_merged(make_folder):
 def test_repeats_that_other_detectors_judged_are_refused(make_folder):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
     two = make_folder("two", {"T-U-1": [[1, 1, 0], [0, 2, 0]]})
-    tiles = read_tiles(two / "tiles.parquet")
+    tiles = read_tiles(two / "outcomes.parquet")
     more = {key._replace(detector="retinanet"): counts for key, counts in tiles.series.items()}
-    write_tiles(two / "tiles.parquet", TileCounts(tiles.cells, {**tiles.series, **more}))
+    write_counts(two / "outcomes.parquet", TileCounts(tiles.cells, {**tiles.series, **more}))
     with pytest.raises(
         ConfigurationError, match="T-U-0 judged by yolov5, and another repeat of it"
     ):
@@ -196,7 +173,7 @@ def test_contradictions_are_refused(make_folder, tmp_path):
         merge_counts([one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)])
     other = make_folder("four", {"T-U-2": [[1, 1, 0], [0, 2, 0]]})
     fewer = {Series("T-U-2", "torch", "yolov5", "iou_50"): np.array([[1, 0, 1, 0], [2, 0, 2, 0]])}
-    write_tiles(other / "tiles.parquet", on_tiles("ab", fewer))
+    write_counts(other / "outcomes.parquet", on_tiles("ab", fewer))
     with pytest.raises(ConfigurationError, match="same vehicles on the same tiles"):
         merge_counts([one, other])
 

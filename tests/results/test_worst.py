@@ -8,7 +8,6 @@ from skyproof.files import write_json
 from skyproof.report.report import write_report
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.pairs.sets import SetScore, write_sets
-from skyproof.results.pairs.tiles import count_tiles, write_tiles
 from skyproof.results.results import Results
 from skyproof.results.score_folder import ScoreRecord, write_record
 from skyproof.results.worst import worst_cases
@@ -77,7 +76,6 @@ def scored(folder, hides, leniently=None):
         for place in range(5)
     ]
     write_outcomes(score / "outcomes.parquet", outcomes)
-    write_tiles(score / "tiles.parquet", count_tiles(outcomes))
     sets = [
         SetScore(name, "torch", "retinanet", match, 0.9, 1.0)
         for name in ("original", *hides)

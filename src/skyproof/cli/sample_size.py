@@ -168,7 +168,7 @@ class SampleSize:
 
         if self.pilot is None:
             return Assumptions(_EASR, vehicles_per_tile=_VEHICLES_PER_TILE), "assumed"
-        assumptions, name = assume_from_pilot(read_tiles(self.pilot / "tiles.parquet"))
+        assumptions, name = assume_from_pilot(read_tiles(self.pilot / "outcomes.parquet"))
         return assumptions, f"as {name} in the pilot"
 
 

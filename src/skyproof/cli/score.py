@@ -1,50 +1,46 @@
-"""`skyproof score`: detectors judged, with and without camouflages."""
+"""`skyproof score`: what camouflages hide from detectors, and how good these are without."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from skyproof.cli.console import say
 from skyproof.cli.rendering import Rendering
 from skyproof.errors import ConfigurationError
-from skyproof.files import alone
 from skyproof.ranges import Seed, is_name
 
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.detectors.loaded import Load, LoadedDetector
+    from skyproof.camouflage.camouflage import Camouflage
+    from skyproof.detectors.loaded import Load
+    from skyproof.measure.views import Stage
+    from skyproof.scenes.scene import Scene
+    from skyproof.vehicles.fleet import Fleet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score(Rendering):
-    """Judges detectors: with and without camouflages, and on annotated images.
+    """Measures detectors: with and without camouflages, and on annotated images.
 
-    Camouflage folders are rendered here, onto the vehicles and scenes of --original, and their
-    images are not kept. Datasets that are rendered already are given with --camouflaged. With
-    --frames alone it is only checked how good the detectors are. A score folder inside the `scores`
-    folder of a run is taken into the run's report.
+    The scenes of --original are drawn again in every camouflage; a camouflage T-x is compared with
+    its random controls R-x-0, R-x-1, ... With --frames alone only the detectors' baseline is
+    measured. A score folder inside the `scores` folder of a run is taken into the run's report.
 
     Attributes:
         detectors: detector folders.
         out: score folder to write, such as `my_run/scores/mine`.
-        original: dataset without camouflage; its scenes are the ones that are judged.
+        original: dataset without camouflage, whose scenes are drawn again.
         camouflages: camouflage folders; a folder's name is the camouflage's in the tables.
-        camouflaged: NAME=FOLDER for datasets of the same scenes with a camouflage, such as
-            T-U=data/test-T-U. A camouflage T-x is compared with its random controls R-x-0,
-            R-x-1, ...
         backgrounds: background set folder of the scenes; needed for --camouflages.
         fleet: fleet folder of the scenes' vehicles; needed for --camouflages.
-        frames: annotated images to check the detectors on, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD
-            and #CLASS,... where it has classes of its own, such as 'kit/MOS*@0.116#car';
-            rendered datasets and tiled folders, too. Arguments of one NAME are one set of several
-            places.
+        frames: annotated images for the baseline, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD and
+            #CLASS,... where it has classes of its own, such as 'kit/MOS*@0.116#car'; rendered
+            datasets and tiled folders, too. Arguments of one NAME are one set of several places.
         frame_classes: class names that count as vehicles in the other frames; all else is
             ignored, not counted as mistakes.
         seed: of the bootstrap.
@@ -55,7 +51,6 @@ class Score(Rendering):
     out: Path
     original: Path | None = None
     camouflages: tuple[Path, ...] = ()
-    camouflaged: tuple[str, ...] = ()
     backgrounds: Path | None = None
     fleet: Path | None = None
     frames: tuple[str, ...] = ()
@@ -64,84 +59,72 @@ class Score(Rendering):
     device: str = "auto"
 
     def run(self, load: Load | None = None) -> None:
-        """Judges, and prints success rates and checks; `load` as of `Precheck.run`."""
+        """Measures, and prints success rates and baselines; `load` as of `Precheck.run`."""
+        from skyproof.camouflage.folder import load_camouflage
         from skyproof.cli.console import progress_bar
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
+        from skyproof.detectors.loaded import load_apart, load_ensemble
         from skyproof.files import refuse_existing
-        from skyproof.measure.score import score_detectors
+        from skyproof.measure.score import score
+        from skyproof.measure.views import Change
 
         self._refuse_what_cannot_work()
-        given = self._given()
-        # The scoring refuses what exists, too, but only once everything is rendered.
         refuse_existing(self.out)
         device = choose_device(self.device)
-        gsd_m = (
-            read_card(self.detectors[0]).gsd_m
-            if self.original is None
-            else Dataset.open(self.original).gsd_m
-        )
-        judges = self._judges(device, gsd_m, load)
-        clean = read_frames(self.frames, self.frame_classes, gsd_m)
-        with self._rendered(device) as rendered, progress_bar("score") as update:
-            score_detectors(
-                judges,
+        original = None if self.original is None else Dataset.open(self.original)
+        gsd_m = read_card(self.detectors[0]).gsd_m if original is None else original.gsd_m
+        # Detectors of one kind can stand in one table of baselines, told apart by their folders.
+        load_all = load_apart if original is None else load_ensemble
+        detectors = load_all(self.detectors, device, gsd_m, load)
+        baselines = read_frames(self.frames, self.frame_classes, gsd_m)
+        worn = {folder: load_camouflage(folder) for folder in self.camouflages}
+        scenes = [] if original is None else original.scenes
+        with self._stage(device) as stage, progress_bar("score") as update:
+
+            def add(folder: Path) -> None:
+                if stage is not None:
+                    _add_patterns(folder, worn, stage.fleet)
+
+            score(
+                detectors,
                 self.out,
-                original=self.original,
-                camouflaged={**rendered, **given},
-                clean=clean,
+                scenes,
+                [Change(folder.name, camouflage) for folder, camouflage in worn.items()],
+                stage,
+                unchanged=original,
+                baselines=baselines,
                 seed=self.seed,
-                sources=self._sources(),
-                add=self._add_patterns,
+                sources=self._sources(scenes),
+                add=add,
                 progress=update,
             )
         self._say_results()
 
     def _refuse_what_cannot_work(self) -> None:
-        """Shows a mistake in the options before anything is rendered.
+        """Shows a mistake in the options before anything is drawn.
 
         Raises:
-            ConfigurationError: nothing to judge, or something that belongs to it is missing.
+            ConfigurationError: nothing to measure, or something that belongs to it is missing.
         """
-        worn = bool(self.camouflages or self.camouflaged)
-        if not worn and not self.frames:
+        if not self.camouflages and not self.frames:
             raise ConfigurationError(
-                "Scoring expects something to judge the detectors on: --original with "
-                "--camouflages or --camouflaged, or --frames."
+                "Scoring expects something to measure the detectors on: --original with "
+                "--camouflages, or --frames."
             )
-        if worn != (self.original is not None):
+        if bool(self.camouflages) != (self.original is not None):
             raise ConfigurationError(
-                "Scoring compares --original, a dataset without camouflage, with --camouflages "
-                "or --camouflaged; give both sides."
+                "Scoring compares --original, a dataset without camouflage, with --camouflages; "
+                "give both sides."
             )
         if self.camouflages and (self.backgrounds is None or self.fleet is None):
             raise ConfigurationError(
                 "--camouflages are rendered on --backgrounds and --fleet, those of the scenes of "
                 "--original; give both."
             )
-
-    def _given(self) -> dict[str, Path]:
-        """The datasets with camouflage by name.
-
-        Raises:
-            ConfigurationError: a text of another form, or one name twice.
-        """
-        given: dict[str, Path] = {}
-        for text in self.camouflaged:
-            name, _, place = text.partition("=")
-            if not is_name(name) or not place:
-                raise ConfigurationError(
-                    f"--camouflaged expects NAME=FOLDER with a plain name (no separators, not dots "
-                    f"alone), got {text[:300]!r}."
-                )
-            if name in given:
-                raise ConfigurationError(
-                    f"--camouflaged names {name} twice; give each camouflage once."
-                )
-            given[name] = Path(place)
-        names = [*(folder.name for folder in self.camouflages), *given]
+        names = [folder.name for folder in self.camouflages]
         unfit = next((name for name in names if not is_name(name)), None)
         if unfit is not None:
             raise ConfigurationError(
@@ -152,124 +135,33 @@ class Score(Rendering):
             raise ConfigurationError(
                 "--camouflages expects folders of different names; score the others separately."
             )
-        return given
-
-    def _judges(
-        self, device: torch.device, gsd_m: float, load: Load | None
-    ) -> list[LoadedDetector[Any]]:
-        """Loads the detectors; if they are only checked, folders tell those of one kind apart."""
-        from skyproof.detectors.loaded import load_apart, load_ensemble
-
-        load_all = load_apart if self.original is None else load_ensemble
-        return load_all(self.detectors, device, gsd_m, load)
 
     @contextmanager
-    def _rendered(self, device: torch.device) -> Iterator[dict[str, Path]]:
-        """Yields datasets of the original's scenes with each camouflage folder; keeps no images."""
-        if self.original is None or self.backgrounds is None or self.fleet is None:
-            yield {}
+    def _stage(self, device: torch.device) -> Iterator[Stage | None]:
+        """Yields what the scenes are drawn with; None where none are."""
+        if self.backgrounds is None or self.fleet is None or self.original is None:
+            yield None
             return
-        from skyproof.camouflage.folder import load_camouflage
-        from skyproof.cli.console import progress_bar
         from skyproof.cli.renderers import open_renderer
-        from skyproof.datasets.dataset import Dataset
-        from skyproof.render.dataset import render_dataset
+        from skyproof.measure.views import Stage
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
-        original = Dataset.open(self.original)
-        if self.camouflages and original.renderer != self.renderer:
-            raise ConfigurationError(
-                f"{self.original} was rendered by {original.renderer}, not by {self.renderer}; "
-                f"give --renderer {original.renderer}, or the same scenes rendered by "
-                f"{self.renderer}."
-            )
-        # Read once for all: decoding tiles and loading vehicles takes a fair part of rendering.
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        # A lock of its own: that of the score folder is held while it is written.
-        with (
-            alone(self.out.with_name(f"{self.out.name}.images")),
-            self._fresh_folder() as images,
-            open_renderer(self, backgrounds, self.out) as renderer,
-        ):
-            if self.camouflages and renderer.record(original.scenes) != original.rendering:
-                raise ConfigurationError(
-                    f"{self.original} was rendered with other settings than are asked for here, "
-                    "or by another version of skyproof or Blender; give the same "
-                    "--cycles.samples and --cycles.finish, or render it anew."
-                )
-            rendered = {}
-            for folder in self.camouflages:
-                place = Path(images) / folder.name
-                camouflage = load_camouflage(folder).to(device)
-                with progress_bar(f"render {folder.name}") as update:
-                    render_dataset(
-                        place,
-                        original.scenes,
-                        fleet,
-                        renderer,
-                        camouflage=camouflage,
-                        device=device,
-                        progress=update,
-                    )
-                rendered[folder.name] = place
-            # Within, so that path-traced crops are kept until their images have been judged.
-            yield rendered
+        with open_renderer(self, backgrounds, self.out) as renderer:
+            yield Stage(fleet, renderer, device)
 
-    @contextmanager
-    def _fresh_folder(self) -> Iterator[str]:
-        """Yields a folder for images beside --out; removes what kills have left there before."""
-        prefix = f".{self.out.name}.images."
-        for entry in self.out.parent.iterdir():
-            if entry.name.startswith(prefix) and entry.is_dir() and not entry.is_symlink():
-                shutil.rmtree(entry)
-        with TemporaryDirectory(dir=self.out.parent, prefix=prefix) as images:
-            yield images
-
-    def _sources(self) -> list[str]:
-        """What the ground of the scenes was cut from, or ["procedural"]; empty if not known."""
-        from skyproof.datasets.dataset import Dataset
+    def _sources(self, scenes: Sequence[Scene]) -> list[str]:
+        """What the ground of the scenes was cut from, or ["procedural"]; empty without scenes."""
         from skyproof.scenes.backgrounds import BackgroundSet
 
-        if self.original is None or self.backgrounds is None:
+        if self.backgrounds is None:
             return []
         backgrounds = BackgroundSet.open(self.backgrounds)
-        tiles = dict.fromkeys(scene.background.tile for scene in Dataset.open(self.original).scenes)
+        tiles = dict.fromkeys(scene.background.tile for scene in scenes)
         return list(dict.fromkeys(backgrounds.tile(name).source for name in tiles))
-
-    def _add_patterns(self, folder: Path) -> None:
-        """Adds what the pictured camouflages look like, and what they ask of their makers."""
-        from skyproof.camouflage.account import practicality_account
-        from skyproof.camouflage.folder import load_camouflage
-        from skyproof.camouflage.name import CamouflageName
-        from skyproof.files import inside, write_beside, write_bytes, write_json
-        from skyproof.render.portrait import portrait
-        from skyproof.results.score_folder import is_pictured
-        from skyproof.vehicles.fleet import Fleet
-
-        pictured = [
-            folder for folder in self.camouflages if is_pictured(CamouflageName.read(folder.name))
-        ]
-        if not pictured or self.fleet is None:
-            return
-        from PIL import Image
-
-        fleet = Fleet.load(self.fleet)
-        vehicles = fleet.batch(fleet.ids)
-        rows = []
-        for place in pictured:
-            camouflage = load_camouflage(place)
-            picture = portrait(fleet, camouflage)
-            with write_beside(folder / "patterns" / place.name / "on_vehicle.png") as temporary:
-                Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
-            for file in ("texture.png", "steps.jsonl"):
-                if (place / file).exists():
-                    path = folder / "patterns" / place.name / file
-                    write_bytes(path, inside(place, file, place).read_bytes())
-            rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
-        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results
@@ -297,3 +189,30 @@ class Score(Rendering):
                 f"{check.vehicles} vehicles"
             )
         say(f"Scores: {self.out.resolve()}")
+
+
+def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -> None:
+    """Adds what the pictured camouflages look like, and what they ask of their makers."""
+    from PIL import Image
+
+    from skyproof.camouflage.account import practicality_account
+    from skyproof.camouflage.name import CamouflageName
+    from skyproof.files import inside, write_beside, write_bytes, write_json
+    from skyproof.render.portrait import portrait
+    from skyproof.results.score_folder import is_pictured
+
+    vehicles = fleet.batch(fleet.ids)
+    rows = []
+    for place, camouflage in worn.items():
+        if not is_pictured(CamouflageName.read(place.name)):
+            continue
+        own = folder / "patterns" / place.name
+        picture = portrait(fleet, camouflage.cpu())
+        with write_beside(own / "on_vehicle.png") as temporary:
+            Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
+        for file in ("texture.png", "steps.jsonl"):
+            if (place / file).exists():
+                write_bytes(own / file, inside(place, file, place).read_bytes())
+        rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
+    if rows:
+        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,10 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.maite.targets import batches, found_vehicles
+from skyproof.results.pairs.tiles import Cell, count_pairs
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.rates import (
-    attack_success_rate,
-    column_of_pair,
-    enhancement_rate,
-)
+from skyproof.results.statistics.rates import attack_success_rate, enhancement_rate
 from skyproof.results.statistics.sample import Sample
 from skyproof.seeds import numpy_generator
 
@@ -28,20 +24,6 @@ _RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")
 _NO_PIXELS = torch.zeros(3, 0, 0, dtype=torch.uint8)
 # Which vehicle: its image's id, and its number in the scene or among the boxes.
 _Vehicle = tuple[str, int]
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """One vehicle in one image.
-
-    Attributes:
-        found: whether a detection at or above the threshold matches it.
-        place, vehicle: what the intervals are crossed by.
-    """
-
-    found: bool
-    place: str
-    vehicle: str
 
 
 class HiddenVehicles:
@@ -99,12 +81,14 @@ class HiddenVehicles:
         self._renderings: dict[str, Any] = {}
         self._numbers: dict[str, list[int]] = {}
         others: set[int] = set()
-        self._before: dict[_Vehicle, _Seen] = {}
+        # What the intervals are crossed by: a place, and the vehicle that stands there.
+        self._cells: dict[_Vehicle, Cell] = {}
+        self._before: dict[_Vehicle, bool] = {}
         self.reset()
         for images, targets, metadata in batches(dataset, batch_size):
             self._unchanged |= {str(known["id"]) for known in metadata}
             self._renderings |= {str(known["id"]): known.get("rendering") for known in metadata}
-            self._before |= self._seen(model(images), targets, metadata)
+            self._before |= self._found(model(images), targets, metadata)
             others |= {int(label) for target in targets for label in np.ravel(target.labels)}
         if others and not self._before:
             raise ConfigurationError(
@@ -116,7 +100,7 @@ class HiddenVehicles:
     def reset(self) -> None:
         """Forgets the changed images, not the unchanged ones."""
         self._changed: set[str] = set()
-        self._after: dict[_Vehicle, _Seen] = {}
+        self._after: dict[_Vehicle, bool] = {}
 
     def update(
         self,
@@ -151,7 +135,7 @@ class HiddenVehicles:
                     "change; render both with the same."
                 )
             self._changed.add(image)
-        self._after |= self._seen(pred_batch, target_batch, metadata_batch)
+        self._after |= self._found(pred_batch, target_batch, metadata_batch)
 
     def compute(self) -> dict[str, Any]:
         """Gives the rates, None where no vehicle was found before.
@@ -162,23 +146,20 @@ class HiddenVehicles:
             `vehicles`, `found_before`, `hidden`, `found_only_since` and `places`. Only images of
             which both versions came are counted.
         """
-        pairs = [
-            (before, self._after.get(vehicle))
-            for vehicle, before in self._before.items()
-            if vehicle[0] in self._changed
-        ]
-        cells = sorted({(before.place, before.vehicle) for before, _ in pairs})
-        row = {cell: number for number, cell in enumerate(cells)}
-        counts = np.zeros((1, len(cells), 3), dtype=np.int64)
-        for before, after in pairs:
-            # A vehicle that the change put out of sight is not found.
-            found = after is not None and after.found
-            column = column_of_pair(before=before.found, after=found)
-            if column is not None:
-                counts[0, row[before.place, before.vehicle], column] += 1
+        vehicles = [vehicle for vehicle in self._before if vehicle[0] in self._changed]
+        cells = sorted({self._cells[vehicle] for vehicle in vehicles})
+        row_of = {cell: row for row, cell in enumerate(cells)}
+        # A vehicle that the change put out of sight is not found.
+        counts = count_pairs(
+            (
+                (self._cells[vehicle], self._before[vehicle], self._after.get(vehicle, False))
+                for vehicle in vehicles
+            ),
+            row_of,
+        )[None]
         both, lost, gained = (int(number) for number in counts.sum((0, 1)))
         told = {
-            "vehicles": len(pairs),
+            "vehicles": len(vehicles),
             "found_before": both + lost,
             "hidden": lost,
             "found_only_since": gained,
@@ -194,14 +175,14 @@ class HiddenVehicles:
         rates = (easr.estimate, easr.low, easr.high, asr.estimate, asr.low, asr.high, er)
         return {**nulls_for_undefined(dict(zip(_RATES, rates, strict=True))), **told}
 
-    def _seen(
+    def _found(
         self,
         predictions: Sequence[Any],
         targets: Sequence[Any],
         metadata: Sequence[Mapping[str, Any]],
-    ) -> dict[_Vehicle, _Seen]:
-        """Matches the answers to a batch with its vehicles."""
-        seen: dict[_Vehicle, _Seen] = {}
+    ) -> dict[_Vehicle, bool]:
+        """Matches the answers to a batch with its vehicles: which are found at the threshold."""
+        seen: dict[_Vehicle, bool] = {}
         for answer, target, known in zip(predictions, targets, metadata, strict=True):
             boxes = torch.as_tensor(np.asarray(target.boxes, dtype=np.float32)).reshape(-1, 4)
             image = str(known["id"])
@@ -221,8 +202,10 @@ class HiddenVehicles:
             table = match_images([found], labelled, criterion=self._match)
             reached = table.found_at(self._threshold).tolist()
             for index, is_found in zip(table.index_of_vehicle.tolist(), reached, strict=True):
-                place = str(known.get("place", image))
-                seen[image, numbers[index]] = _Seen(is_found, place, str(names[index]))
+                vehicle = (image, numbers[index])
+                seen[vehicle] = is_found
+                cell = (str(known.get("place", image)), str(names[index]))
+                self._cells.setdefault(vehicle, cell)
         return seen
 
     def _numbers_of(self, image: str, known: Mapping[str, Any], boxes: int) -> list[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -17,7 +17,9 @@ from skyproof.detectors.detector import Detector
 from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
+from skyproof.measure.views import View, look
 from skyproof.results.baseline import Baseline, BestF1
+from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import (
     Interval,
     bootstrap_interval,
@@ -25,6 +27,7 @@ from skyproof.results.statistics.intervals import (
     resample,
 )
 from skyproof.results.statistics.rates import false_alarms_per_km2
+from skyproof.seeds import numpy_generator
 
 
 @dataclass(frozen=True)
@@ -48,46 +51,69 @@ class BaselineSet:
 
 
 def measure_baseline(
-    judge: LoadedDetector[Detector],
-    clean: BaselineSet,
-    centre: MatchTable,
-    overlap: MatchTable,
-    *,
-    generator: np.random.Generator,
+    detector: LoadedDetector[Detector], images: BaselineSet, view: View, *, seed: int
 ) -> Baseline:
-    """Checks a detector on images without camouflage, from its detections by two rules.
+    """Says how good a detector is on images without camouflage.
 
     Intervals are over places; over images where all show one place, or none is known.
 
     Args:
-        judge: the detector.
-        clean: the images.
-        centre, overlap: their detections, matched by "centre_1m" and by "iou_50".
-        generator: of the bootstrap.
+        detector: its threshold says which detections count.
+        images: what they are, and where.
+        view: what it finds in them.
+        seed: of the bootstrap. Each set draws alike, so that one more changes no other's interval.
     """
-    by_place = len(set(clean.places)) > 1
-    clusters = list(clean.places) if by_place else list(map(str, range(len(clean.images))))
+    generator = numpy_generator(seed)
+    centre = view.matched(detector.name, MAIN_MATCH)
+    by_place = len(set(images.places)) > 1
+    clusters = list(images.places) if by_place else list(map(str, range(centre.images)))
     ap = ap_interval(centre, clusters, generator=generator)
-    precision, recall = threshold_intervals(centre, clusters, judge.threshold, generator=generator)
+    precision, recall = threshold_intervals(
+        centre, clusters, detector.threshold, generator=generator
+    )
     return Baseline(
-        detector=judge.name,
-        dataset=clean.name,
-        images=len(clean.images),
+        detector=detector.name,
+        dataset=images.name,
+        images=centre.images,
         vehicles=centre.vehicles,
-        real=clean.real,
+        real=images.real,
         ap_centre_1m=ap,
         clustered_by="places" if by_place else "images",
         clusters=len(set(clusters)),
-        ap_iou_50=average_precision(overlap),
+        ap_iou_50=average_precision(view.matched(detector.name, "iou_50")),
         precision=precision,
         recall=recall,
-        threshold=judge.threshold,
+        threshold=detector.threshold,
         false_alarms_per_km2=false_alarms_per_km2(
-            centre.counts_at(judge.threshold)[1], clean.images.area_m2
+            centre.counts_at(detector.threshold)[1], images.images.area_m2
         ),
-        note=clean.note,
+        note=images.note,
         best=_best(centre),
     )
+
+
+def measure_baselines(
+    detectors: Sequence[LoadedDetector[Detector]],
+    sets: Sequence[BaselineSet],
+    *,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> list[Baseline]:
+    """Says how good every detector is on every set, set by set.
+
+    Args:
+        detectors: with their cards.
+        sets: of the detectors' resolution.
+        seed: of the bootstrap.
+        progress: called with the number of images of each set that was looked at.
+    """
+    baselines = []
+    for images in sets:
+        view = look(detectors, images.name, images.images)
+        baselines += [measure_baseline(each, images, view, seed=seed) for each in detectors]
+        if progress:
+            progress(len(images.images))
+    return baselines
 
 
 def _best(matches: MatchTable) -> BestF1 | None:

@@ -1,4 +1,4 @@
-"""Which changes the gate tries: paints, sharpness, random controls, and the sun."""
+"""Which changes the precheck tries: paints, sharpness, random controls, and the sun."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, two_tone_paint
+from skyproof.measure.views import Change
 from skyproof.randomness import generator_of
 from skyproof.results.precheck import Kind
 
@@ -24,24 +25,20 @@ SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
 
 @dataclass(frozen=True)
 class Trial:
-    """One change to the same scenes, that nothing was learnt for.
+    """One change to the same scenes that no attack optimised.
 
     Attributes:
         kind, name: as in `Rate`.
-        camouflage: what the vehicles wear; None for their own paint.
-        blur_sigma_px: how sharp they are drawn; None for as sharp as their ground.
-        sun_elevation_deg: where the sun stands; None for the scenes' own.
+        change: what is changed.
     """
 
     kind: Kind
     name: str
-    camouflage: Camouflage | None = None
-    blur_sigma_px: float | None = None
-    sun_elevation_deg: float | None = None
+    change: Change
 
 
 def make_trials(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[Trial]:
-    """Makes all trials of a gate.
+    """Makes all trials of a precheck.
 
     Args:
         palette: sRGB in [0, 1], the fixed colours of R-Fc and R-PixFc.
@@ -50,22 +47,32 @@ def make_trials(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list
     """
     kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
     paints = [
-        Trial(kind, _hex(colour), plain_paint(colour, masked=masked))
+        _painted(kind, _hex(colour), plain_paint(colour, masked=masked))
         for kind, masked in kinds
         for colour in LATTICE
     ]
     paints += [
-        Trial("two_tone", f"{_hex(upper)}{_hex(lower)}", two_tone_paint(upper, lower))
+        _painted("two_tone", f"{_hex(upper)}{_hex(lower)}", two_tone_paint(upper, lower))
         for upper, lower in TWO_TONES
     ]
-    blurs = [Trial("blur", f"{sigma:g} px", blur_sigma_px=sigma) for sigma in BLURS_PX]
+    blurs = [
+        Trial("blur", f"{sigma:g} px", Change(f"{sigma:g} px", blur_sigma_px=sigma))
+        for sigma in BLURS_PX
+    ]
     controls = [
-        Trial("control", name, _drawn(name, draw, palette, seed))
+        _painted("control", name, _drawn(name, draw, palette, seed))
         for name in CONTROLS
         for draw in range(draws)
     ]
-    suns = [Trial("sun", f"{angle:g}°", sun_elevation_deg=angle) for angle in SUN_ELEVATIONS_DEG]
+    suns = [
+        Trial("sun", f"{angle:g}°", Change(f"{angle:g}°", sun_elevation_deg=angle))
+        for angle in SUN_ELEVATIONS_DEG
+    ]
     return [*paints, *blurs, *controls, *suns]
+
+
+def _painted(kind: Kind, name: str, camouflage: Camouflage) -> Trial:
+    return Trial(kind, name, Change(name, camouflage))
 
 
 def _hex(colour: Colour) -> str:

@@ -17,7 +17,7 @@ from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as
 from skyproof.reproduction.cells import Table
 from skyproof.reproduction.embeddings import EVERY, shown_name
 from skyproof.reproduction.stored_features import GROUND
-from skyproof.results.pairs.sets import ORIGINAL
+from skyproof.results.pairs.outcomes import ORIGINAL
 from skyproof.words import detector_name
 
 

@@ -27,7 +27,7 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.feature_space import Embedding, embed
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_features import GROUND, Features
-from skyproof.results.pairs.sets import ORIGINAL
+from skyproof.results.pairs.outcomes import ORIGINAL
 from skyproof.words import detector_name
 
 EVERY = "all"

@@ -19,7 +19,7 @@ from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from skyproof.randomness import generator_of
 from skyproof.reproduction.stored_features import GROUND, Features
-from skyproof.results.pairs.sets import ORIGINAL
+from skyproof.results.pairs.outcomes import ORIGINAL
 
 MOST_SCENES = 200
 """Of so many scenes, the first, features are stored: some 600 vehicles, as many as a picture of

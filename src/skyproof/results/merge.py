@@ -10,7 +10,8 @@ import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.sets import ORIGINAL, SetScore, read_sets
+from skyproof.results.pairs.outcomes import ORIGINAL
+from skyproof.results.pairs.sets import SetScore, read_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
 from skyproof.results.score_folder import ScoreFolder
 
@@ -27,7 +28,7 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
         StoredFileError: a file is missing or damaged.
     """
     compared = [folder for folder in folders if ScoreFolder.open(folder).record.renderer]
-    read = [(folder, read_tiles(folder / "tiles.parquet")) for folder in compared]
+    read = [(folder, read_tiles(folder / "outcomes.parquet")) for folder in compared]
     cells = sorted({cell for _, tiles in read for cell in tiles.cells})
     place = {cell: index for index, cell in enumerate(cells)}
     series: dict[Series, np.ndarray] = {}

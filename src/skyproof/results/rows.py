@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.results.pairs.outcomes import Match
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.intervals import Interval
 
 MEAN = "mean"
-MAIN_MATCH = "centre_1m"
-LENIENT_MATCH = "centre_in_box"
+MAIN_MATCH: Match = "centre_1m"
+LENIENT_MATCH: Match = "centre_in_box"
 
 
 @dataclass(frozen=True)

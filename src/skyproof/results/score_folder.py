@@ -1,6 +1,6 @@
 """A score folder: all that was measured in one go, and all that a report needs of it.
 
-It holds `score.json`, `tiles.parquet`, `outcomes.parquet`, `sets.json`, `baselines.json`,
+It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`,
 `detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like) and
 `practicality.json`. `score.json` and `baselines.json` are always there.
 """

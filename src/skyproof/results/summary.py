@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.pairs.outcomes import MATCHES
-from skyproof.results.pairs.sets import ORIGINAL, SetScore
+from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
+from skyproof.results.pairs.sets import SetScore
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import MEAN, Contrast, Row

@@ -5,7 +5,7 @@ The rows are plain data and need no torch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args, get_type_hints
@@ -22,6 +22,9 @@ Match = Literal["centre_1m", "iou_50", "centre_in_box"]
 """How a detection and a vehicle are paired, as `match_detections` says."""
 
 MATCHES: tuple[Match, ...] = get_args(Match)
+
+ORIGINAL = "original"
+"""Stands where a camouflage's name would: nothing is changed."""
 
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
@@ -84,20 +87,32 @@ _HINTS = {**limits_of(Outcome), "match": Match}
 _SCHEMA = pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in get_type_hints(Outcome).items()])
 
 
+def outcome_table(outcomes: Iterable[Outcome]) -> pa.Table:
+    """Puts outcomes into a table, a column for each of their attributes."""
+    # vars, not asdict: rows are flat, and there may be hundreds of thousands.
+    return pa.Table.from_pylist([vars(outcome) for outcome in outcomes], schema=_SCHEMA)
+
+
 def write_outcomes(path: Path, outcomes: Iterable[Outcome]) -> None:
     """Writes outcomes as one Parquet table, whole or not at all."""
-    # vars, not asdict: rows are flat, and there may be hundreds of thousands.
-    table = pa.Table.from_pylist([vars(outcome) for outcome in outcomes], schema=_SCHEMA)
     with write_beside(path) as temporary:
-        pq.write_table(table, temporary)
+        pq.write_table(outcome_table(outcomes), temporary)
 
 
 def read_outcomes(path: Path) -> list[Outcome]:
     """Reads what `write_outcomes` wrote.
 
     Raises:
+        StoredFileError: as `read_outcome_table` does.
+    """
+    return [Outcome(**row) for row in read_outcome_table(path).to_pylist()]
+
+
+def read_outcome_table(path: Path, columns: Sequence[str] = _SCHEMA.names) -> pa.Table:
+    """Reads some columns of what `write_outcomes` wrote.
+
+    Raises:
         StoredFileError: the file is missing, not Parquet, or has other columns or values that
             cannot be.
     """
-    table = read_table(path, _SCHEMA, _HINTS, undefined=_UNDEFINED)
-    return [Outcome(**row) for row in table.to_pylist()]
+    return read_table(path, _SCHEMA, _HINTS, undefined=_UNDEFINED, columns=columns)

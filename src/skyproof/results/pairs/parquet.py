@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,12 @@ _LARGEST_BYTES = 2**32
 
 
 def read_table(
-    path: Path, schema: pa.Schema, hints: Mapping[str, Any], *, undefined: Collection[str] = ()
+    path: Path,
+    schema: pa.Schema,
+    hints: Mapping[str, Any],
+    *,
+    undefined: Collection[str] = (),
+    columns: Sequence[str] | None = None,
 ) -> pa.Table:
     """Reads the table at `path`.
 
@@ -30,6 +35,7 @@ def read_table(
         schema: the columns that it must have.
         hints: by column an annotation with the limits of its values.
         undefined: columns whose numbers may be nan.
+        columns: those that are read; all where not given.
 
     Raises:
         StoredFileError: the file is missing, not Parquet, too large, has other columns than
@@ -38,10 +44,11 @@ def read_table(
     if not path.exists():
         raise StoredFileError(f"{path} is missing; {REMEDY}, or give another run folder.")
     try:
-        table = _read(path, schema)
-        for name in schema.names:
+        wanted = list(schema.names if columns is None else columns)
+        table = _read(path, schema, wanted)
+        for name in wanted:
             _check(table[name], hints.get(name), name in undefined)
-        return table.cast(schema)
+        return table.cast(pa.schema([schema.field(name) for name in wanted]))
     except _Unfit as unfit:
         said = str(unfit)
     except msgspec.ValidationError as error:
@@ -57,7 +64,7 @@ class _Unfit(Exception):
     """What is wrong with a table."""
 
 
-def _read(path: Path, schema: pa.Schema) -> pa.Table:
+def _read(path: Path, schema: pa.Schema, columns: list[str]) -> pa.Table:
     """Reads a table whose texts are kept as dictionaries: a long one is in memory once."""
     metadata = pq.read_metadata(path)
     stored = metadata.schema.to_arrow_schema()
@@ -71,7 +78,7 @@ def _read(path: Path, schema: pa.Schema) -> pa.Table:
         raise _Unfit(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
     texts = [field.name for field in schema if field.type == pa.string()]
     with pq.ParquetFile(path, read_dictionary=texts) as file:
-        return file.read()
+        return file.read(columns=columns)
 
 
 def _check(column: pa.ChunkedArray, hint: Any, may_be_undefined: bool) -> None:

@@ -15,8 +15,6 @@ from msgspec import Meta
 from skyproof.ranges import Fraction, Name
 from skyproof.results.rows_file import read_rows, write_rows
 
-ORIGINAL = "original"
-
 
 @dataclass(frozen=True)
 class SetScore:

@@ -1,4 +1,4 @@
-"""Counts per background tile and vehicle of the fleet.
+"""Counts per background tile and vehicle of the fleet, made of outcomes.
 
 They are all that success rates and their intervals need of any number of vehicles.
 """
@@ -8,25 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Int
-from msgspec import Meta
 
 from skyproof.errors import StoredFileError
-from skyproof.files import write_beside
-from skyproof.ranges import Name
-from skyproof.results.pairs.outcomes import Match, Outcome
-from skyproof.results.pairs.parquet import REMEDY, read_table
+from skyproof.results.pairs.outcomes import Outcome, outcome_table, read_outcome_table
 from skyproof.results.statistics.rates import column_of_pair
 
 Cell = tuple[str, str]
 """A background tile, and a vehicle of the fleet that stands on it once or more."""
-
-_COUNTS = ("in_sight", "both", "lost", "gained")
 
 
 class Series(NamedTuple):
@@ -41,14 +34,10 @@ class Series(NamedTuple):
     match: str
 
 
-_NAMES = (*Series._fields, "background", "vehicle")
-_Vehicles = Annotated[int, Meta(ge=0, le=10**9)]
-_HINTS = {**dict.fromkeys(_NAMES, Name), "match": Match, **dict.fromkeys(_COUNTS, _Vehicles)}
+_CELL = ("background", "vehicle")
+_FOUND = ("detected_original", "detected_adversarial")
 _MOST_CELLS = 500_000
 _MOST_COUNTS = 30_000_000
-_SCHEMA = pa.schema(
-    [(name, pa.string()) for name in _NAMES] + [(name, pa.int64()) for name in _COUNTS]
-)
 
 
 @dataclass(frozen=True)
@@ -71,24 +60,62 @@ def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
 
     The vehicles of one fleet are told apart by their names.
     """
-    counted: dict[Series, dict[Cell, list[int]]] = {}
-    for outcome in outcomes:
-        key = Series(outcome.camouflage, outcome.renderer, outcome.detector, outcome.match)
-        cell = (outcome.background, outcome.vehicle)
-        counts = counted.setdefault(key, {}).setdefault(cell, [0, 0, 0, 0])
-        counts[0] += 1
-        column = _column(outcome)
-        if column is not None:
-            counts[1 + column] += 1
-    cells = sorted({cell for found in counted.values() for cell in found})
-    blank = [0, 0, 0, 0]
-    return TileCounts(
-        tuple(cells),
-        {
-            key: np.array([found.get(cell, blank) for cell in cells])
-            for key, found in counted.items()
-        },
-    )
+    return _counted(outcome_table(outcomes), "These outcomes")
+
+
+def read_tiles(path: Path) -> TileCounts:
+    """Counts the outcomes of a file that `write_outcomes` wrote, as `count_tiles` does.
+
+    Raises:
+        StoredFileError: the file is missing, not Parquet, has other columns, values that cannot
+            be, or more of them than are read.
+    """
+    return _counted(read_outcome_table(path, [*Series._fields, *_CELL, *_FOUND]), str(path))
+
+
+def _counted(table: pa.Table, what: str) -> TileCounts:
+    keys, first, series = _numbered(table, Series._fields)
+    found, _, place = _numbered(table, _CELL)
+    pairs = [(tile, vehicle) for tile, vehicle in found]
+    cells = sorted(pairs)
+    if len(cells) > _MOST_CELLS or len(cells) * len(keys) > _MOST_COUNTS:
+        raise StoredFileError(
+            f"{what} hold {len(keys):,} series of {len(cells):,} vehicles on tiles, more than "
+            f"the {_MOST_COUNTS:,} counts of {_MOST_CELLS:,} that are read; score fewer at once."
+        )
+    row_of = {cell: row for row, cell in enumerate(cells)}
+    rows = np.array([row_of[cell] for cell in pairs], dtype=np.int64)[place]
+    position = series * len(cells) + rows
+    before, after = (table[name].to_numpy() for name in _FOUND)
+    shown = (np.ones_like(before), before & after, before & ~after, ~before & after)
+    counts = [
+        np.bincount(position[mask], minlength=len(keys) * len(cells)).reshape(len(keys), len(cells))
+        for mask in shown
+    ]
+    dense = np.stack(counts, axis=-1).astype(np.int64)
+    named = {Series(*keys[row]): dense[row] for row in np.argsort(first)}
+    return TileCounts(tuple(cells), named)
+
+
+def _numbered(
+    table: pa.Table, names: Sequence[str]
+) -> tuple[list[tuple[str, ...]], Int[np.ndarray, " K"], Int[np.ndarray, " rows"]]:
+    """Gives the K different rows of some columns, where each comes first, and which each row is."""
+    codes = np.zeros(len(table), dtype=np.int64)
+    values: list[list[str]] = []
+    for name in names:
+        coded = table[name].combine_chunks().dictionary_encode()
+        values.append(coded.dictionary.to_pylist())
+        codes = codes * max(len(values[-1]), 1) + coded.indices.to_numpy()
+    kinds, first, which = np.unique(codes, return_index=True, return_inverse=True)
+    rows = []
+    for code in kinds.tolist():
+        parts = []
+        for known in reversed(values):
+            code, index = divmod(code, len(known))
+            parts.append(known[index])
+        rows.append(tuple(reversed(parts)))
+    return rows, first, which.reshape(-1)
 
 
 def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[np.ndarray, "N 3"]:
@@ -96,74 +123,22 @@ def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[n
 
     `cells` maps each tile and vehicle to its row.
     """
+    return count_pairs(
+        (
+            ((each.background, each.vehicle), each.detected_original, each.detected_adversarial)
+            for each in outcomes
+        ),
+        cells,
+    )
+
+
+def count_pairs(
+    pairs: Iterable[tuple[Cell, bool, bool]], cells: Mapping[Cell, int]
+) -> Int[np.ndarray, "N 3"]:
+    """Counts (both, lost, gained) per cell of vehicles that are found, or not, before and after."""
     counts = np.zeros((len(cells), 3), dtype=np.int64)
-    for outcome in outcomes:
-        column = _column(outcome)
+    for cell, before, after in pairs:
+        column = column_of_pair(before=before, after=after)
         if column is not None:
-            counts[cells[outcome.background, outcome.vehicle], column] += 1
+            counts[cells[cell], column] += 1
     return counts
-
-
-def write_tiles(path: Path, tiles: TileCounts) -> None:
-    """Writes one row per series, tile and vehicle in sight, as Parquet, whole or not at all."""
-    stacked = (
-        np.stack(list(tiles.series.values()))
-        if tiles.series
-        else np.zeros((0, len(tiles.cells), 4), np.int64)
-    )
-    which, cell = np.nonzero(stacked[..., 0])
-    names = [
-        pa.array([key[field] for key in tiles.series], pa.string()).take(pa.array(which))
-        for field in range(4)
-    ]
-    names += [
-        pa.array([each[part] for each in tiles.cells], pa.string()).take(pa.array(cell))
-        for part in range(2)
-    ]
-    counts = [pa.array(column, pa.int64()) for column in stacked[which, cell].T]
-    with write_beside(path) as temporary:
-        pq.write_table(pa.Table.from_arrays([*names, *counts], schema=_SCHEMA), temporary)
-
-
-def read_tiles(path: Path) -> TileCounts:
-    """Reads what `write_tiles` wrote.
-
-    Raises:
-        StoredFileError: the file is missing, not Parquet, has other columns, or counts that cannot
-            be.
-    """
-    table = read_table(path, _SCHEMA, _HINTS)
-    names, codes = zip(*(_coded(table, name) for name in _NAMES), strict=True)
-    counts = np.stack([table[name].to_numpy() for name in _COUNTS], axis=1)
-    keys, first, which = np.unique(
-        np.stack(codes[:4], axis=1), axis=0, return_index=True, return_inverse=True
-    )
-    which = which.reshape(-1)
-    pairs, place = np.unique(np.stack(codes[4:], axis=1), axis=0, return_inverse=True)
-    found = [(names[4][tile], names[5][vehicle]) for tile, vehicle in pairs]
-    cells = sorted(found)
-    if len(cells) > _MOST_CELLS or len(cells) * len(keys) > _MOST_COUNTS:
-        raise StoredFileError(
-            f"{path} counts {len(keys):,} series of {len(cells):,} vehicles on tiles, more than "
-            f"the {_MOST_COUNTS:,} counts of {_MOST_CELLS:,} that are read; score fewer at once."
-        )
-    row_of = {cell: row for row, cell in enumerate(cells)}
-    rows = np.array([row_of[cell] for cell in found], dtype=np.int64)[place.reshape(-1)]
-    repeated = len(np.unique(which * len(cells) + rows)) < len(which)
-    if repeated or (counts[:, 1:].sum(axis=1) > counts[:, 0]).any():
-        raise StoredFileError(f"{path} holds counts that contradict each other; {REMEDY}.")
-    dense = np.zeros((len(keys), len(cells), 4), dtype=np.int64)
-    dense[which, rows] = counts
-    order = np.argsort(first)
-    named = [Series(*(names[field][code] for field, code in enumerate(keys[row]))) for row in order]
-    return TileCounts(tuple(cells), dict(zip(named, dense[order], strict=True)))
-
-
-def _column(outcome: Outcome) -> int | None:
-    return column_of_pair(before=outcome.detected_original, after=outcome.detected_adversarial)
-
-
-def _coded(table: pa.Table, name: str) -> tuple[list[str], Int[np.ndarray, " rows"]]:
-    """Gives a column's different strings, and per row the index of its own."""
-    coded = table[name].combine_chunks().dictionary_encode()
-    return coded.dictionary.to_pylist(), coded.indices.to_numpy()

@@ -3,34 +3,44 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.matching import match_images
-from skyproof.results.pairs import compare as room
-from skyproof.results.pairs.compare import Comparison
+from skyproof.detectors.card import DetectorCard
+from skyproof.detectors.loaded import LoadedDetector
+from skyproof.measure import measure as room
+from skyproof.measure.views import View
 from skyproof.scenes.weather import draw_weather
 
-COMPARISON = Comparison("T-U", "torch", "retinanet", 0.5)
+
+def detector(threshold=0.5):
+    return LoadedDetector(None, DetectorCard("retinanet", threshold=threshold, gsd_m=0.125))
 
 
-def matched(found, truth, ignore=None):
-    """Detections and boxes per image, matched by centre distance."""
+def view(found, truth, ignore=None, visible=None):
+    """Detections and boxes per image."""
     blank = [torch.zeros(3, 1, 1, dtype=torch.uint8)] * len(truth)
     images = Dataset.of_images(blank, truth, ignore=ignore, gsd_m=0.125)
-    return match_images(found, images, criterion="centre_1m")
+    if visible is not None:
+        images = dataclasses.replace(images, visible_fractions=visible)
+    return View("T-U", images, {"retinanet": found})
 
 
-def compare(scenes, truth, original, adversarial, comparison, **more):
+def compare(scenes, truth, original, adversarial, *, threshold=0.5, visible=None):
     return room.compare(
-        scenes, matched(original, truth), matched(adversarial, truth), comparison, **more
+        scenes,
+        view(original, truth, visible=visible),
+        view(adversarial, truth),
+        detector(threshold),
+        "torch",
+        ["centre_1m"],
     )
 
 
-def count_false_alarms(truth, found, comparison, *, ignore=None):
-    return matched(found, truth, ignore).counts_at(comparison.threshold)[1]
+def count_false_alarms(truth, found, *, ignore=None):
+    matches = view(found, truth, ignore).matched("retinanet", "centre_1m")
+    return matches.counts_at(0.5)[1]
 
 
 def boxes(*centres):
@@ -43,9 +53,7 @@ def test_detected_score_and_distance(make_scene, make_detections):
     truth = [boxes((50, 50), (150, 50), (250, 50))]
     original = [make_detections((50, 50, 0.9), (154, 50, 0.8), (300, 300, 0.7))]
     adversarial = [make_detections((250, 50, 0.6), (150, 56, 0.3))]
-    first, second, third = compare(
-        [make_scene("a", "tile", 3)], truth, original, adversarial, COMPARISON
-    )
+    first, second, third = compare([make_scene("a", "tile", 3)], truth, original, adversarial)
     assert (first.detected_original, first.detected_adversarial) == (True, False)
     assert (first.score_adversarial, math.isnan(first.distance_adversarial_m)) == (0.0, True)
     # Below the threshold the match is kept with its score, but it is no detection.
@@ -65,17 +73,15 @@ def test_the_limit_of_one_metre(make_scene, make_detections):
             truth,
             [make_detections((50 + offset_px, 50, 0.9))],
             [make_detections()],
-            COMPARISON,
         )[0]
         assert outcome.detected_original is found
 
 
 def test_a_score_on_the_threshold_counts(make_scene, make_detections):
     found = make_detections((50, 50, 0.1))
-    comparison = Comparison("T-U", "torch", "retinanet", float(found.scores[0]))
-    assert compare([make_scene("a", "t")], [boxes((50, 50))], [found], [found], comparison)[
-        0
-    ].detected_original
+    scenes, truth, threshold = [make_scene("a", "t")], [boxes((50, 50))], float(found.scores[0])
+    (outcome,) = compare(scenes, truth, [found], [found], threshold=threshold)
+    assert outcome.detected_original
 
 
 def test_lower_scores_never_change_a_match_at_the_threshold(make_scene, make_detections):
@@ -91,15 +97,13 @@ def test_lower_scores_never_change_a_match_at_the_threshold(make_scene, make_det
             make_detections(*table[table[:, 2] >= 0.5].tolist()),
         )
         scene = [make_scene("a", "t", 4)]
-        outcomes = compare(scene, truth, [every], [strong], COMPARISON)
+        outcomes = compare(scene, truth, [every], [strong])
         assert [o.detected_original for o in outcomes] == [o.detected_adversarial for o in outcomes]
 
 
 def test_conditions(make_scene, make_detections):
     scene = make_scene("a", "tile-3", heading_rad=math.radians(-45))
-    outcome = compare(
-        [scene], [boxes((50, 50))], [make_detections()], [make_detections()], COMPARISON
-    )[0]
+    outcome = compare([scene], [boxes((50, 50))], [make_detections()], [make_detections()])[0]
     assert outcome.background == "tile-3"
     assert outcome.sun_elevation_deg == pytest.approx(30)
     assert outcome.tilt_deg == pytest.approx(10)
@@ -117,13 +121,12 @@ def test_vehicles_out_of_sight_give_no_outcome(make_scene, make_detections):
         truth,
         near_the_corner,
         near_the_corner,
-        COMPARISON,
-        visible_fractions=[np.array([0.0, 0.5])],
+        visible=[torch.tensor([0.0, 0.5])],
     )
     assert [(o.placement, o.visible_fraction, o.detected_original) for o in outcomes] == [
         (1, 0.5, False)
     ]
-    assert count_false_alarms(truth, near_the_corner, COMPARISON) == 1
+    assert count_false_alarms(truth, near_the_corner) == 1
 
 
 def test_false_alarms_are_unmatched_above_the_threshold_and_outside_ignore_regions(make_detections):
@@ -131,29 +134,24 @@ def test_false_alarms_are_unmatched_above_the_threshold_and_outside_ignore_regio
         (50, 50, 0.9), (52, 50, 0.8), (200, 200, 0.7), (300, 300, 0.6), (350, 350, 0.4)
     )
     truth = [boxes((50, 50))]
-    assert count_false_alarms(truth, [found], COMPARISON) == 3
+    assert count_false_alarms(truth, [found]) == 3
     ignore = [torch.tensor([[190.0, 190.0, 210.0, 210.0]])]
-    assert count_false_alarms(truth, [found], COMPARISON, ignore=ignore) == 2
+    assert count_false_alarms(truth, [found], ignore=ignore) == 2
 
 
-def test_tables_that_do_not_belong_together_raise(make_scene, make_detections):
+def test_views_of_other_scenes_raise(make_scene, make_detections):
     nothing = make_detections()
-    one = matched([nothing], [boxes((5, 5))])
-    two = matched([nothing, nothing], [boxes((5, 5)), boxes((5, 5))])
+    one = view([nothing], [boxes((5, 5))])
+    two = view([nothing, nothing], [boxes((5, 5)), boxes((5, 5))])
     with pytest.raises(ValueError, match="one image per scene"):
-        room.compare([make_scene("a", "t")], one, two, COMPARISON)
+        room.compare([make_scene("a", "t")], one, two, detector(), "torch")
     with pytest.raises(ValueError, match="more vehicles"):
-        compare(
-            [make_scene("a", "t", 1)], [boxes((5, 5), (9, 9))], [nothing], [nothing], COMPARISON
-        )
-    other = dataclasses.replace(one, criterion="iou_50")
-    with pytest.raises(ValueError, match="matched by"):
-        room.compare([make_scene("a", "t")], one, other, COMPARISON)
+        compare([make_scene("a", "t", 1)], [boxes((5, 5), (9, 9))], [nothing], [nothing])
 
 
 def test_the_weather_of_the_scene_is_recorded(make_scene, make_detections):
     scene = make_scene("a", "t")
     scenes = [scene, dataclasses.replace(scene, id="b", weather=draw_weather("low_sun", 0.5))]
     nothing = [make_detections()] * 2
-    outcomes = compare(scenes, [boxes((50, 50))] * 2, nothing, nothing, COMPARISON)
+    outcomes = compare(scenes, [boxes((50, 50))] * 2, nothing, nothing)
     assert [outcome.condition for outcome in outcomes] == ["clear", "low_sun"]

@@ -1,0 +1,163 @@
+"""The one way to measure: every vehicle without and with each change, before every detector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.detectors.detector import Detector
+from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.matching import MatchTable
+from skyproof.measure.views import Change, Stage, View, counter, views
+from skyproof.render.frames import Renderer
+from skyproof.results.pairs.outcomes import MATCHES, Match, Outcome
+from skyproof.scenes.scene import Placement, Scene
+from skyproof.vehicles.fleet import Fleet
+
+_UNSEEN = (False, 0.0, math.nan)
+
+
+def measure(
+    detectors: Sequence[LoadedDetector[Detector]],
+    scenes: Sequence[Scene],
+    camouflages: Mapping[str, Camouflage],
+    *,
+    fleet: Fleet,
+    renderer: Renderer,
+    folder: str | Path | None = None,
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Outcome]:
+    """Tests every vehicle twice, without and with each camouflage, before every detector.
+
+    Args:
+        detectors: with their cards, whose thresholds say what is found.
+        scenes: of one image size, and of the detectors' resolution.
+        camouflages: by the names that tables show.
+        fleet: the scenes' vehicles.
+        renderer: draws the scenes.
+        folder: score folder to write, such as `my_run/scores/mine`, for `Results.open` and
+            `write_report`; nothing is written where it is not given.
+        device: where the scenes are drawn.
+        progress: called with (images done, images in all).
+
+    Returns:
+        One outcome for each detector, camouflage, rule and vehicle in sight, in this order.
+
+    Raises:
+        ConfigurationError: no scene shows a vehicle, a detector is made for another resolution or
+            finds no vehicle without camouflage, or two detectors have one name.
+        StoredFileError: a tile is missing or damaged.
+        RunFolderError: the folder exists, or the disk cannot take it.
+    """
+    changes = [Change(name, camouflage) for name, camouflage in camouflages.items()]
+    stage = Stage(fleet, renderer, device)
+    if folder is not None:
+        from skyproof.measure.score import score
+
+        return score(detectors, folder, scenes, changes, stage, progress=progress)
+    count = counter(progress, len(scenes) * (1 + len(changes)))
+    before, *changed = views(detectors, scenes, changes, stage, progress=count)
+    return [
+        outcome
+        for detector in detectors
+        for after in changed
+        for outcome in compare(scenes, before, after, detector, renderer.name)
+    ]
+
+
+def compare(
+    scenes: Sequence[Scene],
+    before: View,
+    after: View,
+    detector: LoadedDetector[Detector],
+    renderer: str,
+    matches: Sequence[Match] = MATCHES,
+) -> list[Outcome]:
+    """Gives the outcomes of one detector under one change, by each rule for every vehicle in sight.
+
+    Args:
+        scenes: as they are without the change.
+        before, after: what the detector finds without and with it.
+        detector: its threshold says which detections count.
+        renderer: who drew the images, as tables show it.
+        matches: the rules.
+
+    Raises:
+        ValueError: the views do not show the scenes.
+    """
+    outcomes = []
+    for match in matches:
+        first = before.matched(detector.name, match)
+        second = after.matched(detector.name, match)
+        if not len(scenes) == first.images == second.images:
+            raise ValueError(
+                f"expected one image per scene, got {len(scenes)} scenes and "
+                f"{first.images} and {second.images} images"
+            )
+        found_after = _vehicles(second, detector.threshold)
+        for (image, index), found_before in _vehicles(first, detector.threshold).items():
+            scene = scenes[image]
+            if index >= len(scene.placements):
+                raise ValueError(
+                    f"scene {scene.id} has {len(scene.placements)} placements, but more vehicles"
+                )
+            # A vehicle that the change puts out of sight is not found.
+            then = found_after.get((image, index), _UNSEEN)
+            outcomes.append(
+                Outcome(
+                    scene=scene.id,
+                    placement=index,
+                    camouflage=after.name,
+                    renderer=renderer,
+                    detector=detector.name,
+                    match=match,
+                    detected_original=found_before[0],
+                    detected_adversarial=then[0],
+                    score_original=found_before[1],
+                    score_adversarial=then[1],
+                    distance_original_m=found_before[2],
+                    distance_adversarial_m=then[2],
+                    visible_fraction=float(before.images.visible_fractions[image][index]),
+                    **_situation(scene, scene.placements[index]),
+                )
+            )
+    return outcomes
+
+
+def _vehicles(
+    matches: MatchTable, threshold: float
+) -> dict[tuple[int, int], tuple[bool, float, float]]:
+    """By image and place in it, whether a vehicle is found, by which score and how far off."""
+    places = zip(matches.image_of_vehicle.tolist(), matches.index_of_vehicle.tolist(), strict=True)
+    columns = zip(
+        matches.found_at(threshold).tolist(),
+        matches.score_of_vehicle.tolist(),
+        matches.distance_of_vehicle_m.tolist(),
+        strict=True,
+    )
+    return dict(zip(places, columns, strict=True))
+
+
+def _situation(scene: Scene, placement: Placement) -> dict[str, Any]:
+    """What the outcomes say of a vehicle's surroundings."""
+    sun_azimuth_deg = math.degrees(scene.sun.azimuth_rad) % 360
+    heading_deg = math.degrees(placement.heading_rad) % 360
+    turned_deg = (heading_deg - sun_azimuth_deg) % 360
+    return {
+        "vehicle": placement.vehicle,
+        "body_type": placement.vehicle.rpartition("-")[0] or placement.vehicle,
+        "background": scene.background.tile,
+        "sun_elevation_deg": math.degrees(scene.sun.elevation_rad),
+        "sun_azimuth_deg": sun_azimuth_deg,
+        "tilt_deg": math.degrees(scene.camera.tilt_rad),
+        "camera_azimuth_deg": math.degrees(scene.camera.azimuth_rad) % 360,
+        "heading_deg": heading_deg,
+        "heading_to_sun_deg": min(turned_deg, 360 - turned_deg),
+        "condition": scene.weather.condition,
+    }
