@@ -55,8 +55,8 @@ def test_a_batch_is_as_large_as_asked_for_and_not_that_of_the_steps(world):
 
 def test_of_several_detectors_it_is_the_mean(world):
     paint = plain_paint((100, 100, 100), masked=False)
-    one, two = (HeldOut([loaded(t)], world, FEW.seed).judge(paint).hidden for t in (0.3, 0.7))
-    both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW.seed)
+    one, two = (HeldOut([loaded(t)], world, FEW.seed, 3).judge(paint).hidden for t in (0.3, 0.7))
+    both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW.seed, 3)
     assert one != two
     assert both.judge(paint).hidden == pytest.approx((one + two) / 2)
 
@@ -78,7 +78,7 @@ def test_twice_the_steps_say_whether_an_attack_has_converged(tmp_path, world, la
 
 
 def test_judging_half_way_changes_nothing_of_the_attack(tmp_path, world):
-    learn(tmp_path / "judged", world, HeldOut([loaded(0.6)], world, FEW.seed))
+    learn(tmp_path / "judged", world, HeldOut([loaded(0.6)], world, FEW.seed, 1))
     assert learn(tmp_path / "alone", world, None) is None
     judged, alone = (
         (tmp_path / name / "camouflage.safetensors").read_bytes() for name in ("judged", "alone")

@@ -27,12 +27,8 @@ from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 PALETTE = (
     torch.tensor([[10, 10, 10], [60, 80, 40], [120, 110, 90], [200, 190, 170], [250, 20, 51]]) / 255
 )
-TEXTURES = [
-    f"T-{(pix + colours + mask) or 'U'}"
-    for pix in ("", "Pix")
-    for colours in ("", "Lc", "Fc")
-    for mask in ("", "Ma")
-]
+# Blocks, colours and mask: every pair of choices is in one of these.
+TEXTURES = ["T-U", "T-PixLc", "T-PixFcMa", "T-LcMa", "T-Fc", "T-PixMa"]
 KINDS = [
     *TEXTURES,
     "S-O@0.4",
