@@ -6,7 +6,7 @@ import pytest
 
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.tables import reproduction_tables
+from skyproof.reproduction.tables import main_part
 from skyproof.results.results import Results
 from tests.reproduction.fabricate import write_looks, write_scores
 
@@ -58,8 +58,8 @@ def test_a_run_that_measured_nothing_says_so(folder):
 
 
 def test_looks_judge_nothing(folder):
-    before = reproduction_tables(Reproduction(Results.open(folder)))["textures"].rows
+    before = main_part(Reproduction(Results.open(folder))).tables[0].rows
     write_looks(folder / "looks", FACES)
     results = Results.open(folder)
     assert results.judges == ["retinanet", "yolov5"]
-    assert reproduction_tables(Reproduction(results))["textures"].rows == before
+    assert main_part(Reproduction(results)).tables[0].rows == before

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from skyproof.files import write_json
-from skyproof.reproduction.judges import judge_names, judged_rows, judges_tables
+from skyproof.reproduction.held_out import held_out_part, judge_names, judged_rows
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.baseline import Baseline, write_baselines
@@ -47,7 +47,8 @@ def folder(tmp_path):
 
 
 def tables(folder):
-    return {table.name: table.rows for table in judges_tables(Reproduction(Results.open(folder)))}
+    part = held_out_part(Reproduction(Results.open(folder)))
+    return {table.name: table.rows for table in part.tables}
 
 
 def test_without_judges_nothing_is_said(folder):

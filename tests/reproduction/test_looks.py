@@ -7,9 +7,13 @@ from skyproof.camouflage.folder import save_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.count_colours import count_colours, worn_area
-from skyproof.reproduction.likeness import Worn, likeness
-from skyproof.reproduction.measure_looks import measure_looks
+from skyproof.reproduction.measure_looks import (
+    Worn,
+    count_colours,
+    likeness,
+    measure_looks,
+    worn_area,
+)
 from skyproof.vehicles.vehicle import Part
 from tests.vehicles.flat_body import flat_bodies
 

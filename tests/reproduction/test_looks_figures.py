@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from skyproof.reproduction.looks_figures import looks_figures
+from skyproof.reproduction.looks import looks_part
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.results import Results
@@ -40,7 +40,7 @@ def test_a_figure_of_everything_that_a_run_keeps(tmp_path):
 
 def test_what_an_older_run_lacks_is_left_out(tmp_path):
     write_scores(tmp_path / "scores" / "000", RATES)
-    made = looks_figures(Reproduction(Results.open(tmp_path)))
-    assert {name for name, files in made.items() if files} == {"classes"}
+    _, *figures = looks_part(Reproduction(Results.open(tmp_path))).blocks
+    assert {figure.name for figure in figures if figure.files} == {"classes"}
     write_reproduction_report(tmp_path)
     assert "samples.png" not in (tmp_path / "tables/README.md").read_text()

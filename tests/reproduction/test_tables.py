@@ -10,7 +10,7 @@ from scipy import stats
 
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
-from skyproof.reproduction.order import comparison
+from skyproof.reproduction.agreement import comparison
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction

@@ -105,14 +105,29 @@ class Grid:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of a page, by the name of its file without ending."""
+    """A picture of a page.
+
+    Attributes:
+        name: of its files, without ending.
+        caption: stands below it.
+        files: the picture by file ending; empty where the run lacks what it would show.
+    """
 
     name: str
     caption: str
+    files: Mapping[str, bytes]
 
 
 Block = Heading | Grid | Figure | str
 """A part of a page; a string is a paragraph."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A topic's tables, and what the page says of it; both empty where a run has nothing of it."""
+
+    tables: Sequence[Table] = ()
+    blocks: Sequence[Block] = ()
 
 
 def as_markdown(blocks: Sequence[Block]) -> str:

@@ -1,56 +1,63 @@
-"""Where in the RGB cube the colours of learnt textures end, beside their random controls."""
+"""Which colours textures end with, and where these lie in the RGB cube (section S7)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib import pyplot as plt
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.cells import Block, Figure, Grid, Heading, Table, number, span
+from skyproof.report.figures import GREY, STYLE, as_files
+from skyproof.reproduction.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Part,
+    Table,
+    number,
+    span,
+)
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import TextureLooks
 
-CHANNELS = ("red", "green", "blue")
+_CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
-_MISSING = "The textures’ colours were not measured in this run."
 
 
-def colour_tables(run: Reproduction) -> list[Table]:
-    """Gives the shares by place in the RGB cube and the histograms; empty where not measured."""
+def colours_part(run: Reproduction) -> Part:
+    """Gives the shares by place in the RGB cube and the histograms, where they were measured."""
+    heading = Heading("Colours")
     if run.looks is None:
-        return []
+        return Part(blocks=[heading, "The textures’ colours were not measured in this run."])
     textures = _by_name(run.looks.textures)
     rows = [_row(name, textures) for name in _learnt(textures)]
-    histograms = [
+    histograms = _histograms(textures)
+    bins = [
         {"attack": str(name), "channel": channel}
-        | {f"share_{16 * index}": 100 * float(share) for index, share in enumerate(bins)}
-        for name, found in colour_histograms(run).items()
-        for channel, bins in zip(CHANNELS, found, strict=True)
+        | {f"share_{16 * index}": 100 * float(share) for index, share in enumerate(shares)}
+        for name, found in histograms.items()
+        for channel, shares in zip(_CHANNELS, found, strict=True)
     ]
-    return [Table("colours", rows), Table("colour_histograms", histograms)]
-
-
-def colours_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says where colours end; in one sentence that nothing was measured, where that is so."""
-    heading = Heading("Colours")
-    if "colours" not in tables:
-        return [heading, _MISSING]
-    rows = [
+    cells = [
         [
             row["attack"],
             str(row["textures"]),
             *(_mean(row, place) for place in _PLACES),
             *(number(row[f"random_{place}"]) for place in _PLACES),
         ]
-        for row in tables["colours"].rows
+        for row in rows
     ]
     header = ["texture", "repeats"]
     header += [f"{place}, %" for place in _PLACES] + [f"random: {place}, %" for place in _PLACES]
-    return [
+    blocks: list[Block] = [
         heading,
         "Where in the RGB cube the colours lie that learnt textures end with: shares of the "
         "painted surface whose red, green or blue is within a sixteenth of 0 or of 1. At a face "
@@ -58,21 +65,22 @@ def colours_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Bloc
         "by its mean area on the test vehicles, and only where they wear the texture. Brackets "
         "hold the range over repeats. Of uniformly random colours 32.2, 4.1 and 0.2 % lie there. "
         "“random” is the mean over draws of the random control.",
-        Grid(header, rows),
-        *_weather(tables["colours"]),
+        Grid(header, cells),
+        *_weather(rows),
         Figure(
             "colours",
             "Distribution of red, green and blue (lines) over 16 steps from 0 to 255, in percent "
             "of the painted surface, mean over repeats; grey: the random control, mean of channels",
+            _figure(histograms),
         ),
     ]
+    return Part([Table("colours", rows), Table("colour_histograms", bins)], blocks)
 
 
-def colour_histograms(run: Reproduction) -> dict[CamouflageName, Float[np.ndarray, "3 B"]]:
+def _histograms(
+    textures: Mapping[CamouflageName, Sequence[TextureLooks]],
+) -> dict[CamouflageName, Float[np.ndarray, "3 B"]]:
     """Gives mean histograms over repeats of learnt textures, then over draws of their controls."""
-    if run.looks is None:
-        return {}
-    textures = _by_name(run.looks.textures)
     learnt = _learnt(textures)
     controls = [name for name in dict.fromkeys(name.control for name in learnt) if name in textures]
     return {
@@ -117,9 +125,9 @@ def _mean(row: Mapping[str, Any], place: str) -> str:
     return f"{mean} ({span(row[f'{place}_min'], row[f'{place}_max'])})"
 
 
-def _weather(table: Table) -> list[Block]:
+def _weather(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Sets textures that were learnt in weather beside the same learnt under a clear sky."""
-    faces = {row["attack"]: row["faces"] for row in table.rows}
+    faces = {row["attack"]: row["faces"] for row in rows}
     said = [
         f"Learnt in weather, {name.removesuffix('_weather')} has {number(share)} % at the faces, "
         f"{number(faces[name.removesuffix('_weather')])} % without."
@@ -127,3 +135,55 @@ def _weather(table: Table) -> list[Block]:
         if name.endswith("_weather") and name.removesuffix("_weather") in faces
     ]
     return [" ".join(said)] if said else []
+
+
+_COLUMNS = 6
+# Told apart by their lines, too.
+_LINES: Any = (("#c0392b", "-"), ("#1e8449", "--"), ("#1f5fa8", ":"))
+
+
+def _figure(
+    histograms: Mapping[CamouflageName, Float[np.ndarray, "3 B"]],
+) -> dict[str, bytes]:
+    """Draws a panel for every learnt texture; by file ending, nothing without one."""
+    learnt = [name for name in histograms if not name.random]
+    if not learnt:
+        return {}
+    columns = min(_COLUMNS, len(learnt))
+    lines = math.ceil(len(learnt) / columns)
+    with plt.rc_context(STYLE | {"svg.hashsalt": "colours", "font.size": 9}):
+        figure, grid = plt.subplots(
+            lines,
+            columns,
+            figsize=(1.2 + 1.9 * columns, 0.9 + 1.55 * lines),
+            sharex=True,
+            sharey=True,
+            squeeze=False,
+            layout="constrained",
+        )
+        edges = np.linspace(0, 256, histograms[learnt[0]].shape[1] + 1)
+        for axes, name in zip(grid.flat, learnt, strict=False):
+            control = histograms.get(name.control)
+            if control is not None:
+                axes.stairs(100 * control.mean(axis=0), edges, fill=True, color="#d5dade")
+            for (colour, line), channel in zip(_LINES, histograms[name], strict=True):
+                axes.stairs(100 * channel, edges, color=colour, linestyle=line, linewidth=1.4)
+            axes.set_title(str(name), loc="left", fontsize=9, fontweight="bold")
+            axes.set_xlim(0, 256)
+            axes.set_xticks([0, 128, 255])
+            axes.grid(axis="y", color="#e3e7eb")
+            axes.set_axisbelow(True)
+        for axes in list(grid.flat)[len(learnt) :]:
+            axes.set_visible(False)
+        # The lowest that is drawn in its column has the values below it.
+        for axes in list(grid.flat)[max(len(learnt) - columns, 0) : len(learnt)]:
+            axes.tick_params(labelbottom=True)
+        figure.supylabel("% of the painted surface", fontsize=10)
+        figure.supxlabel("value of the channel (8 bits)", fontsize=10)
+        handles: list[Any] = [
+            Line2D([], [], color=colour, linestyle=line, label=channel)
+            for (colour, line), channel in zip(_LINES, _CHANNELS, strict=True)
+        ]
+        handles.append(Patch(facecolor="#d5dade", edgecolor=GREY, label="random control"))
+        figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=9)
+        return as_files(figure)

@@ -6,7 +6,16 @@ import math
 from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.cells import Block, Grid, Table, bracket, interval_cells, number
+from skyproof.reproduction.cells import (
+    Block,
+    Grid,
+    Heading,
+    Part,
+    Table,
+    bracket,
+    interval_cells,
+    number,
+)
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.rows import LENIENT_MATCH, Row
 from skyproof.words import detector_name
@@ -15,7 +24,7 @@ _OVERLAP = "iou_50"
 _LENIENT = f"easr_{LENIENT_MATCH}"
 
 
-def criteria_table(run: Reproduction) -> Table:
+def criteria_part(run: Reproduction) -> Part:
     """Gives every learnt camouflage's EASR by each rule, and the false alarms, mean of detectors.
 
     Attacks that end on the way or see some detectors only are left out.
@@ -38,11 +47,6 @@ def criteria_table(run: Reproduction) -> Table:
                 "false_alarms_per_km2_adversarial": centre.false_alarms_per_km2_adversarial,
             }
         )
-    return Table("criteria", rows)
-
-
-def criteria_section(table: Table, run: Reproduction) -> list[Block]:
-    """Says what changes by overlap, and how many false alarms there are."""
     text = (
         "Above, a vehicle counts as found where a detection’s centre lies within 1 m of its own; "
         "here also where the boxes’ intersection over union is at least 0.5, and leniently where "
@@ -61,7 +65,7 @@ def criteria_section(table: Table, run: Reproduction) -> list[Block]:
             number(row["false_alarms_per_km2_original"], 0),
             number(row["false_alarms_per_km2_adversarial"], 0),
         ]
-        for row in table.rows
+        for row in rows
     ]
     header = [
         "attack",
@@ -73,7 +77,9 @@ def criteria_section(table: Table, run: Reproduction) -> list[Block]:
         "false alarms per km²",
         "then",
     ]
-    return [text, Grid(header, cells), *_on_empty_ground(run)]
+    heading = Heading("By overlap, and false alarms")
+    blocks = [heading, text, Grid(header, cells), *_on_empty_ground(run)]
+    return Part([Table("criteria", rows)], blocks)
 
 
 def _on_empty_ground(run: Reproduction) -> list[Block]:

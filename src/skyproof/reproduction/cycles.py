@@ -10,11 +10,17 @@ import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.agreement import Agreement, rank_agreement, renderer_agreement
+from skyproof.reproduction.agreement import (
+    Agreement,
+    correlation_grid,
+    rank_agreement,
+    renderer_agreement,
+)
 from skyproof.reproduction.cells import (
     Block,
     Grid,
     Heading,
+    Part,
     Table,
     bracket,
     in_percent,
@@ -55,21 +61,18 @@ def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
     }
 
 
-def cycles_tables(run: Reproduction) -> list[Table]:
+def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
     """Says how far EASR moves from the renderer to Cycles, and who orders the attacks alike.
 
-    Nothing is said of a run without Cycles.
+    Args:
+        run: nothing is said of one without Cycles.
+        rows: of both tables of the paper.
     """
     if not run.cycles:
-        return []
-    return [Table("cycles", _changes(run)), Table("cycles_agreement", _agreements(run))]
-
-
-def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says what the column is and what it shows; empty without Cycles."""
-    if not run.cycles:
-        return []
-    parts: list[Block] = [
+        return Part()
+    changes = _changes(run)
+    agreements = _agreements(run)
+    blocks: list[Block] = [
         Heading("On Cycles"),
         "The column “on Cycles” has the same detectors, test scenes and camouflages, but the "
         "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
@@ -79,13 +82,19 @@ def cycles_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "given where Cycles has all of them that the renderer has. Shapes and combinations keep "
         "the PM* that they have on the renderer.",
         _missing(run),
-        _alone([*tables["textures"].rows, *tables["shape_combined"].rows]),
-        *_moves(tables["cycles"]),
-        _placebo(tables),
-        *_correlations(tables["cycles_agreement"]),
-        *_originals(run),
+        _alone(rows),
+        *_moves(changes),
+        _placebo(rows),
     ]
-    return [part for part in parts if part]
+    if agreements:
+        blocks += [
+            "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s "
+            "numbers are held fixed.",
+            correlation_grid(agreements),
+        ]
+    blocks += _originals(run)
+    tables = [Table("cycles", changes), Table("cycles_agreement", agreements)]
+    return Part(tables, [block for block in blocks if block])
 
 
 def rates_under(
@@ -243,7 +252,7 @@ def _alone(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _moves(table: Table) -> list[Block]:
+def _moves(changes: Sequence[Mapping[str, Any]]) -> list[Block]:
     rows = [
         [
             row["kind"],
@@ -255,7 +264,7 @@ def _moves(table: Table) -> list[Block]:
             number(row["paper_easr"], 2),
             number(row["paper_easr_blender"], 2),
         ]
-        for row in table.rows
+        for row in changes
     ]
     if not rows:
         return []
@@ -269,8 +278,7 @@ def _moves(table: Table) -> list[Block]:
     return [text, Grid([*header, "in the paper", "paper EASR", "paper Blender"], rows)]
 
 
-def _placebo(tables: Mapping[str, Table]) -> str:
-    rows = [row for name in ("textures", "shape_combined") for row in tables[name].rows]
+def _placebo(rows: Sequence[Mapping[str, Any]]) -> str:
     controlled = [row for row in rows if row["cycles_net_easr_low"] is not None]
     below = [row["attack"] for row in controlled if row["cycles_net_easr_low"] <= 0]
     single = [row["attack"] for row in controlled if row["cycles_random_draws"] == 1]
@@ -293,26 +301,6 @@ def _placebo(tables: Mapping[str, Table]) -> str:
             f"{len(compared)} do."
         )
     return text
-
-
-def _correlations(table: Table) -> list[Block]:
-    rows = [
-        [
-            row["compared"],
-            row["set"],
-            str(row["attacks"]),
-            bracket(row, "spearman", digits=2),
-            bracket(row, "kendall", digits=2),
-        ]
-        for row in table.rows
-    ]
-    if not rows:
-        return []
-    text = (
-        "Do they order the attacks alike? Rank correlations of EASR, as above; the paper’s numbers "
-        "are held fixed."
-    )
-    return [text, Grid(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], rows)]
 
 
 def _originals(run: Reproduction) -> list[Block]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +13,13 @@ from skyproof.files import alone, write_bytes
 from skyproof.layout import Layout
 from skyproof.report.precheck import precheck_part
 from skyproof.report.report import Section, write_report
-from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown
-from skyproof.reproduction.colour_figure import colour_figure
-from skyproof.reproduction.embedding_figure import embedding_figure
-from skyproof.reproduction.judges_figure import judges_figure
-from skyproof.reproduction.looks_figures import looks_figures
-from skyproof.reproduction.page import paper_sections, shape_table, standing, texture_table
-from skyproof.reproduction.practicality_figure import easr_against_practicality
+from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown, number
+from skyproof.reproduction.page import paper_parts
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.tables import reproduction_tables
-from skyproof.reproduction.variability_figure import variability_figure
-from skyproof.reproduction.weather_figure import weather_figure
-from skyproof.results.results import Results
+from skyproof.reproduction.tables import shape_table, texture_table
+from skyproof.results.results import RENDERER, Results
+from skyproof.results.rows import MAIN_MATCH
+from skyproof.words import detector_name
 
 
 def write_reproduction_report(run_folder: str | Path) -> Path:
@@ -80,39 +74,25 @@ def paper_part(results: Results) -> PaperPart | None:
     run = Reproduction(results)
     if not run.comparable:
         return None
-    tables = reproduction_tables(run)
-    figures = {
-        "easr_vs_pr": easr_against_practicality(run),
-        "colours": colour_figure(run),
-        "variability": variability_figure(run),
-        **looks_figures(run),
-    }
-    figures |= {f"judges-{table}": judges_figure(run, table) for table in run.judges}
-    if "embedding_points" in tables:
-        figures["embeddings"] = embedding_figure(tables["embedding_points"], tables["embeddings"])
-    if "weather" in tables:
-        figures["weather"] = weather_figure(tables["weather"])
+    parts = paper_parts(run)
+    tables = [table for part in parts for table in part.tables]
     # Where a run lacks what a figure shows there is none.
     blocks = [
         block
-        for block in paper_sections(run, tables)
-        if not isinstance(block, Figure) or figures[block.name]
+        for part in parts
+        for block in part.blocks
+        if not isinstance(block, Figure) or block.files
     ]
-    files = {f"{name}.csv": table.csv().encode() for name, table in tables.items()}
-    files["textures.md"] = (texture_table(tables["textures"]).markdown() + "\n").encode()
-    files["shape_combined.md"] = (shape_table(tables["shape_combined"]).markdown() + "\n").encode()
-    files |= {
-        f"{name}.{ending}": picture
-        for name, pictures in figures.items()
-        for ending, picture in pictures.items()
-    }
-    files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(list(tables))]).encode()
-    drawn = {
-        name: Markup(_inline(pictures["svg"].decode()))
-        for name, pictures in figures.items()
-        if pictures
-    }
-    return PaperPart(Markup("\n").join(_html(block, drawn) for block in blocks), files)
+    textures, shapes, *_ = tables
+    files = {f"{table.name}.csv": table.csv().encode() for table in tables}
+    files["textures.md"] = (texture_table(textures.rows).markdown() + "\n").encode()
+    files["shape_combined.md"] = (shape_table(shapes.rows).markdown() + "\n").encode()
+    for figure in blocks:
+        if isinstance(figure, Figure):
+            files |= {f"{figure.name}.{ending}": data for ending, data in figure.files.items()}
+    names = [table.name for table in tables]
+    files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(names)]).encode()
+    return PaperPart(Markup("\n").join(map(_html, blocks)), files)
 
 
 def _preamble(run: Reproduction) -> list[Block]:
@@ -120,7 +100,7 @@ def _preamble(run: Reproduction) -> list[Block]:
     title = run.results.config.title or "The paper’s tables"
     gate = " ".join(precheck_part(run.results).sentences)
     parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
-    scores = standing(run)
+    scores = _standing(run)
     checked = f" (AP with centres within 1 m: {scores})" if scores else ""
     real = any(check.real for check in run.results.checks)
     if run.results.sources == ["procedural"] and not real:
@@ -155,18 +135,35 @@ def _about(run: Reproduction) -> list[Block]:
     return ["\n".join(lines)]
 
 
+def _standing(run: Reproduction) -> str:
+    """Says what the detectors score on the images without camouflage, by centres within 1 m."""
+    scores = []
+    for detector in run.detectors:
+        row = next(
+            (
+                row
+                for row in run.results.rows
+                if (row.detector, row.renderer, row.match) == (detector, RENDERER, MAIN_MATCH)
+            ),
+            None,
+        )
+        if row is not None and row.ap_original == row.ap_original:
+            scores.append(f"{detector_name(detector)} {number(100 * row.ap_original)} %")
+    return ", ".join(scores)
+
+
 def _files(names: Sequence[str]) -> list[Block]:
     return [Heading("Files"), "\n".join(f"- [{name}.csv]({name}.csv)" for name in names)]
 
 
-def _html(block: Block, drawn: Mapping[str, Markup]) -> Markup:
+def _html(block: Block) -> Markup:
     if isinstance(block, Heading):
         level = block.level + 1
         return Markup("<h{0}>{1}</h{0}>").format(level, block.text)
     if isinstance(block, Figure):
         return Markup(
             '<figure class="wide"><div class="scroll">{}</div><figcaption>{}</figcaption></figure>'
-        ).format(drawn[block.name], block.caption)
+        ).format(_inline(block.files["svg"].decode()), block.caption)
     if isinstance(block, Grid):
         return _grid(block)
     return Markup("<p>{}</p>").format(block)
@@ -194,5 +191,5 @@ def _breakable(cell: str) -> Markup:
     return Markup('{}<br><span class="soft">({}</span>').format(value, limits)
 
 
-def _inline(svg: str) -> str:
-    return re.sub(r"^.*?(?=<svg)", "", svg, flags=re.DOTALL)
+def _inline(svg: str) -> Markup:
+    return Markup(svg[svg.index("<svg") :])

@@ -17,7 +17,6 @@ from skyproof.reproduction.curves import Curve, curve_families, practicality_cur
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
-from skyproof.reproduction.stored_trainings import Training, read_trainings
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH, Row
 from skyproof.results.stored import AttackRecord, Practicality
@@ -93,16 +92,6 @@ class Reproduction:
     def best(self) -> dict[str, str]:
         """Per attack with a shape, the name of what stands at its PM*."""
         return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
-
-    @cached_property
-    def trainings(self) -> list[Training]:
-        """Every training of the detectors that was scored, the run's own first.
-
-        Raises:
-            ConfigurationError: they do not belong together.
-        """
-        results = self.results
-        return read_trainings(results.folder, Training(0, results.tiles, results.detectors))
 
     @cached_property
     def looks(self) -> Looks | None:

@@ -1,58 +1,152 @@
-"""The tables of a reproduction: our numbers, in percent, beside the paper's."""
+"""The paper's two tables, of textures and of shapes and combinations, with our numbers."""
 
 from __future__ import annotations
 
-import itertools
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.cells import Table, in_percent, interval_cells
-from skyproof.reproduction.colours import colour_tables
-from skyproof.reproduction.convergence import convergence_table
-from skyproof.reproduction.criteria import criteria_table
-from skyproof.reproduction.cycles import cycles_columns, cycles_tables
-from skyproof.reproduction.embeddings import embeddings_tables
-from skyproof.reproduction.judges import judges_tables
-from skyproof.reproduction.order import TEXTURE, order_table
+from skyproof.reproduction.agreement import TEXTURE
+from skyproof.reproduction.cells import (
+    Block,
+    Figure,
+    Grid,
+    Heading,
+    Part,
+    Table,
+    bracket,
+    in_percent,
+    number,
+    sign,
+    span,
+)
+from skyproof.reproduction.curves import curves_figure
+from skyproof.reproduction.cycles import ALONE, alone_on_cycles, cycles_columns
 from skyproof.reproduction.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.reproduction.reproduction import Reproduction, point_name
-from skyproof.reproduction.trainings import trainings_tables
-from skyproof.reproduction.transfer import transfer_matrix
-from skyproof.reproduction.variability import variability_tables
-from skyproof.reproduction.weather import weather_tables
-from skyproof.results.stored import Discretisation
-
-_RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
+from skyproof.words import detector_name
 
 
-def reproduction_tables(run: Reproduction) -> dict[str, Table]:
-    """Makes all tables by name."""
-    made = [
-        Table("textures", _textures(run)),
-        Table("shape_combined", _shapes(run)),
-        Table("curves", _curves(run)),
-        order_table(run),
-        *cycles_tables(run),
-        *judges_tables(run),
-        criteria_table(run),
-        *trainings_tables(run),
-        Table("practicality", _practicality(run)),
-        Table("transfer", _transfer(run)),
-        Table("ladder", _ladder(run)),
-        convergence_table(run),
-        Table("signs", _signs(run)),
-        Table("gap", _gap(run)),
-        *embeddings_tables(run),
-        *weather_tables(run),
-        *colour_tables(run),
-        *variability_tables(run),
+def main_part(run: Reproduction) -> Part:
+    """Gives both tables of the paper and the curves, and explains what stands in them."""
+    textures = _texture_rows(run)
+    shapes = _shape_rows(run)
+    detectors = ", ".join(map(detector_name, run.detectors))
+    explained = " What stands “on Cycles”, and the paper’s for Blender, is explained below."
+    blocks: list[Block] = [
+        "All rates in percent, of the test vehicles that a detector found before; mean over "
+        f"{detectors}. Brackets hold 95 % intervals over background tiles, vehicles of the fleet "
+        "and, where there are several, seeds of the attack and draws of the control; “repeats” the "
+        "range over attacks from different seeds. “random” is the mean EASR of random draws under "
+        "the same constraints, “net” the EASR minus that. “unlearnt” is the EASR of the strongest "
+        "control that was chosen and not learnt (a plain paint or every vertex out, the best of "
+        "many draws, a random search), and “net of it” the EASR minus that. “paper” is what the "
+        "paper reports for its own renderer († only in its source’s comments)."
+        + (explained if run.cycles else ""),
+        Heading("Textures"),
+        texture_table(textures),
     ]
-    return {table.name: table for table in made}
+    if shapes:
+        blocks += [
+            Heading("Shape and combinations"),
+            "At PM*, the magnitude with the largest P1 = 2·EASR·Pr/(EASR + Pr), Pr = 1 − PM. It is "
+            "chosen on the same vehicles, so P1 is a little too high; “chosen” says in how many "
+            "percent of replicates over tiles it would be. PM 0 is the texture alone.",
+            shape_table(shapes),
+            *_learnt_shapes(shapes),
+            Figure("easr_vs_pr", "EASR against practicality", curves_figure(run.curves)),
+        ]
+    named = {"textures": textures, "shape_combined": shapes, "curves": _curve_rows(run)}
+    return Part([Table(name, rows) for name, rows in named.items()], blocks)
 
 
-def _textures(run: Reproduction) -> list[dict[str, Any]]:
+def texture_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
+    """Gives the paper's first table."""
+    header = ["attack", "practicality", *_header(rows)]
+    cells = [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in rows]
+    return Grid(header, cells)
+
+
+def shape_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
+    """Gives the paper's second table."""
+    first = ["attack", "PM*", "chosen", "Pr*", "P1"]
+    cells = []
+    for row in rows:
+        there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
+        cells.append(
+            [
+                row["attack"],
+                f"{row['pm_star']:g}",
+                number(row["pm_star_share"], 0),
+                f"{row['pr_star']:.1f}",
+                number(row["p1_star"], 2),
+                *_cells(row),
+                there,
+                number(row["easr_at_paper_pm_star"]),
+            ]
+        )
+    return Grid([*first, *_header(rows), "paper PM*", "our EASR there"], cells)
+
+
+def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
+    """Sets combinations beside their own texture under random shapes; nothing without those."""
+    rows = [
+        [
+            row["attack"],
+            f"{row['pm_star']:g}",
+            bracket(row, "easr"),
+            number(row["drawn_shape_easr"]),
+            bracket(row, "net_drawn_shape_easr"),
+        ]
+        for row in shapes
+        if row["drawn_shape_easr"] is not None
+    ]
+    if not rows:
+        return []
+    header = ["attack", "PM*", "EASR", "same texture, random shapes", "due to the learnt shape"]
+    return ["What a learnt shape adds to the texture under it:", Grid(header, rows)]
+
+
+def _header(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Heads what `_cells` makes of the table's rows."""
+    ours = ["EASR", "repeats", "random", "net", "unlearnt", "net of it", "APD"]
+    if "cycles_easr" in Table("", rows).columns:
+        return [
+            *ours,
+            "EASR on Cycles",
+            "net on Cycles",
+            "net of unlearnt on Cycles",
+            "paper EASR",
+            "paper Blender",
+            "paper APD",
+        ]
+    return [*ours, "paper EASR", "paper APD"]
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    paper = PAPER_RESULTS.get(row["attack"])
+    mark = "†" if paper and paper.commented else ""
+    cells = [
+        bracket(row, "easr"),
+        span(row["easr_repeat_min"], row["easr_repeat_max"]),
+        number(row["random_easr"]),
+        bracket(row, "net_easr"),
+        number(row["unlearnt_easr"]),
+        bracket(row, "net_unlearnt_easr"),
+        number(row["apd"]),
+    ]
+    papers = [number(row["paper_easr"], 2) + mark]
+    if "cycles_easr" in row:
+        names = ("cycles_easr", "cycles_net_easr", "cycles_net_unlearnt_easr")
+        alone = ALONE if alone_on_cycles(row) else ""
+        cells += [bracket(row, name) + (alone if row[name] is not None else "") for name in names]
+        papers.append(
+            number(row["paper_easr_blender"], 2)
+            + (mark if row["paper_easr_blender"] is not None else "")
+        )
+    return [*cells, *papers, number(row["paper_apd"], 2)]
+
+
+def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     # Controls come last, as in the paper.
     for name in sorted(
@@ -74,7 +168,7 @@ def _textures(run: Reproduction) -> list[dict[str, Any]]:
     return rows
 
 
-def _shapes(run: Reproduction) -> list[dict[str, Any]]:
+def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for family, curve in run.curves.items():
         best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
@@ -115,7 +209,7 @@ def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[
     }
 
 
-def _curves(run: Reproduction) -> list[dict[str, Any]]:
+def _curve_rows(run: Reproduction) -> list[dict[str, Any]]:
     return [
         {
             "attack": family,
@@ -132,111 +226,3 @@ def _curves(run: Reproduction) -> list[dict[str, Any]]:
         for family, curve in run.curves.items()
         for point in curve.points
     ]
-
-
-def _practicality(run: Reproduction) -> list[dict[str, Any]]:
-    rows = []
-    for name, measured in run.results.practicality.items():
-        score = measured.score
-        signs = {"texture": score.texture, "shape": score.shape}
-        quantities = {"texture": measured.texture or {}, "shape": measured.shape or {}}
-        flat = {
-            f"{side}_{what}": value
-            for told in (signs, quantities)
-            for side, values in told.items()
-            for what, value in values.items()
-        }
-        rows.append({"attack": str(name), "practicality": score.total, **flat})
-    return rows
-
-
-def _transfer(run: Reproduction) -> list[dict[str, Any]]:
-    """Sets the detectors attacked (rows) against those that judged (columns)."""
-    names = run.results.names
-    variants = [name for name in names if name.variant.startswith(("on_", "without_"))]
-    attacked = {
-        CamouflageName.read(name): tuple(record.attack.detectors)
-        for name, record in run.records.items()
-        if record.attack is not None
-    }
-    rows = []
-    for base in dict.fromkeys(name.base for name in variants):
-        # Copies kept on the way are variants too, but not of what was attacked.
-        matrix = transfer_matrix(
-            [row for row in run.results.rows if row.camouflage in (base, *variants)],
-            attacked,
-            base=base,
-        )
-        for cells in matrix:
-            row: dict[str, Any] = {"attack": str(base), "attacked_on": " ".join(cells[0].attacked)}
-            for cell in cells:
-                row |= interval_cells(cell.detector, cell.easr, 100.0)
-            rows.append(row)
-    return rows
-
-
-def _ladder(run: Reproduction) -> list[dict[str, Any]]:
-    """Gives EASR of one repeat after some of its steps and after all; does it get weaker?"""
-    rungs: dict[str, dict[int, str]] = {}
-    for key in run.results.tiles.series:
-        if found := _RUNG.fullmatch(key.camouflage):
-            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
-                key.camouflage
-            )
-    rows = []
-    for name, steps in rungs.items():
-        ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
-        easr = {
-            f"after_{label}": run.results.single_easr(camouflage) for label, camouflage in ladder
-        }
-        changes = [
-            run.results.difference(later, earlier)
-            for (_, earlier), (_, later) in itertools.pairwise(ladder)
-        ]
-        known = [value for value in easr.values() if value is not None]
-        rows.append(
-            {
-                "attack": name,
-                **{label: None if value is None else 100 * value for label, value in easr.items()},
-                "never_falls": None if len(known) < len(easr) else _rises(known),
-                # A fall counts where its whole interval lies below zero.
-                "never_surely_falls": None
-                if any(change is None for change in changes)
-                else not any(change is not None and change.high < 0 for change in changes),
-            }
-        )
-    return rows
-
-
-def _rises(values: Sequence[float]) -> bool:
-    return all(later >= earlier for earlier, later in itertools.pairwise(values))
-
-
-def _signs(run: Reproduction) -> list[dict[str, Any]]:
-    return [
-        {"attack": name, "detector": detector, **found}
-        for name, record in run.records.items()
-        for detector, found in (record.sign_test or {}).items()
-    ]
-
-
-def _gap(run: Reproduction) -> list[dict[str, Any]]:
-    """Gives EASR and losses of attacks on few colours, before the last rounding and after it."""
-    rows = []
-    for key in dict.fromkeys(key.camouflage for key in run.results.tiles.series):
-        if "_relaxed-" not in key:
-            continue
-        name = key.replace("_relaxed-", "-")
-        before = run.results.single_easr(key)
-        after = run.results.single_easr(name)
-        row: dict[str, Any] = {
-            "attack": name,
-            "easr_before": None if before is None else 100 * before,
-            "easr_after": None if after is None else 100 * after,
-        }
-        record = run.records.get(name)
-        losses = record.discretisation if record else Discretisation()
-        for when, means in (("before", losses.before), ("after", losses.after)):
-            row |= {f"loss_{detector}_{when}": value for detector, value in means.items()}
-        rows.append(row)
-    return rows

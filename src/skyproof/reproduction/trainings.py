@@ -1,4 +1,4 @@
-"""Headline attacks on several trainings of every detector: what of them is one training's luck."""
+"""Headline attacks on several trainings of every detector: how much one training decides."""
 
 from __future__ import annotations
 
@@ -8,25 +8,38 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.cells import Block, Grid, Heading, Table, bracket, interval_cells, number
+from skyproof.errors import ConfigurationError
+from skyproof.layout import Layout
+from skyproof.reproduction.cells import (
+    Block,
+    Grid,
+    Heading,
+    Part,
+    Table,
+    bracket,
+    interval_cells,
+    number,
+)
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.stored_trainings import Training
-from skyproof.results.pairs.tiles import Cell, Series
+from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.results import RENDERER
+from skyproof.results.results import RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH, MEAN
+from skyproof.results.score_folder import ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
 from skyproof.results.statistics.sample import Sample
+from skyproof.results.stored import DetectorFacts, read_detectors
 from skyproof.words import detector_name
 
 
-def trainings_tables(run: Reproduction) -> list[Table]:
+def trainings_part(run: Reproduction) -> Part:
     """Gives EASR and net EASR of every attack that was learnt on every training.
 
     One row per detector, and one for their mean. Nothing is said of a run with one training.
@@ -34,9 +47,9 @@ def trainings_tables(run: Reproduction) -> list[Table]:
     Raises:
         ConfigurationError: the trainings do not belong together.
     """
-    trainings = run.trainings
+    trainings = read_trainings(run.results)
     if len(trainings) < 2:
-        return []
+        return Part()
     beside = _Beside.of(trainings)
     detectors = run.detectors
     labels = [(detector, [detector]) for detector in detectors]
@@ -48,15 +61,11 @@ def trainings_tables(run: Reproduction) -> list[Table]:
         if not name.random and not name.variant and beside.shared(name, detectors)
         for label, chosen in labels
     ]
-    return [Table("trainings", rows)]
+    return Part([Table("trainings", rows)], _blocks(trainings, rows))
 
 
-def trainings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says how far trainings lie apart; empty with one training of each detector."""
-    if "trainings" not in tables:
-        return []
-    rows = tables["trainings"].rows
-    trainings = run.trainings
+def _blocks(trainings: Sequence[Training], rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+    """Says how far trainings lie apart."""
     heading = Heading("Other trainings of the detectors")
     if not rows:
         return [heading, "No attack was learnt on every training yet."]
@@ -263,3 +272,107 @@ def _standing(trainings: Sequence[Training]) -> str:
         shown = [number(None if score is None else 100 * score) for score in scores]
         told.append(f"{detector_name(name)} {', '.join(shown)}")
     return "AP in validation, in percent: " + "; ".join(told)
+
+
+_REMEDY = "put only trainings of one recipe on the same images into one run"
+
+
+@dataclass(frozen=True)
+class Training:
+    """Detectors of one training, and what the attacks on them came to.
+
+    Attributes:
+        number: 0 of the run's own, of which all its other results are; else the folder's in
+            `trainings/`.
+        tiles: counts of what was scored by them.
+        detectors: by name, what is recorded of them.
+    """
+
+    number: int
+    tiles: TileCounts
+    detectors: Mapping[str, DetectorFacts]
+
+
+def read_trainings(results: Results) -> list[Training]:
+    """Gives the run's own training and, after it, the further ones that were scored.
+
+    Raises:
+        ConfigurationError: two trainings differ in data, recipe or test vehicles, or are the same.
+        StoredFileError: a file is damaged.
+    """
+    own = Training(0, results.tiles, results.detectors)
+    layout = Layout(results.folder)
+    names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
+    trainings = [own]
+    for which in sorted(int(name) for name in names if name == str(int(name)) and int(name)):
+        place = layout.training(which)
+        # What is hidden is being made, or a kill left it.
+        if not any(path.is_dir() for path in place.scores.glob("[!.]*")):
+            continue
+        tiles, _ = merge_counts([score.path for score in ScoreFolder.all_of(place.folder)])
+        trainings.append(Training(which, tiles, read_detectors(place.detectors)))
+    for training in trainings[1:]:
+        _refuse_other_vehicles(own, training)
+    for later, training in enumerate(trainings):
+        for earlier in trainings[:later]:
+            _refuse_other_data(earlier, training)
+    return trainings
+
+
+def _refuse_other_vehicles(own: Training, training: Training) -> None:
+    if _in_sight(own.tiles) != _in_sight(training.tiles):
+        raise ConfigurationError(
+            f"Training {training.number} was not scored on the vehicles and tiles of training "
+            f"{own.number}; score both on the same scenes."
+        )
+    judges = [sorted({key.detector for key in each.tiles.series}) for each in (own, training)]
+    if judges[0] != judges[1]:
+        raise ConfigurationError(
+            f"Training {training.number} was scored by {', '.join(judges[1])}, but training "
+            f"{own.number} by {', '.join(judges[0])}; train and score every detector as often."
+        )
+
+
+def _refuse_other_data(earlier: Training, training: Training) -> None:
+    """Trainings of other data or another recipe would differ by more than chance."""
+    for name, facts in training.detectors.items():
+        before = earlier.detectors.get(name)
+        if before is None:
+            continue
+        which = f"Trainings {earlier.number} and {training.number} of {name}"
+        known = _learnt_from(before)
+        for what, value in _learnt_from(facts).items():
+            if known[what] != value:
+                raise ConfigurationError(
+                    f"{which} differ in their {what} ({_short(known[what])} and {_short(value)}), "
+                    f"so that they do not show what chance alone does; {_REMEDY}."
+                )
+        if facts.weights_sha256 and facts.weights_sha256 == before.weights_sha256:
+            raise ConfigurationError(
+                f"{which} have the same weights, and so are one training; train again from "
+                "another seed, or leave one out."
+            )
+
+
+def _learnt_from(facts: DetectorFacts) -> dict[str, Any]:
+    recipe = facts.training
+    return {
+        "number of training images": recipe.images,
+        "training images": recipe.data_sha256,
+        "validation images": recipe.validation_sha256,
+        "origin of the training images": facts.trained_on,
+        "size": facts.size,
+        "settings": recipe.identity.settings,
+    }
+
+
+def _short(value: Any) -> str:
+    text = "unknown" if value in ("", None) else str(value)
+    return text[:12] if len(text) == 64 else text[:300]
+
+
+def _in_sight(tiles: TileCounts) -> dict[Cell, int]:
+    """How many vehicles stand in each cell, the same for all series."""
+    shown: Sequence[Int[np.ndarray, "N 4"]] = list(tiles.series.values())
+    counts = np.max([each[:, 0] for each in shown], axis=0).tolist() if shown else []
+    return {cell: count for cell, count in zip(tiles.cells, counts, strict=True) if count}

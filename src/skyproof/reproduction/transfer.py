@@ -4,11 +4,61 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
+from skyproof.reproduction.cells import Grid, Heading, Part, Table, bracket, interval_cells
+from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.rows import MAIN_MATCH, MEAN, Row
 from skyproof.results.statistics.intervals import Interval
+from skyproof.words import detector_name
+
+
+def transfer_part(run: Reproduction) -> Part:
+    """Sets the detectors attacked (rows) against those that judged (columns)."""
+    rows = _rows(run)
+    if not rows:
+        return Part([Table("transfer", rows)])
+    cells = [
+        [
+            row["attack"],
+            ", ".join(map(detector_name, row["attacked_on"].split())),
+            *(bracket(row, detector) for detector in run.detectors),
+        ]
+        for row in rows
+    ]
+    header = [
+        "attack",
+        "learnt on",
+        *(f"EASR on {detector_name(detector)}" for detector in run.detectors),
+    ]
+    return Part([Table("transfer", rows)], [Heading("Transfer"), Grid(header, cells)])
+
+
+def _rows(run: Reproduction) -> list[dict[str, Any]]:
+    """Sets the detectors attacked (rows) against those that judged (columns)."""
+    names = run.results.names
+    variants = [name for name in names if name.variant.startswith(("on_", "without_"))]
+    attacked = {
+        CamouflageName.read(name): tuple(record.attack.detectors)
+        for name, record in run.records.items()
+        if record.attack is not None
+    }
+    rows = []
+    for base in dict.fromkeys(name.base for name in variants):
+        # Copies kept on the way are variants too, but not of what was attacked.
+        matrix = transfer_matrix(
+            [row for row in run.results.rows if row.camouflage in (base, *variants)],
+            attacked,
+            base=base,
+        )
+        for cells in matrix:
+            row: dict[str, Any] = {"attack": str(base), "attacked_on": " ".join(cells[0].attacked)}
+            for cell in cells:
+                row |= interval_cells(cell.detector, cell.easr, 100.0)
+            rows.append(row)
+    return rows
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,28 @@
-"""Attacks from several starts: how alike their textures are, and whom they hide."""
+"""Attacks from several starts: how alike their textures are, and whom they hide (section S7)."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.layout import Layout
+from skyproof.pictures import read_pixels
+from skyproof.report.figures import STYLE, as_files
 from skyproof.reproduction.agreement import percentile_interval
 from skyproof.reproduction.cells import (
     Block,
     Figure,
     Grid,
     Heading,
+    Part,
     Table,
     bracket,
     interval_cells,
@@ -27,22 +33,20 @@ from skyproof.reproduction.stored_looks import PairLooks
 from skyproof.results.results import RENDERER
 from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import Interval
+from skyproof.words import percent
 
 _LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
-_MISSING = (
-    "How alike repeats of an attack are was not measured in this run; skyproof score without "
-    "--detectors does that."
-)
+_MISSING = "How alike repeats of an attack are was not measured in this run."
 
 
-def variability_tables(run: Reproduction) -> list[Table]:
-    """Says of textures with several starts how alike they are; empty where not measured."""
+def variability_part(run: Reproduction) -> Part:
+    """Says of textures with several starts how alike they are, where it was measured."""
     pairs = _pairs(run)
     learnt = [name for name in pairs if not name.random]
     if not learnt:
-        return []
-    rows = []
-    starts = []
+        return Part(blocks=[Heading("From several starts"), _MISSING])
+    rows: list[dict[str, Any]] = []
+    starts: list[dict[str, Any]] = []
     for name in learnt:
         names = _starts(pairs[name])
         agreed = _agreement(run, names)
@@ -59,15 +63,22 @@ def variability_tables(run: Reproduction) -> list[Table]:
             easr = run.results.single_interval(each)
             told = {} if easr is None else interval_cells("easr", easr, 100.0)
             starts.append({"attack": each, **told})
-    return [Table("variability", rows), Table("starts", starts)]
+    # The texture that was learnt from most starts; the first of equals.
+    most = max(learnt, key=lambda name: len(pairs[name]))
+    blocks = _blocks(rows, [row for row in starts if _pooled(row["attack"]) == most], most)
+    figure = Figure(
+        "variability",
+        f"{most} from its starts, each as its map (nose up, roof in the middle, the underside, "
+        "which nobody sees, at both sides), and the correlations of 4 × 4 texels between them",
+        _figure(run, most),
+    )
+    return Part([Table("variability", rows), Table("starts", starts)], [*blocks, figure])
 
 
-def variability_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says how alike starts are; in one sentence that nothing was measured, where that is so."""
-    heading = Heading("From several starts")
-    if "variability" not in tables:
-        return [heading, _MISSING]
-    rows = [
+def _blocks(
+    rows: Sequence[Mapping[str, Any]], starts: Sequence[Mapping[str, Any]], most: CamouflageName
+) -> list[Block]:
+    cells = [
         [
             row["attack"],
             str(row["starts"]),
@@ -82,14 +93,14 @@ def variability_section(run: Reproduction, tables: Mapping[str, Table]) -> list[
             ),
             bracket(row, "agreement", digits=2),
         ]
-        for row in tables["variability"].rows
+        for row in rows
     ]
     header = ["texture", "starts"]
     for what in ("correlation", "ΔE"):
         for level in ("of texels", "of 4 × 4"):
             header += [f"{what} {level}", "random"]
-    parts: list[Block] = [
-        heading,
+    return [
+        Heading("From several starts"),
         "How alike the textures are that one attack ends with from different seeds, over all "
         "pairs of them: correlation of the texels (per channel, mean of the three; 0 where they "
         "have nothing to do with each other) and mean distance of their colours in CIELAB (ΔE; "
@@ -99,33 +110,14 @@ def variability_section(run: Reproduction, tables: Mapping[str, Table]) -> list[
         "among draws of the random control. “hidden alike” correlates, over the vehicles that a "
         "detector found before, which of them two starts hide (mean over pairs and detectors; 95 % "
         "interval over background tiles); it is undefined where a start hides all.",
-        Grid([*header, "hidden alike"], rows),
+        Grid([*header, "hidden alike"], cells),
+        f"The starts of {most} one by one, with intervals over tiles and vehicles:",
+        Grid(["start", "EASR, %"], [[row["attack"], bracket(row, "easr")] for row in starts]),
     ]
-    name = most_starts(run)
-    if name is not None:
-        starts = [
-            [row["attack"], bracket(row, "easr")]
-            for row in tables["starts"].rows
-            if CamouflageName.read(row["attack"]).pooled == name
-        ]
-        parts += [
-            f"The starts of {name} one by one, with intervals over tiles and vehicles:",
-            Grid(["start", "EASR, %"], starts),
-            Figure(
-                "variability",
-                f"{name} from its starts, each as its map (nose up, roof in the middle, the "
-                "underside, which nobody sees, at both sides), and the correlations of 4 × 4 "
-                "texels between them",
-            ),
-        ]
-    return parts
 
 
-def most_starts(run: Reproduction) -> CamouflageName | None:
-    """Names the texture that was learnt from most starts; the first of equals."""
-    pairs = _pairs(run)
-    learnt = [name for name in pairs if not name.random]
-    return max(learnt, key=lambda name: len(pairs[name])) if learnt else None
+def _pooled(camouflage: str) -> CamouflageName:
+    return CamouflageName.read(camouflage).pooled
 
 
 def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
@@ -133,7 +125,7 @@ def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
     looks = run.looks
     found: dict[CamouflageName, list[PairLooks]] = {}
     for pair in [] if looks is None else looks.pairs:
-        found.setdefault(CamouflageName.read(pair.first).pooled, []).append(pair)
+        found.setdefault(_pooled(pair.first), []).append(pair)
     return found
 
 
@@ -207,3 +199,60 @@ def _correlations(sums: Float[np.ndarray, "*S 6"]) -> Float[np.ndarray, "*S"]:
         together = products / count - one * other / count**2
         spread = (ones / count - (one / count) ** 2) * (others / count - (other / count) ** 2)
         return np.where(spread > 1e-12, together / np.sqrt(spread), np.nan)
+
+
+_REMEDY = "copy the whole folder again, or make the camouflage again"
+_COLUMNS = 6
+
+
+def _figure(run: Reproduction, name: CamouflageName) -> dict[str, bytes]:
+    """Draws the starts of one texture; nothing where the run keeps no maps."""
+    looks = run.looks
+    assert looks is not None
+    layout = Layout(run.results.folder)
+    starts = [
+        row.name
+        for row in looks.textures
+        if row.name != str(name) and row.name.rpartition("-")[0] == str(name)
+    ]
+    paths = {start: layout.camouflage(start) / "texture.png" for start in starts}
+    if not all(path.exists() for path in paths.values()):
+        return {}
+    alike = np.eye(len(starts))
+    for pair in looks.pairs:
+        if pair.first in paths and pair.second in paths:
+            value = math.nan if pair.seen_correlation is None else pair.seen_correlation
+            one, other = starts.index(pair.first), starts.index(pair.second)
+            alike[one, other] = alike[other, one] = value
+    panels = len(starts) + 1
+    columns = min(panels, _COLUMNS)
+    lines = math.ceil(panels / columns)
+    with plt.rc_context(STYLE | {"svg.hashsalt": "variability", "font.size": 9}):
+        figure, grid = plt.subplots(
+            lines,
+            columns,
+            figsize=(2.05 * columns, 2.5 * lines),
+            squeeze=False,
+            layout="constrained",
+        )
+        for axes, (start, path) in zip(grid.flat, paths.items(), strict=False):
+            axes.imshow(read_pixels(path, _REMEDY), interpolation="antialiased")
+            easr = run.results.single_interval(start)
+            success = "" if easr is None else f"\nEASR {percent(easr.estimate)}"
+            axes.set_title(f"{start}{success}", loc="left", fontsize=9, fontweight="bold")
+            axes.set_axis_off()
+        axes = grid.flat[len(starts)]
+        axes.imshow(alike, cmap="Blues", vmin=0, vmax=1)
+        for row, column in np.ndindex(alike.shape):
+            alike_here = float(alike[row, column])
+            colour = "white" if alike_here > 0.6 else "black"
+            text = number(alike_here, 2)
+            axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7)
+        ticks = [start.rpartition("-")[2] for start in starts]
+        axes.set_xticks(range(len(starts)), ticks)
+        axes.set_yticks(range(len(starts)), ticks)
+        axes.tick_params(length=0)
+        axes.set_title("correlation\nof 4 × 4 texels", loc="left", fontsize=9, fontweight="bold")
+        for axes in list(grid.flat)[panels:]:
+            axes.set_visible(False)
+        return as_files(figure)

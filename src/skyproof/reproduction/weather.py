@@ -1,6 +1,6 @@
-"""Success in each weather, of what was learnt on clear days and of what was learnt in all weathers.
+"""Success in each weather, of textures optimised on clear days and in all weathers.
 
-Differences from the paper (section S7): it learns in weather to see what becomes of a texture's
+Differences from the paper (section S7): it optimises in weather to see what becomes of a texture's
 colours; here success is compared, too.
 """
 
@@ -10,14 +10,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
 from skyproof.layout import Layout
+from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
     Grid,
     Heading,
+    Part,
     Table,
     bracket,
     interval_cells,
@@ -38,8 +41,8 @@ EVERY_WEATHER = "all weathers"
 _SEED = 0
 
 
-def weather_tables(run: Reproduction) -> list[Table]:
-    """Gives success by weather, detector by detector and on average; none where nothing was scored.
+def weather_part(run: Reproduction) -> Part:
+    """Gives success by weather, detector by detector and on average.
 
     Raises:
         StoredFileError: a file of the scores in weather is damaged.
@@ -47,12 +50,41 @@ def weather_tables(run: Reproduction) -> list[Table]:
     """
     place = Layout(run.results.folder).weather
     if not place.scores.exists():
-        return []
+        return Part()
     scored = Results.open(place.folder)
     bases = dict.fromkeys(name.base for name in scored.names if name.variant == IN_WEATHER)
-    judges = [*run.detectors, MEAN] if len(run.detectors) > 1 else run.detectors
-    rows = [row for base in bases for row in _rows(base, run.results, scored, judges)]
-    return [Table("weather", rows)] if rows else []
+    detectors = [*run.detectors, MEAN] if len(run.detectors) > 1 else run.detectors
+    every = [row for base in bases for row in _rows(base, run.results, scored, detectors)]
+    if not every:
+        return Part()
+    # Of one detector there is no mean.
+    rows = [row for row in every if row["detector"] == detectors[-1]]
+    conditions = dict.fromkeys(row["condition"] for row in rows)
+    names = dict.fromkeys(row["attack"] for row in rows)
+    blocks: list[Block] = [
+        Heading("In weather"),
+        "The other tables show clear days, on which all else here was learnt. "
+        f"{', '.join(names)} was also learnt in all weathers, with as many steps, and both are "
+        "judged in every weather: “clear” are the usual test scenes, the others scenes drawn "
+        f"alike, each in one of {len(conditions) - 2} weathers; “{EVERY_WEATHER}” are these "
+        "together. Rates as above, in percent; a vehicle counts where it was found in that weather "
+        "without camouflage. “net” is minus the random control in that weather, “gain” what "
+        "learning in all weathers adds to learning on clear days, vehicle by vehicle.",
+        Figure(
+            "weather",
+            "Success by weather, learnt on clear days and in all weathers",
+            _figure(rows),
+        ),
+        Grid(
+            [
+                *("attack", "weather", "vehicles", "found before", "learnt clear", "net"),
+                *("learnt in all", "net", "gain", "random"),
+            ],
+            [_line(row) for row in rows],
+        ),
+        *_readings(rows),
+    ]
+    return Part([Table("weather", every)], blocks)
 
 
 def _rows(
@@ -104,35 +136,6 @@ def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
     return cells
 
 
-def weather_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says what becomes of success in weather; empty where nothing was scored there."""
-    if "weather" not in tables:
-        return []
-    wanted = MEAN if len(run.detectors) > 1 else run.detectors[0]
-    rows = [row for row in tables["weather"].rows if row["detector"] == wanted]
-    conditions = dict.fromkeys(row["condition"] for row in rows)
-    names = dict.fromkeys(row["attack"] for row in rows)
-    return [
-        Heading("In weather"),
-        "The other tables show clear days, on which all else here was learnt. "
-        f"{', '.join(names)} was also learnt in all weathers, with as many steps, and both are "
-        "judged in every weather: “clear” are the usual test scenes, the others scenes drawn "
-        f"alike, each in one of {len(conditions) - 2} weathers; “{EVERY_WEATHER}” are these "
-        "together. Rates as above, in percent; a vehicle counts where it was found in that weather "
-        "without camouflage. “net” is minus the random control in that weather, “gain” what "
-        "learning in all weathers adds to learning on clear days, vehicle by vehicle.",
-        Figure("weather", "Success by weather, learnt on clear days and in all weathers"),
-        Grid(
-            [
-                *("attack", "weather", "vehicles", "found before", "learnt clear", "net"),
-                *("learnt in all", "net", "gain", "random"),
-            ],
-            [_line(row) for row in rows],
-        ),
-        *_readings(rows),
-    ]
-
-
 def _line(row: Mapping[str, Any]) -> list[str]:
     return [
         row["attack"],
@@ -167,3 +170,67 @@ def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             "difference in any weather."
         )
     return [" ".join(said)]
+
+
+_SERIES = (
+    ("clear", "o", BLUE, -0.2, "learnt on clear days"),
+    ("all", "^", ORANGE, 0.0, "learnt in all weathers"),
+    ("random", "s", GREY, 0.2, "random patterns"),
+)
+
+
+def _figure(rows: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
+    """Draws one panel per attack; SVG and PNG by file ending."""
+    panels: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        panels.setdefault(row["attack"], []).append(row)
+    lines = max(len(rows) for rows in panels.values())
+    with plt.rc_context(STYLE | {"svg.hashsalt": "weather"}):
+        figure, grid = plt.subplots(
+            len(panels),
+            1,
+            figsize=(8.5, 1.0 + (0.6 + 0.55 * lines) * len(panels)),
+            layout="constrained",
+            squeeze=False,
+        )
+        for axes, (attack, rows) in zip(grid.flat, panels.items(), strict=True):
+            _panel(axes, rows)
+            axes.set_title(attack, loc="left", fontsize=12, fontweight="bold")
+        grid[-1, 0].set_xlabel(
+            "% of the vehicles found without camouflage in that weather (bars: 95 % interval)"
+        )
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=10)
+        return as_files(figure)
+
+
+def _panel(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    lows = [0.0]
+    for key, marker, colour, shift, label in _SERIES:
+        for place, row in enumerate(rows):
+            rate, low, high = row[key], row[f"{key}_low"], row[f"{key}_high"]
+            y = place + shift
+            if low == low:
+                axes.plot([low, high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
+                lows.append(low)
+            if rate == rate:
+                axes.plot(
+                    rate,
+                    y,
+                    marker,
+                    color=colour,
+                    markersize=7,
+                    markeredgecolor="white",
+                    label=label if place == 0 else None,
+                )
+    names = [f"{row['condition'].replace('_', ' ')}\nn = {row['vehicles']}" for row in rows]
+    axes.set_yticks(range(len(rows)), names, fontsize=10)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    # Clear days above, all weathers together below, and between them each by itself.
+    for place, row in enumerate(rows[1:], start=1):
+        if place == 1 or row["condition"] == EVERY_WEATHER:
+            axes.axhline(place - 0.5, color=GREY, linewidth=0.8, linestyle="--")
+    axes.axvline(0, color=GREY, linewidth=1)
+    axes.set_xlim(max(min(lows), -60) - 3, 103)
+    axes.grid(axis="x", color="#e3e7eb")
+    axes.set_axisbelow(True)

@@ -12,13 +12,17 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib import pyplot as plt
+from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
     Grid,
     Heading,
+    Part,
     Table,
     bracket,
     interval_cells,
@@ -37,8 +41,8 @@ EVERY = "all"
 _FEWEST = 10
 
 
-def embeddings_tables(run: Reproduction) -> list[Table]:
-    """Gives the numbers by detector and class, and the points of the pictures; none without them.
+def features_part(run: Reproduction) -> Part:
+    """Gives the numbers by detector and class, the points of the pictures, and what they show.
 
     Raises:
         StoredFileError: the table of features is damaged.
@@ -60,8 +64,9 @@ def embeddings_tables(run: Reproduction) -> list[Table]:
             numbers += _number_rows(str(name), detector, embedding)
             points += _point_rows(str(name), detector, embedding, stored)
     if not numbers:
-        return []
-    return [Table("embeddings", numbers), Table("embedding_points", points)]
+        return Part()
+    tables = [Table("embeddings", numbers), Table("embedding_points", points)]
+    return Part(tables, _blocks(run, numbers, points))
 
 
 def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
@@ -161,11 +166,9 @@ def _point_rows(
     ]
 
 
-def embeddings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says what the features show, with picture and numbers; empty where none are stored."""
-    if "embeddings" not in tables:
-        return []
-    rows = tables["embeddings"].rows
+def _blocks(
+    run: Reproduction, rows: Sequence[Mapping[str, Any]], points: Sequence[Mapping[str, Any]]
+) -> list[Block]:
     known = {row["detector"] for row in rows}
     silent = [detector_name(each) for each in run.detectors if each not in known]
     parts: list[Block] = [
@@ -176,7 +179,11 @@ def embeddings_section(run: Reproduction, tables: Mapping[str, Table]) -> list[B
         "vehicle. Boxes of two levels lie in two groups, whatever they show. Both pictures are "
         "drawn of the same points; distances between groups mean little in that of t-SNE, so the "
         "numbers below are of all features, each scaled to variance 1.",
-        Figure("embeddings", "Features at vehicles and at ground: PCA left, t-SNE right"),
+        Figure(
+            "embeddings",
+            "Features at vehicles and at ground: PCA left, t-SNE right",
+            _figure(points, rows),
+        ),
         "“Silhouette” is from −1 (a box lies among others) to 1 (its class lies by itself). "
         "“Own class” is the share of boxes, in percent, whose nearest class mean is their own; "
         "“nearer to ground” the share that lies nearer to the mean of the ground than to that of "
@@ -239,3 +246,84 @@ def shown_name(shown: str) -> str:
     if name.choice == "plain":
         return f"best plain paint ({shown})"
     return f"random ({shown})" if name.random else shown
+
+
+def _figure(
+    points: Sequence[Mapping[str, Any]], numbers: Sequence[Mapping[str, Any]]
+) -> dict[str, bytes]:
+    """Draws one line of two pictures per camouflage and detector; SVG or PNG by file ending."""
+    shares = {
+        (row["camouflage"], row["detector"]): row["pca_share"]
+        for row in numbers
+        if row["shown"] == EVERY
+    }
+    lines: dict[tuple[str, str], list[Any]] = {}
+    for row in points:
+        lines.setdefault((row["camouflage"], row["detector"]), []).append(row)
+    several = len({camouflage for camouflage, _ in lines}) > 1
+    with plt.rc_context(STYLE | {"svg.hashsalt": "embeddings"}):
+        figure, grid = plt.subplots(
+            len(lines), 2, figsize=(10.5, 0.7 + 4.3 * len(lines)), layout="constrained",
+            squeeze=False,
+        )  # fmt: skip
+        for (left, right), ((camouflage, detector), rows) in zip(grid, lines.items(), strict=True):
+            share = f"PCA ({shares[camouflage, detector]:.0f} % of the variance)"
+            for axes, name, title in ((left, "pca", share), (right, "tsne", "t-SNE")):
+                _scatter(axes, rows, name)
+                told = f"{detector_name(detector)}, {title}"
+                axes.set_title(
+                    f"{camouflage}: {told}" if several else told,
+                    loc="left",
+                    fontsize=12,
+                    fontweight="bold",
+                )
+        shown = dict.fromkeys(row["shown"] for row in points)
+        figure.legend(
+            handles=[_handle(each) for each in shown],
+            loc="outside lower center",
+            ncols=3,
+            fontsize=11,
+        )
+        return as_files(figure)
+
+
+def _scatter(axes: Any, rows: Sequence[Any], name: str) -> None:
+    """Draws all points in a fixed random order, so that no class lies on top of the others."""
+    order = np.random.default_rng(0).permutation(len(rows))
+    places = np.array([[row[f"{name}_1"], row[f"{name}_2"]] for row in rows])
+    for start in range(0, len(order), 40):
+        part = order[start : start + 40]
+        for shown in dict.fromkeys(rows[index]["shown"] for index in part):
+            own = [index for index in part if rows[index]["shown"] == shown]
+            colour, marker = _marker(shown)
+            axes.plot(
+                places[own, 0],
+                places[own, 1],
+                marker,
+                color=colour,
+                markersize=4.5,
+                alpha=0.75,
+                markeredgecolor="white",
+                markeredgewidth=0.3,
+            )
+    axes.set_xlabel("first component" if name == "pca" else "")
+    axes.set_ylabel("second component" if name == "pca" else "")
+    # Neither plane has a unit that could be read off.
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def _marker(shown: str) -> tuple[str, str]:
+    """Okabe and Ito's colours, safe for colour-blind readers; markers differ as well."""
+    if shown in (GROUND, ORIGINAL):
+        return {GROUND: (GREY, "s"), ORIGINAL: (BLUE, "o")}[shown]
+    name = CamouflageName.read(shown)
+    if name.choice == "plain":
+        return GREEN, "v"
+    return (PURPLE, "D") if name.random else (ORANGE, "^")
+
+
+def _handle(shown: str) -> Line2D:
+    colour, marker = _marker(shown)
+    label = shown_name(shown)
+    return Line2D([], [], color=colour, marker=marker, linestyle="", markersize=7, label=label)

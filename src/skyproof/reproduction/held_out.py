@@ -1,6 +1,7 @@
-"""Detectors that judge and were not attacked, above all those that learnt from photographs.
+"""Held-out detectors: they judge and no attack learnt on them (section S5.4).
 
-The counterpart of the paper's figures S2 and S3 (section S5.4).
+The counterpart of the paper's figures S2 and S3, above all for detectors that learnt from
+photographs.
 """
 
 from __future__ import annotations
@@ -9,13 +10,19 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from matplotlib import pyplot as plt
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
 from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
     Grid,
     Heading,
+    Part,
     Table,
     bracket,
     interval_cells,
@@ -35,23 +42,11 @@ _WEAK = 80.0
 _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
 
 
-def judges_tables(run: Reproduction) -> list[Table]:
-    """Gives what the judges find without camouflage, and what each camouflage hides from them.
-
-    Nothing is said of a run without judges.
-    """
+def held_out_part(run: Reproduction) -> Part:
+    """Gives what held-out detectors find without camouflage, and what is hidden from them."""
     if not run.judges:
-        return []
-    clean = [row for table in run.judges for row in _clean(run, table)]
-    hidden = [row for table in run.judges for row in judged_rows(run, table)]
-    return [Table("judges_clean", clean), Table("judges", hidden)]
-
-
-def judges_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block]:
-    """Says who judges and what is hidden from each; empty without judges."""
-    if not run.judges:
-        return []
-    parts: list[Block] = [
+        return Part()
+    blocks: list[Block] = [
         Heading("Judged by detectors that were not attacked"),
         "No attack learnt on the detectors of this section. Where these learnt from photographs, "
         "they are the counterpart of the paper’s “real” models, which its figures S2 and S3 show "
@@ -59,11 +54,15 @@ def judges_section(run: Reproduction, tables: Mapping[str, Table]) -> list[Block
         "shapes and combinations keep their PM*. Detectors of one table learnt from the same "
         "images; no mean goes over two tables.",
     ]
+    baselines: list[dict[str, Any]] = []
+    hidden: list[dict[str, Any]] = []
     for table in run.judges:
-        clean = [row for row in tables["judges_clean"].rows if row["table"] == table]
-        hidden = [row for row in tables["judges"].rows if row["table"] == table]
-        parts += _table(run, table, clean, hidden)
-    return parts
+        own_baselines = _baselines(run, table)
+        own_hidden = judged_rows(run, table)
+        blocks += _table(run, table, own_baselines, own_hidden)
+        baselines += own_baselines
+        hidden += own_hidden
+    return Part([Table("judges_clean", baselines), Table("judges", hidden)], blocks)
 
 
 def judge_names(results: Results) -> list[str]:
@@ -99,7 +98,7 @@ def _rates(results: Results, name: str, judge: str) -> dict[str, Any]:
     return rates
 
 
-def _clean(run: Reproduction, table: str) -> list[dict[str, Any]]:
+def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
     """Gives per judge what it finds without camouflage: in its validation, when checked, here."""
     results = run.judges[table]
     records = read_prechecks(Layout(results.folder).detectors)
@@ -140,11 +139,12 @@ def _check(check: Baseline) -> dict[str, Any]:
 def _table(
     run: Reproduction,
     table: str,
-    clean: Sequence[Mapping[str, Any]],
+    baselines: Sequence[Mapping[str, Any]],
     hidden: Sequence[Mapping[str, Any]],
 ) -> list[Block]:
     results = run.judges[table]
-    origins = dict.fromkeys(row["trained_on"] or "images that are not recorded" for row in clean)
+    unknown = "images that are not recorded"
+    origins = dict.fromkeys(row["trained_on"] or unknown for row in baselines)
     parts: list[Block] = [
         Heading(f"{table}: {', '.join(map(detector_name, results.judges))}", 3),
         f"They learnt from “{'”, “'.join(origins)}”. What they reach without camouflage, in "
@@ -158,14 +158,15 @@ def _table(
                     str(row["vehicles"] or "–"),
                     *(bracket(row, name) for name in ("ap", "recall", "precision")),
                 ]
-                for row in clean
+                for row in baselines
             ],
         ),
-        _doubts(clean),
+        _doubts(baselines),
         Figure(
             f"judges-{table}",
             f"{table}: share of the vehicles found before that each attack hides (EASR), and what "
             "random draws under the same constraints hide",
+            _figure(table, results.judges, hidden),
         ),
     ]
     for renderer, prefix in _PREFIXES.items():
@@ -181,11 +182,11 @@ def _table(
     return [part for part in parts if part]
 
 
-def _doubts(clean: Sequence[Mapping[str, Any]]) -> str:
+def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
     """Says who hardly sees the vehicles of this run as they are."""
     weak = [
         f"{detector_name(row['detector'])} ({number(row['ap'], 0)} % on {row['set']})"
-        for row in clean
+        for row in baselines
         if row["real"] is False and not row["ap"] >= _WEAK
     ]
     if not weak:
@@ -217,3 +218,83 @@ def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: st
         for name in names
     ]
     return Grid(["attack", *header], rows)
+
+
+_RENDERERS = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}
+_LOWEST = -30.0
+"""Where the axis ends at the latest: intervals of rates below zero may go far."""
+
+
+def _figure(
+    table: str, judges: Sequence[str], hidden: Sequence[Mapping[str, Any]]
+) -> dict[str, bytes]:
+    """Draws a panel per detector of a table, bars with intervals; SVG and PNG by file ending."""
+    rows = [row for row in hidden if not row["attack"].startswith("R-")]
+    cells = {(row["attack"], row["detector"]): row for row in rows}
+    attacks = list(dict.fromkeys(row["attack"] for row in rows))
+    shown = [key for key in _RENDERERS if any(f"{key}easr" in row for row in rows)]
+    with plt.rc_context(STYLE | {"svg.hashsalt": f"judges-{table}"}):
+        figure, grid = plt.subplots(
+            1,
+            len(judges),
+            figsize=(2.2 + 4.4 * len(judges), 1.7 + (0.16 + 0.17 * len(shown)) * len(attacks)),
+            sharey=True,
+            sharex=True,
+            squeeze=False,
+            layout="constrained",
+        )
+        for axes, judge in zip(grid[0], judges, strict=True):
+            for number, key in enumerate(shown):
+                _bars(axes, [cells[name, judge] for name in attacks], key, number, len(shown))
+            axes.set_title(detector_name(judge), loc="left", fontsize=12, fontweight="bold")
+            axes.axvline(0, color=GREY, linewidth=1)
+            axes.set_xlabel("EASR, % of the vehicles found before")
+            axes.grid(axis="x", color="#e3e7eb")
+            axes.set_axisbelow(True)
+        first = grid[0][0]
+        first.set_yticks(range(len(attacks)), attacks)
+        first.set_ylim(len(attacks) - 0.4, -0.6)
+        first.set_xlim(_left(rows, shown), 103)
+        figure.legend(handles=_legend(shown), loc="outside lower center", ncols=4, fontsize=10)
+        return as_files(figure)
+
+
+def _bars(axes: Any, rows: Sequence[Mapping[str, Any]], key: str, number: int, count: int) -> None:
+    """Draws one renderer's bars: the first above the second where there are two."""
+    height = 0.8 / count
+    for place, row in enumerate(rows):
+        rate = row.get(f"{key}easr")
+        if rate is None:
+            continue
+        y = place - 0.4 + height * (number + 0.5)
+        axes.barh(y, rate, 0.9 * height, color=_RENDERERS[key][0], alpha=0.75, linewidth=0)
+        low, high = row[f"{key}easr_low"], row[f"{key}easr_high"]
+        if low is not None:
+            axes.plot([low, high], [y, y], color=INK, linewidth=1.3, solid_capstyle="butt")
+        random = row[f"{key}random_easr"]
+        if random is not None:
+            ends = [y - 0.45 * height, y + 0.45 * height]
+            axes.plot([random, random], ends, color="white", linewidth=4.5, solid_capstyle="butt")
+            axes.plot([random, random], ends, color=INK, linewidth=2.2, solid_capstyle="butt")
+
+
+def _left(rows: Sequence[Mapping[str, Any]], shown: Sequence[str]) -> float:
+    """Where the axis begins: at the lowest of what is drawn, unless that is far out."""
+    drawn = [
+        row.get(f"{key}{what}")
+        for row in rows
+        for key in shown
+        for what in ("easr", "easr_low", "random_easr")
+    ]
+    return max(_LOWEST, min([0.0, *(value for value in drawn if value is not None)])) - 3
+
+
+def _legend(shown: Sequence[str]) -> list[Any]:
+    return [
+        *(Patch(color=_RENDERERS[key][0], alpha=0.75, label=_RENDERERS[key][1]) for key in shown),
+        Line2D([], [], color=INK, linewidth=1.3, label="95 % interval"),
+        Line2D(
+            [], [], color=INK, marker="|", linestyle="", markersize=11, markeredgewidth=2.2,
+            label="random draws, mean",
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,262 @@
+"""Can the attacks be trusted? Tests, gradients, the strength ladder, convergence and rounding."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from skyproof.reproduction.cells import Block, Grid, Heading, Part, Table, number, word
+from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.stored import Discretisation
+from skyproof.words import probability
+
+_SURE = 0.05
+_RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
+
+
+def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
+    """Says what is left of chance, and whether attacks work as optimisation should.
+
+    Args:
+        run: the reproduction.
+        rows: of both tables of the paper.
+    """
+    signs = _sign_rows(run)
+    ladder = _ladder_rows(run)
+    convergence = _convergence_rows(run)
+    gap = _gap_rows(run)
+    blocks: list[Block] = [
+        Heading("Can the attacks be trusted?"),
+        _tests(run, rows),
+        *_signs(signs),
+        *_ladder(ladder),
+        *_convergence(convergence),
+        *_gap(gap),
+    ]
+    named = {"ladder": ladder, "convergence": convergence, "signs": signs, "gap": gap}
+    return Part([Table(name, own) for name, own in named.items()], blocks)
+
+
+def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Says what is left of chance, by interval and by test, each camouflage counted once.
+
+    A combination whose PM* is 0 is its texture, which has a row of its own.
+    """
+    learnt: dict[str, Mapping[str, Any]] = {}
+    for row in rows:
+        if not row["attack"].startswith("R-"):
+            learnt.setdefault(run.best.get(row["attack"], row["attack"]), row)
+    controlled = {n: row for n, row in learnt.items() if row["net_easr_low"] is not None}
+    below = [name for name, row in controlled.items() if row["net_easr_low"] <= 0]
+    single = [name for name, row in controlled.items() if row["random_draws"] == 1]
+    chosen = {n: row for n, row in learnt.items() if row["net_unlearnt_easr_low"] is not None}
+    unsure = [name for name, row in chosen.items() if row["net_unlearnt_easr_low"] <= 0]
+    drawn = {n: row for n, row in learnt.items() if row["control_p_holm"] is not None}
+    like_drawn = [name for name, row in drawn.items() if row["control_p_holm"] >= _SURE]
+    tested = {n: row for n, row in learnt.items() if row["no_camouflage_p_holm"] is not None}
+    like_none = [name for name, row in tested.items() if row["no_camouflage_p_holm"] >= _SURE]
+    return " ".join(
+        part
+        for part in (
+            f"Placebo: for {len(controlled) - len(below)} of {len(controlled)} distinct "
+            "camouflages above, the interval of the net EASR lies above zero.",
+            _named("Not surely more than an average random draw", below),
+            _named("Set against a single draw, so that nothing is said of others", single),
+            f"Of {len(chosen)}, {len(chosen) - len(unsure)} surely hide more than every control "
+            "that was chosen and not learnt."
+            if chosen
+            else "",
+            _named("Not surely due to learning", unsure),
+            "Learnt against every draw of the random control on the same vehicles, swapped tile by "
+            "tile, with Holm’s correction over the camouflages: "
+            f"p < {_SURE} on every detector, for every repeat and every draw, for "
+            f"{len(drawn) - len(like_drawn)} of {len(drawn)}.",
+            _named("Not told from some draw on some detector", like_drawn),
+            "Against no camouflage, which random patterns differ from, too (McNemar’s exact test, "
+            f"corrected alike): {len(tested) - len(like_none)} of {len(tested)}.",
+            _named("Not told from no camouflage on some detector", like_none),
+        )
+        if part
+    )
+
+
+def _named(what: str, names: Sequence[str]) -> str:
+    return f"{what}: {', '.join(names)}." if names else ""
+
+
+def _sign_rows(run: Reproduction) -> list[dict[str, Any]]:
+    return [
+        {"attack": name, "detector": detector, **found}
+        for name, record in run.records.items()
+        for detector, found in (record.sign_test or {}).items()
+    ]
+
+
+def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+    if not rows:
+        return []
+    lower = [row for row in rows if row["mean_change"] < 0]
+    sure = [row for row in rows if row["p"] < _SURE]
+    others = [row for row in rows if row["mean_change"] >= 0]
+    text = (
+        "Sign test: one step along an attack’s gradient lowered the mean score on the target in "
+        f"{len(lower)} of {len(rows)} pairs of attack and detector; in {len(sure)} it fell "
+        f"in more scenes than chance explains (exact, p < {_SURE})."
+    )
+    if others:
+        header = ["did not fall", "detector", "scenes", "fell", "p", "mean change"]
+        cells = [
+            [
+                row["attack"],
+                row["detector"],
+                str(row["scenes"]),
+                str(row["fell"]),
+                probability(row["p"]),
+                f"{row['mean_change']:+.4f}".replace("-", "−"),
+            ]
+            for row in others
+        ]
+        return [text, Grid(header, cells)]
+    return [text]
+
+
+def _ladder_rows(run: Reproduction) -> list[dict[str, Any]]:
+    """Gives EASR of one repeat after some of its steps and after all; does it get weaker?"""
+    rungs: dict[str, dict[int, str]] = {}
+    for key in run.results.tiles.series:
+        if found := _RUNG.fullmatch(key.camouflage):
+            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
+                key.camouflage
+            )
+    rows = []
+    for name, steps in rungs.items():
+        ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
+        easr = {
+            f"after_{label}": run.results.single_easr(camouflage) for label, camouflage in ladder
+        }
+        changes = [
+            run.results.difference(later, earlier)
+            for (_, earlier), (_, later) in itertools.pairwise(ladder)
+        ]
+        known = [value for value in easr.values() if value is not None]
+        rows.append(
+            {
+                "attack": name,
+                **{label: None if value is None else 100 * value for label, value in easr.items()},
+                "never_falls": None if len(known) < len(easr) else _rises(known),
+                # A fall counts where its whole interval lies below zero.
+                "never_surely_falls": None
+                if any(change is None for change in changes)
+                else not any(change is not None and change.high < 0 for change in changes),
+            }
+        )
+    return rows
+
+
+def _rises(values: Sequence[float]) -> bool:
+    return all(later >= earlier for earlier, later in itertools.pairwise(values))
+
+
+def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+    if not rows:
+        return []
+    columns = sorted(
+        (c for c in Table("ladder", rows).columns if c.startswith("after_") and c != "after_all"),
+        key=lambda c: int(c[6:]),
+    )
+    columns.append("after_all")
+    holds = sum(row["never_surely_falls"] is True for row in rows)
+    strict = sum(row["never_falls"] is True for row in rows)
+    text = (
+        "EASR of the first repeat after so many steps. From rung to rung it never falls in "
+        f"{strict} of {len(rows)} attacks; in {holds} no fall is certain (its 95 % interval "
+        "reaches zero)."
+    )
+    cells = [
+        [row["attack"], *(number(row.get(column)) for column in columns), word(row["never_falls"]),
+         word(row["never_surely_falls"])]
+        for row in rows
+    ]  # fmt: skip
+    steps = [column[6:].replace("all", "all steps") for column in columns]
+    grid = Grid(["attack", *steps, "never falls", "no certain fall"], cells)
+    return [Heading("Strength ladder", 3), text, grid]
+
+
+def _convergence_rows(run: Reproduction) -> list[dict[str, Any]]:
+    """Gives per attack and seed what it hid half-way and at the end, on scenes of its own world."""
+    rows: list[dict[str, Any]] = []
+    for name, record in run.records.items():
+        found = record.convergence
+        if found is None:
+            continue
+        rows.append(
+            {
+                "attack": name,
+                "half_steps": found.steps[0],
+                "steps": found.steps[1],
+                "scenes": found.scenes,
+                "hidden_half_way": 100 * found.hidden[0],
+                "hidden": 100 * found.hidden[1],
+                "added": 100 * (found.hidden[1] - found.hidden[0]),
+                "converged": found.converged,
+            }
+        )
+    return rows
+
+
+def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+    """Says how many have converged, and shows the others."""
+    if not rows:
+        return []
+    others = [row for row in rows if not row["converged"]]
+    text = (
+        f"In {len(rows) - len(others)} of {len(rows)} attacks the second half of the "
+        f"steps hid at most 2 points more, on {rows[0]['scenes']} scenes of the attack’s own "
+        "world that no step saw. More steps may make the others stronger."
+    )
+    heading = Heading("Convergence", 3)
+    if not others:
+        return [heading, text]
+    cells = [
+        [
+            row["attack"],
+            str(row["half_steps"]),
+            number(row["hidden_half_way"]),
+            str(row["steps"]),
+            number(row["hidden"]),
+        ]
+        for row in sorted(others, key=lambda row: -row["added"])
+    ]
+    return [heading, text, Grid(["not converged", "steps", "EASR", "steps", "EASR"], cells)]
+
+
+def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
+    """Gives EASR and losses of attacks on few colours, before the last rounding and after it."""
+    rows = []
+    for key in dict.fromkeys(key.camouflage for key in run.results.tiles.series):
+        if "_relaxed-" not in key:
+            continue
+        name = key.replace("_relaxed-", "-")
+        before = run.results.single_easr(key)
+        after = run.results.single_easr(name)
+        row: dict[str, Any] = {
+            "attack": name,
+            "easr_before": None if before is None else 100 * before,
+            "easr_after": None if after is None else 100 * after,
+        }
+        record = run.records.get(name)
+        losses = record.discretisation if record else Discretisation()
+        for when, means in (("before", losses.before), ("after", losses.after)):
+            row |= {f"loss_{detector}_{when}": value for detector, value in means.items()}
+        rows.append(row)
+    return rows
+
+
+def _gap(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+    cells = [[row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in rows]
+    if not rows:
+        return []
+    grid = Grid(["attack", "EASR before", "EASR after"], cells)
+    return [Heading("Rounding to few colours", 3), grid]
