@@ -63,8 +63,6 @@ def drivable_directions(
     each bay of a car park only where its lines outweigh the rows'. Nothing is known of lanes.
 
     Args:
-        image: sRGB bytes.
-        gsd_m: metres per pixel.
         vehicles: boxes of the vehicles that are labelled, pixel xyxy; None where nobody labelled
             the tile.
         cover: the tile's map of what hides the ground, as `BackgroundTile.cover` says.

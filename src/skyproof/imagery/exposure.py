@@ -56,9 +56,7 @@ def ground_pixels(
     of Munich they made white 1.5 times as bright as it was.
 
     Args:
-        image: sRGB bytes.
         vehicles_px: the middles (x, y) of the vehicles in it.
-        gsd_m: metres per pixel.
     """
     sampled = image[:, ::STRIDE_PX, ::STRIDE_PX]
     rows, columns = sampled.shape[1:]

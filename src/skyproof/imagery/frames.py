@@ -30,13 +30,7 @@ one at 12 cm."""
 
 @dataclass(frozen=True)
 class FramePicture:
-    """An annotated frame that is brought to another resolution when somebody looks at it.
-
-    Attributes:
-        path: of the image file.
-        source_size_px: width and height of the file's image.
-        size_px: width and height after resampling.
-    """
+    """An annotated frame that is brought to another resolution when somebody looks at it."""
 
     path: Path
     source_size_px: tuple[int, int]
@@ -91,7 +85,6 @@ def read_frames_folder(
     Args:
         folder: holds the images, or an `images` folder that does.
         labels: as `read_labels` takes them; `folder` itself where None.
-        gsd_m: metres per pixel of the images.
         target_gsd_m: what they are resampled to, with anti-aliasing; boxes are scaled along.
         classes: names that count as vehicles; every other class becomes an ignore region.
         border_px: in a band this wide (source pixels) nothing is scored; a box whose centre lies in

@@ -35,7 +35,6 @@ def sensor_of_tiles(backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile])
     """Measures blur and noise of a background set, on some of its tiles (`measure_sensor`).
 
     Args:
-        backgrounds: the set.
         tiles: all its tiles, of whatever split, in the order of its index.
 
     Raises:

@@ -35,10 +35,11 @@ RING_M = (0.4, 1.4)
 LEAST_DARKER, MOST_DARKER = 0.5, 2.5
 LEAST_BLUER = 0.18
 FAINT = 0.25
-LEE, LUFF = 0.3, -0.3
-"""Cosines between the way out of an area and the way shadows fall: what is on either side."""
+FAR_SIDE, SUN_SIDE = 0.3, -0.3
+"""An edge is on the far side of an area, or on the side of the sun, where the cosine of the angle
+between the way out of the area and the way shadows fall is above the first, or below the second."""
 SHADOW_SHARE, FAINT_SHARE = 0.75, 0.15
-LUFF_SHARE, ALIKE = 0.3, 0.4
+SUN_SIDE_SHARE, ALIKE = 0.3, 0.4
 SHORTEST_EDGE_M = 2.5
 
 FEWEST_EDGE_M = 10.0
@@ -56,7 +57,6 @@ class CastShadow:
         ratios: `[e, 3]`, red, green and blue in the shadow as natural logarithms of parts of those
             of the lit ground beside it, for each cell along its far edge.
         cell_px: side of a cell.
-        cell_m: the same in metres.
     """
 
     inside: Mask
@@ -85,12 +85,6 @@ def find_cast_shadows(
 
     Limits: shaded lawns are not found, and neither are shadows with hardly any light outside them
     (in narrow streets) or under a bright overcast sky, which is not bluer.
-
-    Args:
-        image: sRGB bytes.
-        light: whose black is subtracted.
-        sun: whose azimuth says where shadows fall.
-        gsd_m: metres per pixel.
 
     Returns:
         Areas that do not overlap, those with most edge first.
@@ -141,10 +135,7 @@ def shade_map(
     logarithm) are left out: they are of another material.
 
     Args:
-        shadows: of the tile.
-        left: of the light in all shadows of the picture.
-        size_px: height and width.
-        gsd_m: metres per pixel.
+        left: what `light_left` says of the whole picture.
     """
     shade = np.zeros(size_px)
     for each in shadows:
@@ -219,23 +210,23 @@ def _in_shadow(
     def counted(chosen: Mask) -> NDArray[np.int64]:
         return np.bincount(own[chosen], minlength=number + 1)
 
-    lee, luff = outwards > LEE, outwards < LUFF
-    all_lee, good = counted(lee), counted(lee & shadow)
+    far_side, sun_side = outwards > FAR_SIDE, outwards < SUN_SIDE
+    on_far_side, good = counted(far_side), counted(far_side & shadow)
     likely = (
         large
         & (good * cell_m >= SHORTEST_EDGE_M)
-        & (good >= SHADOW_SHARE * all_lee)
-        & (counted(darker < FAINT) <= FAINT_SHARE * counted(np.ones_like(lee)))
+        & (good >= SHADOW_SHARE * on_far_side)
+        & (counted(darker < FAINT) <= FAINT_SHARE * counted(np.ones_like(far_side)))
     )
-    luff_good = counted(luff & shadow)
+    sun_side_good = counted(sun_side & shadow)
     for area in np.nonzero(likely)[0]:
-        far = (own == area) & lee & shadow
-        near = (own == area) & luff & shadow
-        if luff_good[area] > LUFF_SHARE * good[area]:
+        far = (own == area) & far_side & shadow
+        near = (own == area) & sun_side & shadow
+        if sun_side_good[area] > SUN_SIDE_SHARE * good[area]:
             difference = np.median(outer[:, far], axis=1) - np.median(outer[:, near], axis=1)
             if np.abs(difference).max() < ALIKE:
                 continue
-        yield int(2 * good[area] - all_lee[area]), areas == area, ratios[:, far].T
+        yield int(2 * good[area] - on_far_side[area]), areas == area, ratios[:, far].T
 
 
 def _sides(logarithms: Array, dark: Mask, ground: Mask, cell_m: float) -> tuple[Mask, Array, Array]:

@@ -55,11 +55,10 @@ class Cleared:
     """What became of one tile; one row of the record.
 
     Attributes:
-        id, split: of the tile.
         labelled: vehicles removed because of a label, ignore regions included.
         detected: vehicles removed because only the detector found them, repairs included.
         places: vehicles whose place is kept: those that are labelled or surely detected.
-        masked_share: of the tile's pixels, after the last round.
+        masked_share: share of pixels that were filled, after the last round.
         rounds: repairs after the first filling.
         remaining: what the check found in the end; None without a check.
         left_out: why the tile is not in the result, or None.
@@ -105,20 +104,19 @@ def clear_backgrounds(
 ) -> dict[str, Any]:
     """Writes a tiled folder of the same tiles without their vehicles.
 
-    Where and how these stood is kept with every tile, and where vehicles may stand is looked at
-    anew. Their shadows, and those that trees and buildings cast, tell the sun and the sky of each
-    source, which are kept, too, as is where these lie.
+    The places and headings of the vehicles are stored with every tile, and the map of drivable
+    ground is made anew. Shadows of the vehicles, of trees and of buildings tell the sun and the sky
+    of each source, which are stored as well.
 
-    Vehicles are the labelled ones (ignored objects too) and what `finder` finds; without a finder,
-    regions where nobody labelled vehicles are filled as a whole. Tiles where
-    `checker` still finds something are repaired, and left out if that does not help. A contact
-    sheet shows every tile that was changed or left out.
+    Removed are labelled vehicles, ignored objects, and the detections of `finder`. Without a
+    finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
+    are repaired, and left out if that does not help. A contact sheet shows every tile that was
+    changed or left out.
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
         out: gets the tiles, their maps of drivable ground and of shadows, `index.json`,
             `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
-        settings: margins and limits.
         fill: fills a mask of a tile and leaves every byte outside it as it was.
         finder: finds vehicles that are not labelled.
         checker: looks at the result, at its own threshold.
@@ -203,7 +201,7 @@ def _find(
     image = backgrounds.pixels(tile.id)
     detected, sure = torch.zeros(0, 4), torch.zeros(0, 4)
     if finder is None:
-        # Nobody looks there, so that whatever stands there has to go.
+        # Unlabelled regions may hold vehicles that no detector looks for: they are filled whole.
         labelled = torch.cat([labelled, labels.unlabelled_boxes])
     else:
         threshold = finder.loaded.threshold
@@ -212,7 +210,7 @@ def _find(
         detections = other_vehicles(everything, labelled)
         labelled = grown_to_what_is_seen(labelled, everything)
         detected = detections.boxes
-        # Much of what is removed to be safe is no vehicle.
+        # Below the threshold, many detections that are removed to be safe are no vehicles.
         sure = detected[detections.scores >= threshold]
     removed = removed_vehicles(image, labels, sure, backgrounds.gsd_m)
     found = _Found(labelled, detected, torch.cat([labels.vehicle_boxes, sure]), removed)
@@ -229,7 +227,7 @@ def _with_places(
     cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
-    # Of a tile that nobody labelled, no find tells nothing of where vehicles may stand.
+    # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
     stood = found.sure if labelled or len(found.sure) else None
     directions = drivable_directions(cleared, gsd_m, stood, cover)
     return replace(

@@ -47,7 +47,6 @@ def estimate_stance(
     Args:
         image: sRGB bytes.
         box: pixel xyxy; not cut by the picture's edge.
-        gsd_m: metres per pixel.
 
     Returns:
         Heading from x (right) towards up, modulo pi, in radians; length and width in metres. None

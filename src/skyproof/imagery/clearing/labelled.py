@@ -52,7 +52,6 @@ class TileLabels:
     """What is labelled on a tile.
 
     Attributes:
-        vehicles: the labelled vehicles.
         ignored: objects that are not scored, other vehicles among them.
         unlabelled: regions where nobody looked for vehicles.
     """
@@ -115,9 +114,7 @@ def removed_vehicles(
 
     Args:
         image: the tile, sRGB bytes.
-        labels: its labels.
         detected: boxes of vehicles that nobody labelled, pixel xyxy.
-        gsd_m: metres per pixel.
     """
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
     for left, top, right, bottom in detected.tolist():

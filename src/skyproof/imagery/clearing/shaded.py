@@ -27,7 +27,7 @@ def shaded_tiles(backgrounds: BackgroundSet) -> list[BackgroundTile]:
     sky, nothing changes; drawn ground and maps that are there stay.
 
     Args:
-        backgrounds: cleared, so that no vehicle is taken for a shadow.
+        backgrounds: a cleared set, so that no vehicle is taken for a shadow.
 
     Raises:
         RunFolderError: the disk cannot take it.
@@ -47,9 +47,9 @@ def lights_record(
     """Says which photographs know their sun, which are overcast, and which tiles have shadows.
 
     Args:
-        tiles: all that were to be cleared.
-        lights: of each, by its id, as `measured_lights` gives them.
-        kept: those that were cleared, as `shaded_tiles` gives them.
+        tiles: all tiles, cleared or not.
+        lights: what `measured_lights` gives.
+        kept: the cleared tiles, as `shaded_tiles` gives them.
     """
     known = {
         picture_of(tile): light

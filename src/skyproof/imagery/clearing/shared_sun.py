@@ -24,7 +24,7 @@ def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
     Their own errors and how far they differ make its standard deviations.
 
     Args:
-        suns: of photographs that share axes.
+        suns: estimates in the same axes.
 
     Returns:
         None with fewer than 3, or where one's azimuth is off the median by more than 20 degrees.

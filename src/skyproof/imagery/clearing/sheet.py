@@ -27,8 +27,6 @@ class SheetRow:
     """One tile of the sheet.
 
     Attributes:
-        tile: its id.
-        caption: what was done.
         kept: whether it is among the cleared tiles, and could be rejected.
         before, after: `[3, H, W]` bytes.
         mask: `[H, W]` what was filled; outlined in the picture before.

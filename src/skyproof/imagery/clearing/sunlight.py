@@ -123,7 +123,6 @@ def measured_lights(
 
     Args:
         backgrounds: the set with the tiles, vehicles still on them.
-        tiles: those whose light is wanted.
         vehicles: that stand on them, by tile; those without heading or sides are not used.
 
     Returns:
@@ -210,9 +209,6 @@ def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     It takes 3 vehicles, and a darkest side that differs from the one across by less than 5 % of the
     ground's brightness. On rendered scenes that is 0.09 with the sun at 78 degrees, and 0.05 under
     an overcast sky.
-
-    Args:
-        profiles: as for `estimate_sun`.
     """
     stacked = stack_profiles(profiles)
     return len(stacked) >= FEWEST_VEHICLES and _side(stacked)[2] < FAINTEST_SHADOW
@@ -270,13 +266,6 @@ def shadow_light(
     It compares the ground in the part of each shadow that lies next to the vehicle with the ground
     as far away on the other side, both less the photograph's black.
 
-    Args:
-        image: sRGB bytes.
-        vehicles: where they stand.
-        sun: of the photograph.
-        light: whose black is subtracted.
-        gsd_m: metres per pixel.
-
     Returns:
         One row for each vehicle with enough free ground on both sides.
     """
@@ -309,10 +298,6 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
 
     It stays as it is with fewer than 3 vehicles, and unless the sun is clearly below 60 degrees (by
     two standard deviations): above, hardly any shadow lies beside a vehicle.
-
-    Args:
-        light: of the photograph, with its sun.
-        ratios: of `shadow_light`, per tile.
     """
     if light.sun is None:
         return light

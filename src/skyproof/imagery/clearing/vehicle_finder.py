@@ -22,7 +22,6 @@ class VehicleFinder:
     """A detector that looks at tiles of any size.
 
     Attributes:
-        loaded: the detector with its card.
         name: for the record, such as its folder and the digest of its weights.
     """
 

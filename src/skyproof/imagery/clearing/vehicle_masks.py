@@ -58,11 +58,8 @@ def vehicle_mask(
     """Masks boxes grown by a margin and drawn along the shadow: all that the moving box touches.
 
     Args:
-        size_px: height and width.
         boxes: pixel xyxy, half-open.
         shadow: as `estimate_shadow` found it; None where it is unknown: the margin is then doubled.
-        gsd_m: metres per pixel.
-        margin_m: by which boxes are grown on all sides.
     """
     mask = np.zeros(size_px, dtype=bool)
     margin_px = margin_m / gsd_m * (1 if shadow is not None else 2)

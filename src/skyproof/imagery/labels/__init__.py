@@ -1,4 +1,4 @@
-"""Labels of vehicles in the forms that other tools use are read and written here.
+"""Reads labels of vehicles in the formats of other tools.
 
 Every form becomes labels in pixels of images, or labels on the ground.
 """

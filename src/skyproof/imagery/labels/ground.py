@@ -32,7 +32,6 @@ def read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
     region where nothing is to be scored.
 
     Args:
-        path: the file.
         crs_member: what a GeoJSON document says about its system: GDAL takes one that it does not
             know for WGS 84.
 

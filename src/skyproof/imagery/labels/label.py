@@ -25,7 +25,6 @@ class Label:
     """One labelled object.
 
     Attributes:
-        class_name: as the file names it.
         corners: four (x, y) in order around the object; one (x, y) where only its place is known.
         ignore: the file itself says that nothing is to be scored here (COCO's iscrowd, DOTA's
             difficult).
@@ -207,8 +206,6 @@ def sort_labels(
 
     Args:
         labels: in pixels of the image; may reach out of it, or lie outside.
-        classes: names that count as vehicles.
-        size_px: width and height.
         border_px: in a band this wide nothing is scored, because vehicles cut by the edge are often
             unlabelled; four ignore regions after the others. 0 for none.
         point_box_px: side of the box that stands for a point.

@@ -24,8 +24,6 @@ def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> 
 
     Args:
         path: one mask, or the folder of them.
-        sources: the orthophotos.
-        reader: opens them.
 
     Raises:
         ImageryError: a source has no mask, or one of another size, or it cannot be read.

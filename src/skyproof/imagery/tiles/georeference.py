@@ -131,8 +131,6 @@ def read_georeference(
     pixel size taken as metres where that is between 0.5 and 50 cm.
 
     Args:
-        dataset: the opened image.
-        path: for messages.
         source_gsd_m: metres per pixel of images that do not say it.
         crs: reference system of images that have a transform but do not name it.
         notes: what is assumed is added here.
@@ -244,10 +242,6 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
 
 def system_of(name: str, path: object) -> CRS:
     """Finds the reference system of a name.
-
-    Args:
-        name: as the file says it.
-        path: of the file, for the message.
 
     Raises:
         ImageryError: nobody knows it here.

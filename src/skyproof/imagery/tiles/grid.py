@@ -38,11 +38,8 @@ class Cell:
     """A square of ground that may become a tile.
 
     Attributes:
-        id: of the tile.
         crs: of its coordinates; None in the grid of an image without georeference.
         left_m, top_m: its north-west corner.
-        size_px: its side.
-        gsd_m: metres per pixel.
         sources: which sources may show it, in the order in which they are asked.
         offset_px: its place in the grid, right and down.
         block: cells of one block go to one split.
@@ -80,7 +77,6 @@ class Grid:
         name: begins the ids of its tiles.
         crs: its reference system; None for an image without georeference.
         left_m, top_m: the north-west corner of cell (0, 0).
-        size_px, gsd_m: of its cells.
         extents: per source that lies in it, by number, what it covers at most.
     """
 

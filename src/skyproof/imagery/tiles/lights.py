@@ -41,8 +41,6 @@ def lit_tiles(
 
     Args:
         folder: of the background set, with the tiles' pictures.
-        tiles: cut from sources.
-        gsd_m: metres per pixel of the tiles.
         suns: over the tiles, by their ids, where it is known when they were photographed.
         vehicles_px: the middles of the vehicles that are known to stand on tiles, by their ids.
         notes: what was measured, and which sources show too little for that, is said here.
@@ -83,10 +81,6 @@ def sun_over(cell: Cell, taken: datetime) -> SunEstimate:
     """Computes where the sun stood over a cell, in its axes; refraction is left out.
 
     Grid north is told from true north.
-
-    Args:
-        cell: georeferenced.
-        taken: with its time zone.
 
     Raises:
         ImageryError: the cell has no georeference, or the sun was lower than 5 degrees.

@@ -48,7 +48,6 @@ class _Placed:
     """A label in the coordinates of a plane.
 
     Attributes:
-        label: as it lies there.
         source: where it belongs to one source alone.
         oriented: whether it is turned as the vehicle is, and not upright in its file.
     """
@@ -67,12 +66,6 @@ class PlacedLabels:
     Labels in pixels count only where their own source is what the tile shows. What an image without
     any entry in the labels shows is ignored as a whole: nobody looked for vehicles there. So is an
     image without georeference where labels lie on the map.
-
-    Args:
-        labels: as read.
-        settings: what counts as a vehicle.
-        sources: all sources.
-        cells: all cells.
 
     Attributes:
         outside: labels that lie outside all imagery.
@@ -269,7 +262,6 @@ class PlacedLabels:
         """Returns vehicles and ignore regions of a tile.
 
         Args:
-            cell: the tile's ground.
             owner: the number of the source of each of its pixels, -1 where empty.
         """
         plane = plane_of(cell.crs, cell.sources)

@@ -49,9 +49,6 @@ class Source:
     """An orthophoto, looked at but not read.
 
     Attributes:
-        path: the file.
-        width_px, height_px: its size.
-        georeference: where it lies.
         bands: the bands, from 1, taken as red, green and blue.
         value_range: the values that become black and white; None where bytes are taken as they are.
         alpha_is_colour: its alpha band is no mask.

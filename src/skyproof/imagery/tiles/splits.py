@@ -38,8 +38,6 @@ def assign_splits(
     Args:
         cells: with their `block` set to (grid, row, column).
         shares: of the cells, above 0, of each split that gets any.
-        block_m: width of a block, or None.
-        generator: shuffles the blocks.
 
     Returns:
         Per cell id its split, and per grid the width of its blocks in metres.

@@ -95,8 +95,6 @@ def copy_ground_index(folder: Path, out: Path, kept: Collection[str]) -> None:
 
     Args:
         folder: a tiled folder; without an index of places nothing is written.
-        out: where to.
-        kept: ids of tiles.
 
     Raises:
         StoredFileError: the index is damaged.

@@ -49,7 +49,6 @@ class TilingRecord:
     """What was done: the content of `tiling.json`.
 
     Attributes:
-        settings: as given.
         sources: per source its name, size, system, resolution, bands, range, nodata value and
             licence.
         blocks_m: per grid the width of its blocks.
@@ -101,8 +100,6 @@ def tile_imagery(
         folder: where the set goes; use `finished_folder` around it so that a half-written one does
             not stay.
         settings: resolution, size, blocks; with `like` the first two are those of its set.
-        generator: shuffles the blocks.
-        source_settings: what images do not say themselves.
         labels: as read, and what counts as a vehicle.
         progress: called with (cells done, cells in all).
 
