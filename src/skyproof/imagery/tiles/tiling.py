@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import UInt8
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
@@ -22,7 +23,7 @@ from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.imagery.sharpness import sensor_of_tiles
 from skyproof.imagery.tiles.covers import cover_of, find_covers
-from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
+from skyproof.imagery.tiles.grid import Cell, cells_of, lay_grids
 from skyproof.imagery.tiles.lights import lit_tiles, sun_over
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import (
@@ -34,7 +35,7 @@ from skyproof.imagery.tiles.sources import (
 )
 from skyproof.imagery.tiles.splits import assign_splits
 from skyproof.imagery.tiles.tile_index import cells_like, settings_like, write_ground_index
-from skyproof.imagery.tiles.warp import read_cell
+from skyproof.imagery.tiles.warp import CellImage, read_cell
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
@@ -115,70 +116,38 @@ def tile_imagery(
     if settings.like is not None:
         settings = settings_like(settings, settings.like)
     files = find_images(paths)
-    notes = []
     source_settings = source_settings or SourceSettings()
+    kept: list[tuple[Cell, BackgroundTile]] = []
+    annotations: dict[str, list[Annotation]] = {}
     # Every cell that sources fill becomes a tile, written while it is at hand.
     with gdal_limits(), SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]
-        notes += _notes(sources)
+        notes = _notes(sources)
         cells = _cells(sources, settings, notes)
         # A time that cannot be, or a mask that is missing, is refused before anything is cut.
         taken = source_settings.taken
-        suns = (
-            {cell.id: sun_over(cell, taken) for cell in cells if cell.sources}
-            if taken is not None
-            else {}
-        )
+        suns = {cell.id: sun_over(cell, taken) for cell in cells if taken and cell.sources}
         cover = source_settings.cover
-        masks = find_covers(cover, sources, reader) if cover is not None else []
+        masks = [] if cover is None else find_covers(cover, sources, reader)
         placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
         notes += placed.notes if placed is not None else []
-        kept: list[tuple[Cell, BackgroundTile]] = []
-        annotations: dict[str, list[Annotation]] = {}
         for done, cell in enumerate(cells, 1):
             image = read_cell(cell, sources, reader) if cell.sources else None
             if image is not None:
-                shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
-                tile = _tile(cell, shown)
-                pixels = torch.from_numpy(image.pixels)
-                save_tile(folder, tile, pixels)
                 if placed is not None:
                     annotations[cell.id] = placed.on(cell, image.owner)
-                vehicles = _vehicles(annotations.get(cell.id))
                 hidden = cover_of(cell, image, masks, reader) if masks else None
-                directions = drivable_directions(
-                    pixels,
-                    settings.gsd_m,
-                    vehicles,
-                    None if hidden is None else torch.from_numpy(hidden),
-                )
-                tile = dataclasses.replace(
-                    tile,
-                    drivable=save_map(folder, "drivable", tile.id, directions),
-                    cover=None if hidden is None else save_map(folder, "cover", tile.id, hidden),
-                )
+                shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
+                vehicles = _vehicles(annotations.get(cell.id))
+                tile = _write_tile(folder, _tile(cell, shown), image, vehicles, hidden, settings)
                 kept.append((cell, tile))
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
-    if not kept:
-        raise ImageryError(
-            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more "
-            "than 2 % of each is empty (nodata or beyond the border); give larger images or a "
-            "smaller size."
-        )
-    shares = settings.split_shares
-    if settings.minimum_px is not None and len(kept) < len(shares):
-        raise ImageryError(
-            f"The imagery yields {len(kept)} tiles of at least {settings.minimum_px} px at "
-            f"{settings.gsd_m} m per pixel but the {len(shares)} splits need {len(shares)}; give "
-            "more or larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of "
-            "`demo`)."
-        )
-    # Blocks of tiles go to the splits.
+    _refuse_too_few(len(kept), settings)
     splits, blocks_m = _splits(kept, settings, generator)
     tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
-    for split in shares:
+    for split in settings.split_shares:
         if split not in splits.values():
             notes.append(
                 f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
@@ -187,31 +156,67 @@ def tile_imagery(
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
     tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, _middles(annotations), notes)
-    # What was done, and the index last.
     record = TilingRecord(
-        settings=_plain(
-            dataclasses.asdict(settings)
-            | {
-                "source_gsd_m": source_settings.gsd_m,
-                "crs": source_settings.crs,
-                "licence": source_settings.licence,
-                "taken": taken,
-                "cover": cover,
-            }
-        ),
+        settings=_settings_record(settings, source_settings),
         sources=[_describe(source) for source in sources],
         blocks_m=blocks_m,
         counts=_counts(tiles, annotations),
         empty=len(cells) - len(kept),
-        missing=[cell.id for cell in cells if cell.id not in splits]
-        if settings.like is not None
-        else [],
+        missing=[cell.id for cell in cells if settings.like and cell.id not in splits],
         notes=notes,
     )
     write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
     write_json(folder / "tiling.json", dataclasses.asdict(record))
+    # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
+
+
+def _write_tile(
+    folder: Path,
+    tile: BackgroundTile,
+    image: CellImage,
+    vehicles: torch.Tensor | None,
+    hidden: UInt8[np.ndarray, "S S"] | None,
+    settings: TilingSettings,
+) -> BackgroundTile:
+    """Writes a tile's picture and its maps of drivable and of hidden ground."""
+    pixels = torch.from_numpy(image.pixels)
+    save_tile(folder, tile, pixels)
+    cover = None if hidden is None else torch.from_numpy(hidden)
+    directions = drivable_directions(pixels, settings.gsd_m, vehicles, cover)
+    return dataclasses.replace(
+        tile,
+        drivable=save_map(folder, "drivable", tile.id, directions),
+        cover=None if hidden is None else save_map(folder, "cover", tile.id, hidden),
+    )
+
+
+def _refuse_too_few(count: int, settings: TilingSettings) -> None:
+    if not count:
+        raise ImageryError(
+            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more "
+            "than 2 % of each is empty (nodata or beyond the border); give larger images or a "
+            "smaller size."
+        )
+    splits = len(settings.split_shares)
+    if settings.minimum_px is not None and count < splits:
+        raise ImageryError(
+            f"The imagery yields {count} tiles of at least {settings.minimum_px} px at "
+            f"{settings.gsd_m} m per pixel but the {splits} splits need {splits}; give more or "
+            "larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of `demo`)."
+        )
+
+
+def _settings_record(settings: TilingSettings, source: SourceSettings) -> dict[str, Any]:
+    named = dataclasses.asdict(settings) | {
+        "source_gsd_m": source.gsd_m,
+        "crs": source.crs,
+        "licence": source.licence,
+        "taken": source.taken,
+        "cover": source.cover,
+    }
+    return json.loads(json.dumps(named, default=str))
 
 
 def _middles(annotations: Mapping[str, Sequence[Annotation]]) -> dict[str, torch.Tensor]:
@@ -256,7 +261,7 @@ def _sensor(
 def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
     if settings.like is not None:
         return cells_like(settings.like, sources, notes)
-    grids: list[Grid] = lay_grids(
+    grids = lay_grids(
         sources,
         size_px=settings.size_px,
         minimum_px=settings.minimum_px or settings.size_px,
@@ -385,7 +390,3 @@ def _describe(source: Source) -> dict[str, Any]:
         "nodata": None if source.nodata is None or math.isnan(source.nodata) else source.nodata,
         "licence": source.licence,
     }
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return json.loads(json.dumps(values, default=str))
