@@ -36,7 +36,7 @@ GLOSSARY = {
     r"learnt (?:texture|camouflage|shape|pattern|colour|palette)s?": "optimised",
     r"by (?:its |their |the detector's )?answers": "query attack",
     r"answers alone": "black-box detector",
-    r"coats?": "paint",
+    r"(?<!clear )coats?": "paint",
     r"embeddings?(?!\.csv)": "features",
     r"headlines?": "result",
     r"(?:wears?|worn|wearing)": "with the camouflage",
