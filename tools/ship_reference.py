@@ -73,7 +73,7 @@ in a checkout. No data and no weights of others went in.
 {rows}
 
 AP is that of centres within 1 m on rendered images. YOLOv5 is not among them: its library is under
-the AGPL-3.0, so it is trained on your machine (`skyproof demo --train`).
+the AGPL-3.0, so it is trained on your machine (`skyproof train`).
 
 ## Licence
 
@@ -105,7 +105,7 @@ class ShipReference:
                 "shipped are made by it alone."
             )
         plan = reproduction_plan(Preset.parse(config), self.run_folder, device=self.device)
-        (check,) = (step.command for step in plan.steps if isinstance(step.command, Precheck))
+        (check,) = (step.settings for step in plan.steps if isinstance(step.settings, Precheck))
         self.out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
             made = [Path(scratch) / name for name in REFERENCE_DETECTORS]

@@ -2,7 +2,7 @@
 
 __version__: str
 
-from .assessment.command import assess as assess
+from .assessment.assess import assess as assess
 from .attacks.attack import attack as attack
 from .attacks.queries import query_attack as query_attack
 from .attacks.settings import AttackSettings as AttackSettings

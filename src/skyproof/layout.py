@@ -52,6 +52,11 @@ class Layout:
         return self.folder / "timings.json"
 
     @property
+    def steps(self) -> Path:
+        """What the steps that were begun are made of, as digests."""
+        return self.folder / "steps.json"
+
+    @property
     def tiles(self) -> Path:
         """Imagery as it was cut, with its vehicles."""
         return self.folder / "tiles"
@@ -82,11 +87,6 @@ class Layout:
     def detector(self, name: str) -> Path:
         """A detector folder."""
         return self.detectors / name
-
-    @property
-    def teachers(self) -> Layout:
-        """Where the detectors lie that taught what is tried on another: `detectors` alone."""
-        return Layout(self.folder / "teachers")
 
     def precheck(self, name: str) -> Path:
         """What `skyproof precheck` found of a detector."""

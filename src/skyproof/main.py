@@ -34,7 +34,6 @@ COMMANDS: dict[str, dict[str, str]] = {
         "render": "skyproof.cli.render:Render",
     },
     "Detectors": {
-        "reference": "skyproof.cli.reference:Reference",
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
         "precheck": "skyproof.cli.precheck:Precheck",
@@ -42,9 +41,6 @@ COMMANDS: dict[str, dict[str, str]] = {
     "Camouflage and judgement": {
         "attack": "skyproof.cli.attack:Attack",
         "score": "skyproof.cli.score:Score",
-    },
-    "Planning": {
-        "sample-size": "skyproof.cli.sample_size:SampleSize",
     },
 }
 

@@ -1,16 +1,16 @@
-"""One tiny run of the demo, made once; tests that change it work on copies."""
+"""One tiny run, made once; tests that change it work on copies."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from skyproof.main import run
-from tests.barely_trained import everything_counts
+from tests.tiny_suite import draw_datasets, tiny_suite
 
 
 def flags(text: str) -> list[str]:
@@ -18,32 +18,21 @@ def flags(text: str) -> list[str]:
     return text.split()
 
 
-# A network that has seen eight images finds next to nothing: rates may be undefined, and nothing
-# may fall over that.
-SIZES = flags(
-    "--sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 --sizes.training-images "
-    "12 --sizes.validation-images 6 --sizes.test-images 6 --sizes.training-vehicles 3 "
-    "--sizes.random-draws 2 --sizes.check-scenes 0"
-)
-STEPS = flags(
-    "--training.steps 4 --training.batch-size 2 --training.validate-every 4 "
-    "--training.checkpoint-every 2 --attack.steps 4 --attack.batch-size 2 "
-    "--attack.checkpoint-every 2 --attack.balance-batches 1"
-)
 # Controls that are chosen by the detectors and not learnt.
 CHOSEN = (
     *("R-U_plain", "R-U_best", "R-U_search"),
     *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"),
 )
 WORN = ("T-U", "T-PixFcMa", *CHOSEN, "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
-TINY = [*SIZES, *STEPS, "--train", "--detectors", "retinanet", "--device", "cpu"]
+TINY = ["assess", "retinanet", "--device", "cpu"]
+"""A run that is tiny by its suite, but for its folder."""
 
-# The same of detectors that come trained; they take larger networks' time, but see well.
-UNTRAINED = flags(
-    "--sizes.image-px 128 --sizes.tiles 1 1 2 3 --sizes.vehicles 1 1 2 3 --sizes.test-images 6 "
-    "--sizes.random-draws 1 --attack.steps 2 --attack.batch-size 2 --attack.balance-batches 1 "
-    "--device cpu"
-)
+
+@pytest.fixture(scope="session", autouse=True)
+def suites() -> Iterator[None]:
+    """Whole runs go by a suite that is far too small."""
+    with tiny_suite():
+        yield
 
 
 @dataclass(frozen=True)
@@ -84,11 +73,11 @@ def skyproof(capfd: pytest.CaptureFixture[str]) -> Skyproof:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(suites: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished tiny run; not to be changed."""
     folder = tmp_path_factory.mktemp("cli") / "finished"
-    with everything_counts():
-        assert run(["demo", "--out", str(folder), *TINY]) == 0
+    assert run([*TINY, "--out", str(folder)]) == 0
+    draw_datasets(folder, 128, train=12, validation=6)
     return folder
 
 
@@ -133,7 +122,7 @@ RESULTS = (
     "detectors/retinanet/weights.safetensors",
     "camouflages/T-U/camouflage.safetensors",
     "camouflages/T-U/texture.png",
-    "scores/test/outcomes.parquet",
+    "scores/test-0/outcomes.parquet",
     "datasets/test/annotations.json",
 )
 

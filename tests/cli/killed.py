@@ -1,4 +1,4 @@
-"""Runs the demo in child processes and ends each at a given moment.
+"""Runs an assessment in child processes and ends each at a given moment.
 
 It is a script, so that torch is imported once.
 
@@ -27,8 +27,8 @@ import torch
 from PIL import Image
 
 from skyproof.main import run
-from tests.barely_trained import everything_counts
 from tests.few_scenes import few_scenes_judge
+from tests.tiny_suite import tiny_suite
 
 
 def plain(path: object) -> str:
@@ -91,12 +91,12 @@ def main() -> None:
         if not child:
             arm(how, fragment, nth)
             with (
-                everything_counts(),
                 few_scenes_judge(),
+                tiny_suite(),
                 open(os.devnull, "w") as nowhere,
                 contextlib.redirect_stdout(nowhere),
             ):
-                code = run(["demo", "--out", str(folder), *arguments])
+                code = run([*arguments, "--out", str(folder)])
             os._exit(code)
         if how in ("appears", "interrupt"):
             until = time.monotonic() + 60

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from skyproof.assessment import command as assess
-from skyproof.assessment import run_folder
+from skyproof.assessment import assess
+from skyproof.assessment import run as run_module
 from skyproof.assessment.answers import say_answers, say_expected
-from skyproof.assessment.enough import Enough
 from skyproof.assessment.suite import Expected, read_suite
 from skyproof.attacks.settings import QuerySettings
 from skyproof.detectors.reference_detectors import reference_folder
@@ -17,7 +16,6 @@ from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.main import run
 from skyproof.results.statistics.acceptance import fewest_tiles
-from skyproof.scenes.scene import read_scenes
 from tests.cli.conftest import Skyproof, bytes_of
 
 WHOLE = read_suite()
@@ -44,7 +42,7 @@ TINY = replace(
 @pytest.fixture(scope="module", autouse=True)
 def suite():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "read_suite", lambda: TINY)
+        patch.setattr(assess, "read_suite", lambda *_: TINY)
         yield
 
 
@@ -87,7 +85,7 @@ def test_a_second_call_changes_nothing_and_says_the_answer(
     assessed, skyproof: Skyproof, monkeypatch
 ):
     before = bytes_of(assessed)
-    monkeypatch.setattr(run_folder, "_now", lambda: "another second")
+    monkeypatch.setattr(run_module, "_now", lambda: "another second")
     again = skyproof("assess", assessed / "mine", "--out", assessed / "run", "--device", "cpu")
     assert again.code == 0
     assert "the answer says nothing of your places" in again.out
@@ -123,6 +121,7 @@ def test_a_finished_run_is_asked_for_a_verdict(assessed, tmp_path, skyproof: Sky
         assert " ".join(verdict["detectors"][0]["sentences"]) in answer.out
         assert "no verdict is possible on fewer than" in answer.out or reject == 0.95
     renewed = {"config.json", "environment.json", "timings.json", "report.html", "results.json"}
+    renewed.add("steps.json")
     added = {"verdict.json", "enough.json"}
     after = bytes_of(folder)
     assert {name for name in after if before.get(name) != after[name]} <= renewed | added
@@ -183,11 +182,9 @@ def test_too_little_ground_for_the_risks_stops_before_anything_is_learnt(
         "The 6 scenes of", "on fewer than 5 no detector can be accepted", "give imagery with about"
     )
     assert not Layout(out).camouflages.exists()
-    scenes = read_scenes(Layout(out).scenes("test"))
-    ground = Enough(Layout(out).scenes("test"), 0.9, 0.3, tmp_path / "enough.json")
-    ground.run()
-    told = json.loads((tmp_path / "enough.json").read_text())["test_tiles"]
-    assert told == len({scene.background.tile for scene in scenes})
+    risks = ("--producer-risk", 0.3, "--consumer-risk", 0.3)
+    told = skyproof(*call, "--accept", 0.01, "--reject", 0.9, *risks, "--plan")
+    assert told.code == 0, told.err
 
 
 def test_what_is_hidden_is_printed_beside_what_half_a_vehicle_would_find(

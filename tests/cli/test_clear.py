@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from skyproof.cli.clear import say_light, warnings
 from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.imagery.clearing.words import light_words, warnings
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import Skyproof
 from tests.imagery.test_clear import tiled
@@ -25,7 +25,7 @@ def test_a_folder_is_cleared_and_tiles_are_dropped(tmp_path, skyproof: Skyproof)
     assert BackgroundSet.open(tmp_path / "cleared").tiles("validation") == []
 
 
-def test_it_says_what_was_done_about_the_sun_of_how_many_sources(capsys):
+def test_it_says_what_was_done_about_the_sun_of_how_many_sources():
     own = {"elevation_rad": 0.5, "known_from": "shadows of 9 vehicles"}
     shared = {"elevation_rad": 0.6, "known_from": "other photographs of the set"}
     record = {
@@ -34,8 +34,7 @@ def test_it_says_what_was_done_about_the_sun_of_how_many_sources(capsys):
         "photographs": 6,
         "shaded": ["a-0", "c-0"],
     }
-    say_light(record)
-    assert capsys.readouterr().out.splitlines() == [
+    assert [*light_words(record)] == [
         "Sun known over 3 of 6 sources, 29 to 34 degrees high, that of 1 taken from the others, "
         "which agree: vehicles will stand in it, and in the shadows that were found on 2 tiles.",
         "Overcast: over 2 of 6 sources vehicles cast no shadow (or too few stand to tell, and "

@@ -169,7 +169,7 @@ def test_scoring_again_measures_the_same(
     assert answer.code == 0, answer.err
     assert "EASR" in answer.out
     for name in ("outcomes.parquet", "sets.json"):
-        assert (out / name).read_bytes() == (finished / "scores/test" / name).read_bytes()
+        assert (out / name).read_bytes() == (finished / "scores/test-0" / name).read_bytes()
     again = [*call, *original, "--out", out, "--camouflages"]
     skyproof(*again, *names).refused(str(out), "not overwritten")
     again[again.index(out)] = tmp_path / "x"
@@ -241,19 +241,19 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     (folder / "report.html").unlink()
     for file, bad in (
         ("config.json", "{"),
-        ("scores/test/score.json", "{"),
-        ("scores/test/score.json", '{"rows": []}'),
-        ("scores/test/outcomes.parquet", "damaged"),
-        ("scores/test/baselines.json", "{"),
-        ("scores/test/pairs/pairs.json", "{}"),
-        ("scores/test/patterns/T-U/texture.png", "damaged"),
+        ("scores/test-0/score.json", "{"),
+        ("scores/test-0/score.json", '{"rows": []}'),
+        ("scores/test-0/outcomes.parquet", "damaged"),
+        ("scores/test-0/baselines.json", "{"),
+        ("scores/test-0/pairs/pairs.json", "{}"),
+        ("scores/test-0/patterns/T-U/texture.png", "damaged"),
         ("detectors/retinanet/steps.jsonl", "{"),
         ("detectors/retinanet/detector.json", "[]"),
         ("config.json", "[]"),
         ("environment.json", "[]"),
         ("timings.json", "{}"),
-        ("scores/test/patterns/T-U/steps.jsonl", "[1]"),
-        ("scores/test/patterns/T-U/steps.jsonl", '{"step": 1}'),
+        ("scores/test-0/patterns/T-U/steps.jsonl", "[1]"),
+        ("scores/test-0/patterns/T-U/steps.jsonl", '{"step": 1}'),
     ):
         good = (folder / file).read_bytes()
         (folder / file).write_text(bad)

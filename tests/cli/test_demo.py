@@ -1,22 +1,24 @@
-"""The demo from nothing to a report, and what a second call does."""
+"""A whole run from nothing to a report, what a second call does, and the demo."""
 
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from skyproof.cli.rendering import Rendering
-from skyproof.cli.report import Report
+from skyproof.cycles.rendering import Rendering
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
+from skyproof.results.precheck import read_precheck
+from skyproof.main import run
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.backgrounds import BackgroundSet
-from tests.barely_trained import everything_counts
 from tests.cli.conftest import CHOSEN, TINY, Skyproof, bytes_of
+from tests.tiny_suite import TINY_SUITE, tiny_suite
 
 KEYS = {
     "camouflage", "renderer", "detector", "vehicles", "easr", "easr_low", "easr_high", "net_easr",
@@ -46,28 +48,27 @@ def test_second_call_changes_nothing(finished: Path, skyproof: Skyproof) -> None
     before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
     contents = bytes_of(finished)
     for extra in ([], ["--device", "auto"]):
-        answer = skyproof("demo", "--out", finished, *TINY, *extra)
+        answer = skyproof(*TINY, "--out", finished, *extra)
         assert answer.code == 0
-        assert "finished" in answer.out
+        assert "T-U hides " in answer.out
         assert str(finished / "report.html") in answer.out.replace("\n", "")
     assert {path: path.stat().st_mtime_ns for path in finished.rglob("*")} == before
-    skyproof("demo", "--out", finished, *TINY, "--gsd", 0.2).refused("--gsd", "--imagery")
+    skyproof(*TINY, "--out", finished, "--gsd", 0.2).refused("--gsd", "--imagery")
     assert bytes_of(finished) == contents
 
 
-def test_other_settings_are_refused_and_named(finished: Path, skyproof: Skyproof) -> None:
+def test_other_settings_are_refused_and_named(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
     contents = bytes_of(finished)
-    frames = finished / "nowhere@0.1"
-    for flags, name in (
-        (["--seed", 1], "seed"),
-        (["--attack.steps", 5], "attack"),
-        (["--imagery", "/some/orthophoto.tif"], "imagery"),
-        (["--frames", frames], "frames"),
-        (["--sizes.test-images", 7], "sizes"),
-    ):
-        skyproof("demo", "--out", finished, *TINY, *flags).refused(
-            str(finished), f"({name})", "another --out"
+    photo = tmp_path / "photo.tif"
+    photo.touch()
+    for flags, names in ((["--seed", 1], "seed"), (["--imagery", photo], "imagery")):
+        skyproof(*TINY, "--out", finished, *flags).refused(
+            str(finished), f"({names})", "another --out"
         )
+    call = ("assess", "faster_rcnn", "--device", "cpu", "--out", finished)
+    skyproof(*call).refused("(detectors, names, sources_sha256)", "another --out")
     assert bytes_of(finished) == contents
 
 
@@ -82,24 +83,22 @@ def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
     card = folder / "detectors" / "retinanet" / "detector.json"
     good = card.read_text()
     card.write_text(json.dumps({**json.loads(good), "threshold": 1.0}))
-    skyproof("demo", "--out", folder, *TINY).refused(
-        "retinanet finds none of the", "threshold of 1"
-    )
-    assert not (folder / "scores" / "test").exists()
+    skyproof(*TINY, "--out", folder).refused("retinanet finds none of the", "threshold of 1")
+    assert not (folder / "scores" / "test-0").exists()
     card.write_text(good)
-    assert skyproof("demo", "--out", folder, *TINY).code == 0
+    assert skyproof(*TINY, "--out", folder).code == 0
 
 
 def test_every_step_is_announced_without_a_terminal(copied, skyproof: Skyproof) -> None:
     folder = copied("scores", "report.html")
-    answer = skyproof("demo", "--out", folder, *TINY)
+    answer = skyproof(*TINY, "--out", folder)
     assert answer.code == 0
-    assert "[19/20] score test (about " in answer.out
-    assert "[20/20] report (about " in answer.out
+    assert "[15/16] score test-0 (about " in answer.out
+    assert "[16/16] report (about " in answer.out
     for name in ("render T-U", "score"):
         assert f"  {name} ..." in answer.out
         assert f"  {name}: done in" in answer.out
-    assert "train retinanet" not in answer.out  # it was finished before
+    assert "render test" not in answer.out  # it was finished before
 
 
 def test_time_left_is_printed(
@@ -141,8 +140,9 @@ def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         drawn.append(out.name)
         yield Stand(backgrounds)
 
-    monkeypatch.setattr("skyproof.cli.renderers.open_renderer", opened)
-    monkeypatch.setattr("skyproof.cycles.blender.find_blender", lambda path: path)
+    for place in ("skyproof.cycles.opening", "skyproof.assessment.preparing"):
+        monkeypatch.setattr(f"{place}.open_renderer", opened)
+    monkeypatch.setattr("skyproof.assessment.assess.find_blender", lambda path: path)
     return drawn
 
 
@@ -161,14 +161,13 @@ def test_cycles_is_added_to_a_finished_demo(
     folder = copied()
     before = bytes_of(folder)
     page = (folder / "report.html").read_text()
-    answer = skyproof("demo", "--out", folder, *WITH_CYCLES)
+    answer = skyproof(*WITH_CYCLES, "--out", folder)
     assert answer.code == 0, answer.err
     assert blender == ["test-cycles", "test-cycles"]
-    assert "train retinanet" not in answer.out
     assert "on Blender Cycles images" in answer.out
     after = bytes_of(folder)
     changed = {name for name in before if after[name] != before[name]}
-    records = {"environment.json", "timings.json"}
+    records = {"environment.json", "steps.json", "timings.json"}
     assert changed == {"results.json", "report.html", *records}
     added = {"/".join(name.split("/")[:2]) for name in after.keys() - before.keys()}
     assert added == {"datasets/test-cycles", "scores/test-cycles"}
@@ -192,7 +191,7 @@ def test_cycles_is_added_to_a_finished_demo(
 
     # Given again, with Cycles or without: nothing is left to do.
     for flags in (WITH_CYCLES, TINY):
-        assert "finished" in skyproof("demo", "--out", folder, *flags).out
+        assert "[" not in skyproof(*flags, "--out", folder).out
     assert bytes_of(folder) == after
 
 
@@ -204,21 +203,21 @@ def test_cycles_goes_on_where_it_was_stopped(
 ) -> None:
     folder = copied()
 
-    def stop(self: Report) -> None:
+    def stop(*given: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Report, "run", stop)
-        assert skyproof("demo", "--out", folder, *WITH_CYCLES).code == 130
+        patch.setattr("skyproof.assessment.judging.write_report", stop)
+        assert skyproof(*WITH_CYCLES, "--out", folder).code == 130
     assert blender == ["test-cycles", "test-cycles"]
     # The older page does not count as finished.
-    answer = skyproof("demo", "--out", folder, *WITH_CYCLES)
+    answer = skyproof(*WITH_CYCLES, "--out", folder)
     assert answer.code == 0, answer.err
     assert blender == ["test-cycles", "test-cycles"]
     assert "Cycles" in (folder / "report.html").read_text()
     (folder / "report.html").write_text("old")
     os.utime(folder / "report.html", (0, 0))
-    assert skyproof("demo", "--out", folder, *WITH_CYCLES).code == 0
+    assert skyproof(*WITH_CYCLES, "--out", folder).code == 0
     assert "Cycles" in (folder / "report.html").read_text()
 
 
@@ -228,52 +227,63 @@ def test_a_missing_blender_is_said_before_anything_is_done(
     def missing(path: Path | None) -> None:
         raise ConfigurationError(f"no Blender at {path}; run `make blender`.")
 
-    monkeypatch.setattr("skyproof.cycles.blender.find_blender", missing)
+    monkeypatch.setattr("skyproof.assessment.assess.find_blender", missing)
     contents = bytes_of(finished)
     for folder in (tmp_path / "run", finished):
-        skyproof("demo", "--out", folder, *WITH_CYCLES).refused("make blender", "/opt/blender")
+        skyproof(*WITH_CYCLES, "--out", folder).refused("make blender", "/opt/blender")
     assert not (tmp_path / "run").exists()
     assert bytes_of(finished) == contents
-    skyproof("demo", "--out", finished, *TINY, "--blender", "/opt/blender").refused("--cycles")
+    skyproof(*TINY, "--out", finished, "--blender", "/opt/blender").refused("--cycles")
 
 
-def test_a_mistake_that_no_finished_step_depends_on_is_corrected(
-    tmp_path: Path, finished: Path, skyproof: Skyproof
-) -> None:
+def test_any_seed_and_two_at_once(tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "run"
-    shutil.copytree(finished, out)
-    for made in ("camouflages", "scores", "results.json", "report.html"):
-        path = out / made
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-    kept = bytes_of(out / "detectors")
-    # What the attack needs changes; ground, images and detectors stay.
-    none_random = (*TINY, "--sizes.random-draws", 0)
-    said = skyproof("demo", "--out", out, *none_random, "--attack.learning-rate", 0.01)
-    assert said.code == 0, said.err
-    assert "ground" not in said.out
-    assert bytes_of(out / "detectors") == kept
-    assert json.loads((out / "config.json").read_text())["attack"]["learning_rate"] == 0.01
-    # Now the attack is finished, too.
-    skyproof("demo", "--out", out, *none_random).refused("(attack)", "finished steps depend on")
-
-
-def test_any_seed_two_at_once_and_controls_where_there_were_none(
-    tmp_path: Path, skyproof: Skyproof
-) -> None:
-    out = tmp_path / "run"
-    call = ("demo", "--out", out, *TINY, "--seed", -1, "--sizes.test-images", 2)
-    none_random = (*call, "--sizes.random-draws", 0)
+    call = (*TINY, "--out", out, "--seed", -1)
     with alone(out):
-        skyproof(*none_random).refused("is being written by another process", str(os.getpid()))
+        skyproof(*call).refused("is being written by another process", str(os.getpid()))
     assert not out.exists()
-    with everything_counts():
-        said = skyproof(*none_random)
-    assert said.code == 0, said.err
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skyproof.assessment.assess.attacks", lambda its: iter(()))
+        answer = skyproof(*call)
+    assert answer.code == 0, answer.err
     rows = json.loads((out / "results.json").read_text())["rows"]
-    assert {row["camouflage"] for row in rows} == {"T-U", "T-PixFcMa"}
-    assert all(row["net_easr"] is None for row in rows)
-    # The scores have to go, because they are of fewer camouflages.
-    shutil.rmtree(out / "scores")
-    said = skyproof(*call)
-    assert said.code == 0, said.err
-    assert (out / "camouflages/R-PixFcMa-1/camouflage.json").exists()
+    assert {row["camouflage"] for row in rows} == {"R-U", "R-PixFcMa"}
+
+
+@pytest.fixture(scope="module")
+def demo(suites: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished demo by a suite that is far too small; not to be changed."""
+    folder = tmp_path_factory.mktemp("demo") / "run"
+    short = replace(
+        TINY_SUITE, steps=replace(TINY_SUITE.steps, texture=2), draws=1, attacks=("T-U",)
+    )
+    with tiny_suite(short):
+        assert run(["demo", "--out", str(folder), "--device", "cpu"]) == 0
+    return folder
+
+
+def test_the_demo_attacks_both_reference_detectors_and_checks_and_trains_nothing(
+    demo: Path,
+) -> None:
+    rows = json.loads((demo / "results.json").read_text())["rows"]
+    assert {row["detector"] for row in rows} == {*REFERENCE_DETECTORS, "mean"}
+    assert {row["camouflage"] for row in rows} == {"T-U", "R-U", *CHOSEN[:3]}
+    clean = [row["ap_original"] for row in rows if row["match"] == "centre_1m"]
+    assert min(clean) > 0.5
+    for name in REFERENCE_DETECTORS:
+        assert bytes_of(demo / "detectors" / name) == bytes_of(REFERENCE_FOLDER / name)
+    assert [path.name for path in (demo / "datasets").iterdir()] == ["test"]
+    times = json.loads((demo / "timings.json").read_text())
+    assert not {"train", "check"} & {row["stage"] for row in times}
+
+
+def test_the_report_says_that_they_were_checked_before(demo: Path) -> None:
+    page = (demo / "report.html").read_text()
+    scenes = read_precheck(REFERENCE_FOLDER / "retinanet").measured_on.scenes
+    told = (
+        f"RetinaNet and Faster R-CNN were checked before, on {scenes} scenes of procedural ground, "
+        "and not on the scenes of this run."
+    )
+    assert page.count(told) == 1
+    assert "are the detectors worth attacking?" in page
+    assert "was not checked" not in page

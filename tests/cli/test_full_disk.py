@@ -12,7 +12,6 @@ import pyarrow.parquet
 import pytest
 from PIL import Image
 
-from tests.barely_trained import everything_counts
 from tests.cli.conftest import TINY, Skyproof, assert_same_results
 
 pytestmark = pytest.mark.slow
@@ -24,15 +23,9 @@ CASES = {
     "tile index": ("index.json", 1, "backgrounds"),
     "fleet": ("fleets/train/fleet.safetensors", 1, "fleets"),
     "fleet description": ("fleets/test/fleet.json", 1, "fleets"),
-    "scenes": ("scenes/validation.jsonl", 1, "scenes/validation.jsonl"),
-    "dataset labels": ("datasets/validation/annotations.json", 1, "datasets/validation"),
+    "scenes": ("scenes/test.jsonl", 1, "scenes/test.jsonl"),
+    "dataset labels": ("datasets/test/annotations.json", 1, "datasets/test"),
     "dataset image": ("datasets/test/images/", 2, "datasets/test"),
-    "training checkpoint": (
-        "retinanet/checkpoint.safetensors",
-        3,
-        "detectors/retinanet/detector.json",
-    ),
-    "training log": ("retinanet/steps.jsonl", 1, "detectors/retinanet/detector.json"),
     "detector weights": ("retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
     "detector card": ("retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
     "attack mark": ("T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
@@ -42,10 +35,10 @@ CASES = {
     "camouflage picture": ("T-U/texture.png", 1, "camouflages/T-U/camouflage.json"),
     "camouflage record": ("T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
     "control": ("R-U-1/texture.png", 1, "camouflages/R-U-1/camouflage.json"),
-    "outcomes": ("outcomes.parquet", 1, "scores/test"),
-    "score record": ("scores/test/score.json", 1, "scores/test"),
-    "pair picture": ("pairs/T-U/", 1, "scores/test"),
-    "portrait": ("on_vehicle.png", 1, "scores/test"),
+    "outcomes": ("outcomes.parquet", 1, "scores/test-0"),
+    "score record": ("scores/test-0/score.json", 1, "scores/test-0"),
+    "pair picture": ("pairs/T-U/", 1, "scores/test-0"),
+    "portrait": ("on_vehicle.png", 1, "scores/test-0"),
     "results": ("results.json", 1, "results.json"),
     "report": ("report.html", 1, "report.html"),
 }
@@ -93,14 +86,13 @@ def test_full_disk_in_every_stage(tmp_path: Path, finished: Path, skyproof: Skyp
     for case, (fragment, nth, result) in CASES.items():
         with pytest.MonkeyPatch.context() as monkeypatch:
             disk = FullDisk(monkeypatch, fragment, nth)
-            with everything_counts():
-                answer = skyproof("demo", "--out", folder, *TINY)
+            answer = skyproof(*TINY, "--out", folder)
         assert disk.left == 0, case
         answer.refused("No space left on device", "free space", str(folder))
         # Only what bears this name counts as finished.
         assert not (folder / result).exists(), case
         assert not [path for path in folder.rglob("*") if "partial" in path.name], case
-    assert skyproof("demo", "--out", folder, *TINY).code == 0
+    assert skyproof(*TINY, "--out", folder).code == 0
     assert_same_results(folder, finished)
 
 
@@ -134,8 +126,7 @@ def test_really_full_disk(small_disk: Path, finished: Path, skyproof: Skyproof) 
         )
         used = 64 * 2**20 - free
         filler.write_bytes(b"x" * max(0, 64 * 2**20 - used - max(0, room - used)))
-        with everything_counts():
-            answer = skyproof("demo", "--out", small_disk / "run", *TINY)
+        answer = skyproof(*TINY, "--out", small_disk / "run")
         if answer.code == 0:
             break
         answer.refused("No space left on device", "free space", str(small_disk / "run"))

@@ -6,12 +6,18 @@ from pathlib import Path
 import pytest
 import torch
 
-from skyproof.cli.ground import Ground, say_record, tiling_for_images
+from skyproof.cli.ground import Ground
 from skyproof.cli.vehicles import Vehicles
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
-from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
+from skyproof.imagery.settings import (
+    LabelSettings,
+    SourceSettings,
+    TilingSettings,
+    tiling_for_images,
+)
 from skyproof.imagery.tiles.tiling import TilingRecord
+from skyproof.imagery.tiles.words import tiling_words
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -103,11 +109,10 @@ def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: S
 
 
 @pytest.mark.parametrize(("tiles", "told"), [(9, "±33 points"), (12, None), (0, None)])
-def test_too_few_test_tiles_for_an_interval_are_told_at_once(capsys, tiles, told):
+def test_too_few_test_tiles_for_an_interval_are_told_at_once(tiles, told):
     counts = {split: {"tiles": 5, "vehicles": 0, "ignored": 0} for split in SPLITS}
     counts["test"]["tiles"] = tiles
     record = TilingRecord({}, [], {}, counts, empty=0, missing=[], notes=[])
-    say_record(Ground(out=Path("set"), sources=(Path("a.tif"),)), record)
-    said = capsys.readouterr().out
+    said = "\n".join(tiling_words(record, labelled=False))
     assert ("too few for a useful interval" in said) == (told is not None)
     assert told is None or told in said

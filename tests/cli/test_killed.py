@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import STEPS, TINY, assert_same_results
+from tests.cli.conftest import TINY, assert_same_results
+from tests.tiny_suite import TINY_SUITE
 
 HELPER = Path(__file__).with_name("killed.py")
 ROOT = HELPER.parents[2]
@@ -41,10 +42,8 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("rename", "/backgrounds", 1, "backgrounds/tiles"),
         ("write", "fleet.safetensors", 2, "fleets"),
         ("write", "scenes/test.jsonl", 1, "scenes/test.jsonl"),
-        ("write", "datasets/train/images/", 5, "datasets/train"),
-        # The first checkpoint is that of step 0.
-        ("write", "retinanet/checkpoint.safetensors", 2, "detectors/retinanet/detector.json"),
-        ("rename", "retinanet/checkpoint.safetensors", 2, "detectors/retinanet/detector.json"),
+        ("write", "datasets/test/images/", 5, "datasets/test"),
+        ("write", "steps.json", 1, "backgrounds"),
         ("rename", "retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
         ("rename", "retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
         ("appears", "camouflages/T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
@@ -58,12 +57,12 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("rename", "T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
         ("rename", "T-U/camouflage.json", 1, "camouflages/T-U/camouflage.json"),
         ("write", "R-U-0/texture.png", 1, "camouflages/R-U-0/camouflage.json"),
-        ("write", "R-U-1/images/", 2, "scores/test"),
-        ("appears", "scores/.test.partial", 1, "scores/test"),
-        ("rename", "outcomes.parquet", 1, "scores/test"),
-        ("write", "pairs/T-U/", 1, "scores/test"),
-        ("rename", "on_vehicle.png", 1, "scores/test"),
-        ("rename", "scores/test", 8, "scores/test"),
+        ("write", "R-U-1/images/", 2, "scores/test-0"),
+        ("appears", "scores/.test.partial", 1, "scores/test-0"),
+        ("rename", "outcomes.parquet", 1, "scores/test-0"),
+        ("write", "pairs/T-U/", 1, "scores/test-0"),
+        ("rename", "on_vehicle.png", 1, "scores/test-0"),
+        ("rename", "scores/test-0", 8, "scores/test-0"),
         ("write", "results.json", 1, "results.json"),
         ("write", "report.html", 1, "report.html"),
     ]
@@ -80,6 +79,4 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         json.loads(line)
         for line in (folder / "camouflages/T-U/steps.jsonl").read_text().splitlines()
     ]
-    assert [row["step"] for row in steps] == list(
-        range(1, int(STEPS[STEPS.index("--attack.steps") + 1]) + 1)
-    )
+    assert [row["step"] for row in steps] == list(range(1, TINY_SUITE.steps.texture + 1))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.hostile.sandbox import Kind
-from tests.hostile.world import DEMO
+from tests.hostile.world import ASSESS
 
 __all__ = ["CARDS", "DATASETS", "GROUND", "JSON_KINDS", "LABELS", "PRESETS", "RUNS"]
 __all__ += ["SCENES", "SCORES", "TEXTS"]
@@ -95,8 +95,8 @@ def report(inputs: Path, out: Path) -> Sequence[object]:
     return ["report", "--run-folder", out / "copy"]
 
 
-def demo(inputs: Path, out: Path) -> Sequence[object]:
-    return ["demo", "--out", out / "copy", *DEMO]
+def assess(inputs: Path, out: Path) -> Sequence[object]:
+    return [*ASSESS, "--out", out / "copy"]
 
 
 def reproduce(inputs: Path, out: Path) -> Sequence[object]:
@@ -138,14 +138,15 @@ CARDS = [
     Kind("generator", "learnt/generator.json", learnt),
     Kind("check", "detectors/retinanet/precheck.json", report, copied=".", slow=True),
 ]
+SCORE = "scores/test-0"
 SCORES = [
-    Kind(f"report of {name}", f"scores/test/{name}.json", report, copied="scores/test", slow=True)
+    Kind(f"report of {name}", f"{SCORE}/{name}.json", report, copied=SCORE, slow=True)
     for name in ("score", "sets", "checks", "pairs/pairs", "practicality")
 ]
 RUNS = [
     # What has no bearing on the steps does not end the command before its report.
-    Kind(f"run with {name}", f"{name}.json", demo, copied=".", slow=name != "config")
-    for name in ("config", "environment", "timings")
+    Kind(f"run with {name}", f"{name}.json", assess, copied=".", slow=name != "config")
+    for name in ("config", "environment", "timings", "steps")
 ]
 # Presets have a module of their own.
 JSON_KINDS = [*SCENES, *GROUND, *DATASETS, *LABELS, *CARDS, *SCORES, *RUNS]

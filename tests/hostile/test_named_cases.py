@@ -117,7 +117,6 @@ OUTPUTS: dict[str, Words] = {
     "clear": lambda inputs, out: [*kinds.clear(inputs, out), "--out", out / "mine"],
     "vehicles": lambda inputs, out: [*kinds.mix(inputs, out)[:-1], out / "mine"],
     "score": lambda inputs, out: [*kinds.score(inputs, out), "--out", out / "mine"],
-    "reference": lambda inputs, out: ["reference", "--out", out / "mine"],
     "train": lambda inputs, out: [*kinds.train(inputs, out), "--out", out / "mine"],
     "attack": lambda inputs, out: ["attack", "R-U", "--out", out / "mine", *kinds.ON_CPU],
     "reproduce": lambda inputs, out: ["reproduce", "--out", out / "mine", "--cores", 1],

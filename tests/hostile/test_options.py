@@ -16,7 +16,6 @@ from skyproof.main import COMMANDS, load_command
 from tests.hostile import kinds
 from tests.hostile.sandbox import RAN, Sandbox
 from tests.hostile.values import NUMBERS, examples
-from tests.hostile.world import DEMO
 
 pytestmark = pytest.mark.slow
 
@@ -59,7 +58,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
     imported += ["--out", out / "new"]
     checked = ["precheck", detector, "--backgrounds", inputs / "nowhere"]
     calls: dict[str, Sequence[object]] = {
-        "demo": ["demo", "--out", out / "new", *DEMO, "--imagery", inputs / "nowhere.tif"],
+        "demo": ["demo", "--out", out / "new", "--device", "nowhere"],
         "assess": ["assess", detector, "--out", out / "new", "--imagery", inputs / "nowhere.tif"],
         "reproduce": ["reproduce", "--preset", inputs / "nowhere.json", "--out", out / "new"],
         "report": ["report", "--run-folder", inputs / "nowhere"],
@@ -71,13 +70,11 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         ],
         "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
-        "reference": ["reference", "--out", out / "new"],
         "train": kinds.train(inputs, out),
         "precheck": [*checked, "--fleet", inputs / "nowhere"],
         "import": ["import", inputs / "palette.json", "--kind", "torchvision", *imported],
         "attack": ["attack", "R-PixFc", "--palette", inputs / "palette.json", "--out", out / "new"],
         "score": ["score", "--detectors", detector, "--out", out / "new"],
-        "sample-size": ["sample-size"],
     }
     return calls[name]
 

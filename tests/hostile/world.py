@@ -1,13 +1,12 @@
-"""The tiny world: a run of the demo, tiled imagery, labels of every form, a palette, a preset."""
+"""The tiny world: a run, tiled imagery, labels of every form, a palette, a preset."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import rasterio
 from PIL import Image
@@ -23,22 +22,26 @@ from skyproof.reproduction.preset import PRESETS
 from skyproof.results.baseline import Baseline
 from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate, write_precheck
 from skyproof.results.statistics.intervals import Interval
-from tests.barely_trained import everything_counts
 from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise
+from tests.tiny_suite import TINY_SUITE, draw_datasets, tiny_suite
 
-__all__ = ["DEMO", "make_world", "one_texture"]
+__all__ = ["ASSESS", "make_world", "one_texture"]
 
-_SIZES = "image-px 96,tiles 1 1 1 1,vehicles 1 1 1 1,training-images 6,validation-images 2"
-_SIZES += ",test-images 2,training-vehicles 2,random-draws 1,check-scenes 0"
-_STEPS = "steps 2,batch-size 1,checkpoint-every 2"
-DEMO = [
-    *(f"--sizes.{size}" for size in _SIZES.split(",")),
-    *(f"--training.{value}" for value in (*_STEPS.split(","), "validate-every 2")),
-    *(f"--attack.{value}" for value in (*_STEPS.split(","), "balance-batches 1")),
-    "--train --detectors retinanet --device cpu",
-]
-DEMO = [word for option in DEMO for word in option.split(" ")]
+ASSESS = ("assess", "retinanet", "--device", "cpu")
+_SUITE = replace(
+    TINY_SUITE,
+    # T-PixFcMa would be in no document of another form.
+    attacks=("T-U",),
+    settings=replace(TINY_SUITE.settings, batch_size=1),
+    steps=replace(TINY_SUITE.steps, texture=2),
+    draws=1,
+    attack_m=12.0,
+    image_m=12.0,
+    test_images=2,
+    tiles=(1, 1, 1, 1),
+    vehicles=(1, 1, 1, 1),
+)
 
 _SIDE_PX = 160
 _EAST, _NORTH = 1_550_000.0, 5_190_000.0
@@ -52,18 +55,16 @@ DOTA_TEXT = (
 )
 
 
-@contextmanager
-def one_texture() -> Iterator[None]:
-    """Within it a demo has T-U alone: T-PixFcMa would be in no document of another form."""
-    with patch("skyproof.assessment.demo.TEXTURES", ("T-U",)):
-        yield
+def one_texture() -> AbstractContextManager[None]:
+    """Within it runs have T-U alone."""
+    return tiny_suite(_SUITE)
 
 
 def make_world(folder: Path) -> None:
     """Writes everything below a folder that is not there yet."""
-    command = ["demo", "--out", str(folder), *DEMO]
-    with everything_counts(), one_texture():
-        assert run(command) == 0
+    with one_texture():
+        assert run([*ASSESS, "--out", str(folder)]) == 0
+    draw_datasets(folder, 96, train=6, validation=2)
     _write_check(folder / "detectors/retinanet")
     imagery = folder / "imagery"
     imagery.mkdir()

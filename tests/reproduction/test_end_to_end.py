@@ -12,12 +12,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from skyproof.assessment.world import RENDERED
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.reproduction.preset import read_preset
 from skyproof.reproduction.workflow import reproduction_plan
+from skyproof.reproduction.world import RENDERED
 from skyproof.storage import read_tensors
 from tests.barely_trained import count_everything
 
@@ -37,7 +37,7 @@ def begin(folder, preset):
     steps = reproduction_plan(read, folder).steps
     for step in steps:
         if step.id in WORLD:
-            step.command.run()
+            step.work()
     return {step.id for step in steps} - WORLD
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from skyproof.assessment.plan import Step
+from skyproof.assessment.run import Step
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
@@ -167,13 +167,13 @@ def test_judges_score_what_the_run_renders() -> None:
     assert added == [f"score/judges.{table}.{batch}" for table in tables for batch in batches]
     score = steps["score/judges.real.001"]
     places = [Path("run/judges/real/detectors") / name for name in ("faster_rcnn", "retinanet")]
-    assert list(score.command.detectors) == places  # type: ignore[attr-defined]
+    assert list(score.settings.detectors) == places  # type: ignore[attr-defined]
     assert score.outputs == (Path("run/judges/real/scores/001"),)
     assert {place / "detector.json" for place in places} <= set(score.inputs)
     # Attacks as they are finished: neither copies kept on the way nor colours before rounding.
-    worn = [folder.name for folder in score.command.camouflages]  # type: ignore[attr-defined]
+    worn = [folder.name for folder in score.settings.camouflages]  # type: ignore[attr-defined]
     assert worn == ["T-Fc-0", "S-O@0.4-0", "C-Fc-seq@0.4-0", "C-Fc-par@0.4-0"]
-    on_cycles = steps["score/judges.real.cycles-000"].command
+    on_cycles = steps["score/judges.real.cycles-000"].settings
     assert on_cycles.original == Path("run/datasets/test-cycles")  # type: ignore[attr-defined]
     assert set(score.outputs) <= set(steps["report/report"].inputs)
     assert not [name for name in steps_of(cycles=False) if "judges" in name and "cycles" in name]
@@ -183,7 +183,7 @@ def test_judges_score_what_the_run_renders() -> None:
     )
     for name in added:
         _, command, *words = step_words(steps[name])
-        assert tyro.cli(load_command(command), args=words) == steps[name].command
+        assert tyro.cli(load_command(command), args=words) == steps[name].settings
 
 
 def test_a_finished_run_is_given_only_what_its_judges_add(tmp_path: Path) -> None:

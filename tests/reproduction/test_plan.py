@@ -14,9 +14,6 @@ from typing import get_type_hints, is_typeddict
 import pytest
 import tyro
 
-from skyproof.assessment.demo import Demo, demo_plan
-from skyproof.assessment.plan import Plan, Step
-from skyproof.assessment.world import WorldSizes
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
 from skyproof.cli.scenes import Scenes
@@ -25,10 +22,12 @@ from skyproof.layout import Layout
 from skyproof.main import COMMANDS, load_command
 from skyproof.ranges import Fraction
 from skyproof.reproduction.jobs import Jobs
+from skyproof.reproduction.plan import Plan, command_step
 from skyproof.reproduction.preset import PRESETS, Preset, read_preset
 from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line, step_words
 from skyproof.reproduction.step_commands import STEPS
 from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
+from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.weather import CONDITIONS
 
 TINY_FILE = Path(__file__).with_name("tiny.json")
@@ -133,10 +132,10 @@ def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
     assert {*own.chosen, *own.shapes["T-Fc-0"]} <= scored
     plan = reproduction_plan(Preset.parse({**TINY, **more}), Path("run"))
     drawn = next(step for step in plan.steps if step.id == "control/shapes-T-Fc-1")
-    assert drawn.command.texture == Path("run/camouflages/T-Fc-1")
+    assert drawn.settings.texture == Path("run/camouflages/T-Fc-1")
     assert Path("run/camouflages/T-Fc-1/camouflage.json") in drawn.inputs
     (best,) = (step for step in plan.steps if step.id == "choose/R-Fc_best")
-    assert best.command.draws == 7
+    assert best.settings.draws == 7
 
 
 def test_further_trainings_repeat_the_attacks_on_the_same_world():
@@ -188,7 +187,7 @@ def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
     more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
     plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
     (asked,) = (step for step in plan.steps if step.kind == "features")
-    worn = [folder.name for folder in asked.command.camouflages]
+    worn = [folder.name for folder in asked.settings.camouflages]
     assert worn == ["R-Ma-0", "T-Ma-0", "R-Ma_plain"]
     assert asked.outputs[0] in plan.steps[-1].inputs
     plain = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
@@ -218,7 +217,7 @@ def test_weather_is_learnt_in_and_judged_apart():
     assert not any("weather" in name for name in own.controls)
     plan = reproduction_plan(preset, Path("run"), cycles=True)
     steps = {step.id: step for step in plan.steps}
-    assert steps["attack/T-U_weather-0"].command.conditions == tuple(CONDITIONS)
+    assert steps["attack/T-U_weather-0"].settings.conditions == tuple(CONDITIONS)
     drawn = steps["scenes/weather"].command
     usual = steps["scenes/test"].command
     assert set(drawn.settings.conditions) == {*CONDITIONS} - {"clear"}
@@ -227,7 +226,7 @@ def test_weather_is_learnt_in_and_judged_apart():
     assert (drawn.seed, drawn.split, drawn.count) == (usual.seed, "test", 7)
     scored = steps["score/weather-001"]
     assert scored.outputs == (Path("run/weather/scores/001"),)
-    assert scored.command.original == Path("run/datasets/weather")
+    assert scored.settings.original == Path("run/datasets/weather")
     assert set(scored.outputs) <= set(plan.steps[-1].inputs)
     assert Jobs(Preset.parse(TINY)).weather_batches == {}
     with pytest.raises(ConfigurationError, match="weather names T-Pix, but textures has no Pix"):
@@ -329,7 +328,7 @@ def test_images_to_train_on_are_drawn_where_something_is_trained(reference):
 @pytest.mark.parametrize("blur_sigma_px", [None, 1.25, "paper"])
 def test_a_preset_says_how_sharp_vehicles_are(blur_sigma_px):
     plan = reproduction_plan(Preset.parse({**TINY, "blur_sigma_px": blur_sigma_px}), Path())
-    (ground,) = (step.command for step in plan.steps if isinstance(step.command, Ground))
+    (ground,) = (step.settings for step in plan.steps if isinstance(step.settings, Ground))
     assert ground.blur_sigma_px == blur_sigma_px
     with pytest.raises(ConfigurationError, match="paper"):
         Preset.parse({**TINY, "blur_sigma_px": "sharp"})
@@ -339,9 +338,9 @@ def test_a_preset_says_where_vehicles_stand():
     world = {**TINY["world"], "training_places": "removed", "test_places": "drivable"}
     plan = reproduction_plan(Preset.parse({**TINY, "world": world}), Path())
     drawn = {
-        step.command.split: step.command.settings
+        step.settings.split: step.settings.settings
         for step in plan.steps
-        if isinstance(step.command, Scenes)
+        if isinstance(step.settings, Scenes)
     }
     assert {split: settings.places for split, settings in drawn.items()} == {
         "train": "removed",
@@ -351,7 +350,7 @@ def test_a_preset_says_where_vehicles_stand():
     # Rows of parked vehicles are for uniform places, which are the default.
     assert drawn["train"].parked_share == 0
     assert WorldSizes().scenes("train").parked_share == 0.5
-    learnt = [step.command for step in plan.steps if step.kind == "attack"]
+    learnt = [step.settings for step in plan.steps if step.kind == "attack"]
     assert {command.places for command in learnt} == {"drivable"}
     for split in ("train", "validation", "attack", "test"):
         assert WorldSizes().scenes(split).places == "uniform"
@@ -360,12 +359,6 @@ def test_a_preset_says_where_vehicles_stand():
 
 
 PLANS = {
-    "demo": demo_plan(Demo(), Layout(Path("runs/demo"))),
-    "demo on imagery": demo_plan(
-        Demo(cycles=True, imagery=(Path("a.tif"),), gsd=0.1, blur_sigma_px="paper"),
-        Layout(Path("runs/a b")),
-    ),
-    "demo that trains": demo_plan(Demo(train=True, cycles=True), Layout(Path("runs/a b"))),
     "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
     "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
     "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),
@@ -380,14 +373,14 @@ def test_every_step_can_be_done_by_hand(name):
     for step in PLANS[name].steps:
         program, command, *words = step_words(step)
         commands = {"": STEPS} if program == "skyproof.reproduction" else COMMANDS
-        assert tyro.cli(load_command(command, commands), args=words) == step.command, step.id
+        assert tyro.cli(load_command(command, commands), args=words) == step.settings, step.id
 
 
 @pytest.mark.parametrize("name", PLANS)
 def test_every_step_comes_after_what_it_needs(name):
     steps = PLANS[name].steps
     made = {output for step in steps for output in step.outputs}
-    needed = {path for step in steps for path in step.inputs} - {Path("a.tif")}
+    needed = {path for step in steps for path in step.inputs}
     assert needed <= made
     # What nothing needs is what the user reads.
     assert made - needed == set(steps[-1].outputs)
@@ -400,7 +393,7 @@ class Nothing:
 
 
 def step(name, inputs=(), outputs=(), **more):
-    return Step("kind", name, Nothing(), tuple(inputs), tuple(outputs), **more)
+    return command_step("kind", name, Nothing(), tuple(inputs), tuple(outputs), **more)
 
 
 def test_a_plan_in_the_wrong_order_is_refused():
@@ -429,19 +422,6 @@ def test_finished_is_what_left_its_outputs(tmp_path):
     needed.touch()
     assert kept.is_finished()
     assert not renewed.is_finished()
-
-
-def test_time_left_by_effort():
-    plan = Plan(
-        [step(str(number), effort_s=effort) for number, effort in enumerate((1.0, 1999.0, 5000.0))]
-    )
-    assert plan.time_left_s({}) is None
-    # Half as fast as thought: 10,000 s are left for one core.
-    seconds = {"kind/0": 2.0, "kind/1": 3998.0}
-    assert plan.time_left_s(seconds) == pytest.approx(10_000, rel=0.03)
-    assert plan.time_left_s(seconds, cores=2) == plan.time_left_s(seconds) / 2
-    # A first short step that took ten times as long says little about the others.
-    assert plan.time_left_s({"kind/0": 10.0}) == pytest.approx(7_000, rel=0.2)
 
 
 def test_what_most_steps_wait_for_comes_first(tmp_path):
@@ -640,7 +620,7 @@ def test_names_of_options_come_from_fields_alone():
     for preset in PRESETS:
         for step in reproduction_plan(Preset.parse(read(preset)), Path(), cycles=True).steps:
             options = {word for word in step_words(step) if word.startswith("--")}
-            assert options <= of_command(type(step.command)), step.id
+            assert options <= of_command(type(step.settings)), step.id
 
 
 def test_a_plan_refuses_what_a_later_step_would_refuse():
@@ -652,4 +632,4 @@ def test_a_plan_refuses_what_a_later_step_would_refuse():
             raise AssertionError
 
     with pytest.raises(ConfigurationError, match="share expects"):
-        Plan([Step("late", "late", Late(), (), (Path("x"),))])
+        Plan([command_step("late", "late", Late(), (), (Path("x"),))])

@@ -8,8 +8,8 @@ import torch
 from tests.render.bodies import scene
 
 from skyproof.attacks.world import AttackWorld
-from skyproof.cli.renderers import open_renderer
-from skyproof.cli.rendering import Rendering
+from skyproof.cycles.opening import open_renderer
+from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.photograph import GroundSensor
 from skyproof.ground.procedural import write_procedural_backgrounds

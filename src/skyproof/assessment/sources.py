@@ -5,13 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from skyproof.assessment.plan import Plan
+from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.files import file_digest
-
-SOURCES = "sources_sha256"
-"""Where a run folder's config keeps the digests, by path."""
 
 _READ = (".txt", ".yaml", ".json", ".geojson")
 """What is read of a folder of labels, and of a detector's; the card holds its weights' digest."""
@@ -25,22 +21,7 @@ def source_digests(paths: Iterable[Path]) -> dict[str, str]:
 
     Records that skyproof adds to a detector's folder later, as `check` does, do not count.
     """
-    return {str(path): _digest(path) for path in paths}
-
-
-def read_otherwise(stored: dict[str, Any], config: dict[str, Any], plan: Plan) -> list[str]:
-    """Gives the files of which begun steps have read another content than they hold now.
-
-    Args:
-        stored: the config of the run as it is.
-        config: of the same run, given again.
-        plan: its steps.
-    """
-    before, after = stored.get(SOURCES, {}), config.get(SOURCES, {})
-    if not isinstance(before, dict):
-        return []
-    read = {str(path) for step in plan.steps if step.is_begun() for path in step.inputs}
-    return sorted(path for path in read & {*before} & {*after} if before[path] != after[path])
+    return {str(path): _digest(detector_folder(path)) for path in paths}
 
 
 def _digest(path: Path) -> str:

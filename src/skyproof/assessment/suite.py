@@ -1,27 +1,26 @@
-"""The suite of attacks that `skyproof assess` puts a detector to, frozen under a version.
+"""Suites of attacks, each frozen under a version: that of `skyproof assess`, and the demo's.
 
-No option changes it: a verdict that names the version says how strong the attacks were.
+No option changes one: a verdict that names the version says how strong the attacks were.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
-from skyproof.assessment.attack_job import AttackJob
-from skyproof.assessment.world import WorldSizes
 from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.files import file_digest
-from skyproof.ranges import Count
+from skyproof.ranges import Count, WholeNumber
 
 SUITE = Path(__file__).with_name("suite.json")
+DEMO_SUITE = Path(__file__).with_name("demo.json")
 
 _STRIDE_PX = 32
 """Sides of images are multiples of it, as detectors take them."""
@@ -55,25 +54,26 @@ class Expected:
 
 @dataclass(frozen=True)
 class Suite:
-    """One version of the suite.
+    """One version of a suite.
 
     Attributes:
         version: its number; another suite has another.
-        attacks: what is learnt on the detector; a texture stands before the shape on it.
-        settings: how everything is learnt, but for the steps.
+        attacks: camouflages that are optimised; a texture stands before the shape on it.
+        settings: how, but for the steps.
         steps: by kind of attack.
         draws: of every random control.
         best_of: of how many random draws the best is taken as a control.
-        queries: how attacks are carried by answers alone to a detector that has no gradient.
-        compared: attacks that are also sought so on a detector that has gradients: where answers
-            alone hide more, its gradients mislead.
+        queries: budget of query attacks on a black-box detector.
+        compared: attacks that are also tried by queries on a single detector that has gradients:
+            where queries hide more, its gradients mislead.
         attack_m: side of the images in attacks, in metres.
         image_m: side of the test images, in metres.
         test_images: how many, each with 1 to 5 vehicles.
         tiles: drawn per split (train, validation, attack, test), where there is no imagery.
         vehicles: in the fleet of each split.
-        check_scenes: test scenes on which the detector is checked before the attacks.
-        check_draws: of every random control in that check.
+        check_scenes: test scenes of the precheck; with 0 the precheck that a detector folder
+            brings along is taken.
+        check_draws: of every random control in the precheck.
         expected: by detector that comes with skyproof and by attack, what was reached on drawn
             ground with seed 0.
     """
@@ -91,74 +91,50 @@ class Suite:
     test_images: Count
     tiles: tuple[Count, Count, Count, Count]
     vehicles: tuple[Count, Count, Count, Count]
-    check_scenes: Count
+    check_scenes: WholeNumber
     check_draws: Count
     expected: Mapping[str, Mapping[str, Expected]] = field(default_factory=dict)
 
-    def sizes(self, gsd_m: float) -> WorldSizes:
-        """Returns the sizes of a world that is seen at a resolution."""
-        return WorldSizes(
-            gsd_m=gsd_m,
-            image_px=_side_px(self.image_m, gsd_m),
-            tiles=self.tiles,
-            vehicles=self.vehicles,
-            training_images=1,
-            validation_images=self.test_images,
-            test_images=self.test_images,
-        )
+    @property
+    def names(self) -> list[CamouflageName]:
+        """The attacks' names as values."""
+        return [CamouflageName.parse(text) for text in self.attacks]
+
+    def image_px(self, gsd_m: float) -> int:
+        """Returns the side of the test images, at a resolution."""
+        return _side_px(self.image_m, gsd_m)
 
     def attack_px(self, gsd_m: float) -> int:
         """Returns the side of the images in attacks, at a resolution."""
         return _side_px(self.attack_m, gsd_m)
 
-    def learnt(self, detectors: Sequence[str], seed: int, variant: str = "") -> list[AttackJob]:
-        """Returns the attacks on some detectors together.
+    def attack(self, name: CamouflageName, seed: int) -> AttackSettings:
+        """Returns how an attack of the suite is made."""
+        return replace(self.settings, steps=self._steps(name), seed=seed)
 
-        Args:
-            detectors: their names.
-            seed: of the run.
-            variant: what the attacks' names end in.
-        """
-        return [
-            AttackJob(
-                str(name.with_variant(variant) if variant else name),
-                replace(self.settings, steps=self._steps(name), seed=seed),
-                tuple(detectors),
-                texture=texture_under(name) if name.order == "seq" else None,
-            )
-            for text in self.attacks
-            for name in (CamouflageName.parse(text),)
-        ]
-
-    def chosen(self, detector: str, seed: int) -> list[AttackJob]:
-        """Returns the controls that the detector chooses, with the steps of the longest attack."""
+    def chosen(self, seed: int) -> dict[CamouflageName, AttackSettings]:
+        """Returns the controls that the detectors choose, with the steps of the longest attack."""
         steps: dict[CamouflageName, int] = {}
-        for job in self.learnt((detector,), seed):
-            own = job.settings.steps + (self.steps.texture if job.texture else 0)
-            for control in CamouflageName.parse(job.name).unlearnt:
+        for name in self.names:
+            own = self._steps(name) + (self.steps.texture if name.order == "seq" else 0)
+            for control in name.unlearnt:
                 steps[control] = max(own, steps.get(control, 0))
-        return [
-            AttackJob(
-                str(control),
-                replace(self.settings, steps=count, seed=seed),
-                (detector,),
-                best_of=self.best_of,
-            )
+        return {
+            control: replace(self.settings, steps=count, seed=seed)
             for control, count in steps.items()
-        ]
+        }
 
     def drawn(self) -> list[str]:
         """Returns the names of the random controls."""
-        controls = dict.fromkeys(CamouflageName.parse(text).control for text in self.attacks)
+        controls = dict.fromkeys(name.control for name in self.names)
         return [
             str(control.with_repeat(draw)) for control in controls for draw in range(self.draws)
         ]
 
     def drawn_shapes(self) -> dict[str, list[str]]:
-        """Returns the names of random shapes, by the learnt texture that they are put on."""
+        """Returns the names of random shapes, by the optimised texture that they are put on."""
         shapes: dict[str, list[str]] = {}
-        for text in self.attacks:
-            name = CamouflageName.parse(text)
+        for name in self.names:
             if name.drawn_shape is not None:
                 control = name.drawn_shape
                 names = [str(control.with_repeat(draw)) for draw in range(self.draws)]
@@ -171,15 +147,15 @@ class Suite:
         return self.steps.texture if name.kind == "texture" else self.steps.shape
 
 
-def read_suite() -> Suite:
-    """Reads the suite that comes with this version of skyproof."""
-    suite: Suite = read_document(SUITE, Suite, "install skyproof again")
+def read_suite(path: Path = SUITE) -> Suite:
+    """Reads a suite that comes with this version of skyproof."""
+    suite: Suite = read_document(path, Suite, "install skyproof again")
     return suite
 
 
-def suite_digest() -> str:
-    """Returns the SHA-256 of the suite's file."""
-    return file_digest(SUITE)
+def suite_digest(path: Path = SUITE) -> str:
+    """Returns the SHA-256 of a suite's file."""
+    return file_digest(path)
 
 
 def texture_under(name: CamouflageName) -> str:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
@@ -21,10 +21,7 @@ from skyproof.scenes.settings import SceneSettings
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.attacks.held_out import HeldOut
-    from skyproof.attacks.world import AttackWorld
     from skyproof.camouflage.camouflage import Camouflage
-    from skyproof.detectors.detector import TrainableDetector
     from skyproof.detectors.loaded import Load
 
 BEST_OF = 32
@@ -144,32 +141,18 @@ class Attack:
 
     def _draw(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
         """Random draws of camouflages, which are not learnt (section 5.4)."""
-        from skyproof.camouflage.make import draw_control
+        from skyproof.attacks.making import draw_random_control
 
-        seed = self.settings.seed
         texture = self._finished_texture()
         for name in names:
-            folder = self.out / str(name)
-            drawn = {"seed": seed, **self._decisive(name, palette, texture)}
-            if (folder / "camouflage.json").exists():
-                _refuse_other(folder, "drawn", drawn)
-                continue
-            control = draw_control(
-                name, seed=seed, palette=palette, texture=texture, settings=self.camouflage
+            draw_random_control(
+                name,
+                self.out / str(name),
+                seed=self.settings.seed,
+                palette=palette,
+                texture=texture,
+                settings=self.camouflage,
             )
-            _store(folder, control, {"seed": seed, "drawn": drawn})
-
-    def _decisive(
-        self, name: CamouflageName, palette: torch.Tensor | None, texture: Camouflage | None = None
-    ) -> dict[str, Any]:
-        """Gives what decides a control beside its name and seed, as JSON values."""
-        from skyproof.detectors.weights import weights_digest
-
-        return {
-            "camouflage": asdict(self.camouflage),
-            "palette": palette.tolist() if palette is not None and name.takes_palette else None,
-            "texture_sha256": None if texture is None else weights_digest(texture),
-        }
 
     def _finished_texture(self) -> Camouflage | None:
         from skyproof.camouflage.folder import load_camouflage
@@ -183,7 +166,7 @@ class Attack:
         load: Load | None,
     ) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
-        from skyproof.attacks.held_out import BATCH_SIZE, HeldOut
+        from skyproof.attacks.making import Maker
         from skyproof.attacks.world import AttackWorld
         from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
@@ -199,135 +182,14 @@ class Attack:
             conditions=self.conditions,
             places=self.places,
         )
-        gsd_m = world.backgrounds.gsd_m
-        ensemble = load_ensemble(self.detectors, device, gsd_m, load)
-        batch_size = max(BATCH_SIZE, self.settings.batch_size)
-        held_out = HeldOut(ensemble, world, self.settings.seed, batch_size)
+        ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m, load)
+        maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
         for name in names:
-            if name.choice in ("plain", "best"):
-                self._choose(name, held_out, world, palette, device)
-            else:
-                models = [each.detector for each in ensemble]
-                self._attack(name, models, world, held_out, palette, device)
-
-    def _choose(
-        self,
-        name: CamouflageName,
-        held_out: HeldOut,
-        world: AttackWorld,
-        palette: torch.Tensor | None,
-        device: torch.device,
-    ) -> None:
-        from skyproof.attacks.search import choose
-        from skyproof.camouflage.make import make_candidates
-
-        folder = self.out / str(name)
-        by = {
-            "detectors": held_out.identity,
-            "scenes": asdict(world.scenes),
-            "world_sha256": world.digest,
-            "seed": self.settings.seed,
-            "draws": self.draws if name.choice == "best" else None,
-            **self._decisive(name, palette),
-        }
-        if (folder / "camouflage.json").exists():
-            _refuse_other(folder, "by", by)
-            return
-        candidates = [
-            candidate.to(device)
-            for candidate in make_candidates(
-                name,
-                self.draws,
-                seed=self.settings.seed,
-                palette=palette,
-                settings=self.camouflage,
-            )
-        ]
-        with progress_bar(f"choose {name}") as update:
-            chosen = choose(
-                candidates,
-                held_out,
-                on_candidate=lambda number: update(number, len(candidates)),
-            )
-        record = {
-            "chosen": {
-                "of": [str(candidate.name) for candidate in candidates],
-                "hidden": chosen.hidden,
-                "scenes": chosen.scenes,
-                "finalists": {
-                    str(candidates[number].name): hidden
-                    for number, hidden in chosen.finalists.items()
-                },
-                "final_scenes": chosen.final_scenes,
-                "seed": self.settings.seed,
-            },
-            "by": by,
-        }
-        chosen.camouflage.name = name
-        _store(folder, chosen.camouflage, record)
-
-    def _attack(
-        self,
-        name: CamouflageName,
-        models: Sequence[TrainableDetector],
-        world: AttackWorld,
-        held_out: HeldOut,
-        palette: torch.Tensor | None,
-        device: torch.device,
-    ) -> None:
-        from skyproof.attacks.attack import attack
-        from skyproof.attacks.sign_test import sign_test
-        from skyproof.camouflage.make import make_camouflage
-        from skyproof.randomness import generator_of
-
-        camouflage = make_camouflage(
-            name,
-            generator=generator_of(self.settings.seed, "texture", str(name)),
-            palette=palette,
-            texture=self._finished_texture(),
-            settings=self.camouflage,
-        ).to(device)
-
-        settings = self.settings.of_search() if name.random else self.settings
-
-        def signs() -> dict[str, Any]:
-            if name.random:
-                return {}
-            return {"sign_test": sign_test(camouflage, models, world, settings)}
-
-        with progress_bar(f"attack {name}") as update:
-
-            def show(row: dict[str, Any]) -> None:
-                update(row["step"], settings.steps)
-
-            attack(
-                camouflage,
-                models,
-                world,
-                settings,
-                self.out / str(name),
-                held_out=held_out,
-                record=signs,
-                on_step=show,
-            )
-
-
-def _refuse_other(folder: Path, key: str, wanted: dict[str, Any]) -> None:
-    """Keeps a control of other detectors, scenes or colours from passing for this one."""
-    from skyproof.camouflage.folder import read_record
-    from skyproof.loop import refuse_other
-
-    stored = read_record(folder).get(key)
-    # Controls of before do not say it.
-    if stored is not None:
-        refuse_other(folder, stored, wanted, "a control that was made otherwise")
-
-
-def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:
-    """Writes a camouflage's folder, whole or not at all."""
-    from skyproof.camouflage.folder import save_camouflage
-    from skyproof.files import drop_empty_folder, finished_folder
-
-    drop_empty_folder(folder)
-    with finished_folder(folder) as partial:
-        save_camouflage(partial, camouflage, record)
+            folder = self.out / str(name)
+            chosen = name.choice in ("plain", "best")
+            with progress_bar(f"{'choose' if chosen else 'attack'} {name}") as update:
+                if chosen:
+                    maker.choose(name, folder, draws=self.draws, progress=update)
+                else:
+                    texture = self._finished_texture()
+                    maker.optimise(name, folder, texture=texture, progress=update)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 # Without a terminal (a log file, CI) a line now and then replaces the moving bar.
@@ -60,6 +60,21 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     say(f"  {name} ...")
     yield update
     say(f"  {name}: done in {time.monotonic() - started:.0f} s")
+
+
+@contextmanager
+def stage_bars(what: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Yields `update(stage, done, total)`; every stage has a progress bar of its own."""
+    with ExitStack() as bars:
+        updates: dict[str, Callable[[int, int], None]] = {}
+
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in updates:
+                bars.close()
+                updates[stage] = bars.enter_context(progress_bar(f"{stage} {what}"))
+            updates[stage](done, total)
+
+        yield update
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,11 +18,6 @@ from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
     from skyproof.imagery.tiles.tiling import TilingRecord
-
-_NOTES_SHOWN = 12
-_FEW_TILES = 12
-"""Of as many, a success rate that tiles decide has an interval of some ±30 points."""
-_ROOM_PX = 112  # by which procedural tiles are larger than the windows cut from them
 
 
 @dataclass(frozen=True)
@@ -75,11 +69,16 @@ class Ground:
 
     def run(self) -> None:
         """Writes the tiles and says how many."""
+        from skyproof.imagery.tiles.words import tiling_words
         from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:
-                say_record(self, self._cut(folder))
+                labelled = self.labels.path is not None
+                for line in tiling_words(
+                    self._cut(folder), labelled=labelled, like=self.tiling.like
+                ):
+                    say(line)
             else:
                 self._draw(folder)
             if self.blur_sigma_px is not None:
@@ -118,51 +117,3 @@ class Ground:
                 labels=labels,
                 progress=update,
             )
-
-
-def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:
-    """Returns tiles from which square images of `image_px` can be cut at any heading.
-
-    Args:
-        image_px: side of the images in pixels.
-        gsd_m: metres per pixel of tiles and images.
-        imagery: whether the ground is imagery, whose tiles may shrink to what one image needs.
-    """
-    window_px = math.ceil(image_px * math.sqrt(2)) + 2
-    if imagery:
-        return TilingSettings(gsd_m=gsd_m, size_px=window_px * 3 // 2, minimum_px=window_px)
-    return TilingSettings(gsd_m=gsd_m, size_px=window_px + _ROOM_PX)
-
-
-def say_record(ground: Ground, record: TilingRecord) -> None:
-    """Says what was cut, what was noted on the way, and whether it is enough for a test.
-
-    Args:
-        ground: what was asked.
-        record: what was done.
-    """
-    for note in record.notes[:_NOTES_SHOWN]:
-        say(f"  note: {note}")
-    if len(record.notes) > _NOTES_SHOWN:
-        say(f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json")
-    for split in SPLITS:
-        count = record.counts[split]
-        labelled = ""
-        if ground.labels.path is not None:
-            labelled = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
-        say(f"  {split:<10} {count['tiles']:>7} tiles{labelled}")
-    few = record.counts["test"]["tiles"]
-    if 0 < few < _FEW_TILES and ground.tiling.like is None:
-        say(
-            f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
-            f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
-            "points; give more imagery, or make the tiles smaller (--tiling.size-px of skyproof "
-            "ground)."
-        )
-    if ground.tiling.like is not None:
-        say(
-            f"  {len(record.missing)} tiles of {ground.tiling.like} are missing here (listed in "
-            "tiling.json)"
-        )
-    elif record.empty:
-        say(f"  {record.empty} cells left out: more than 2 % of each is empty")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from skyproof.cli.console import progress_bar, say
-from skyproof.cli.rendering import Rendering
+from skyproof.cycles.rendering import Rendering
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Render(Rendering):
         """Draws the dataset."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.cli.device import choose_device
-        from skyproof.cli.renderers import open_renderer
+        from skyproof.cycles.opening import open_renderer
         from skyproof.render.dataset import render_dataset
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.scenes.scene import read_scenes

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skyproof.cli.console import say
-from skyproof.cli.rendering import Rendering
+from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed, is_name
 
@@ -142,7 +142,7 @@ class Score(Rendering):
         if self.backgrounds is None or self.fleet is None or self.original is None:
             yield None
             return
-        from skyproof.cli.renderers import open_renderer
+        from skyproof.cycles.opening import open_renderer
         from skyproof.measure.views import Stage
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet

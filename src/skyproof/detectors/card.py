@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.doubts import find_doubts
+from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
@@ -109,12 +110,14 @@ def write_card(path: Path, card: DetectorCard, weights_sha256: str) -> None:
 
 
 def read_card(folder: Path) -> DetectorCard:
-    """Reads the card of a detector folder.
+    """Reads the card of a detector folder, or of a detector that comes with skyproof.
 
     Raises:
         StoredFileError: `detector.json` is missing, damaged, or of another format.
     """
-    return read_card_and_digest(Path(folder) / "detector.json")[0]
+    place = detector_folder(folder)
+    with reinstalled(place):
+        return read_card_and_digest(place / "detector.json")[0]
 
 
 def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:

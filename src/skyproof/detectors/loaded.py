@@ -14,6 +14,7 @@ from torch import nn
 from skyproof.detectors.build import DETECTOR_NAMES, build_detector
 from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.detectors.settings import SIZES
 from skyproof.detectors.weights import plain_state, weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -82,13 +83,19 @@ def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
 def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
     """Builds the detector a folder describes and loads its weights; in eval mode, on the CPU.
 
-    Weights may be stored in half precision; the detector has single precision all the same.
+    "retinanet" and "faster_rcnn" name the folders that come with skyproof. Weights may be stored in
+    half precision; the detector has single precision all the same.
 
     Raises:
         StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
         ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing.
     """
-    folder = Path(folder)
+    place = detector_folder(folder)
+    with reinstalled(place):
+        return _load(place)
+
+
+def _load(folder: Path) -> LoadedDetector[TrainableDetector]:
     card, stored_digest = read_card_and_digest(folder / "detector.json")
     path = folder / "weights.safetensors"
     tensors, _ = read_tensors(path, "copy the whole folder again, or train the detector again")

@@ -5,6 +5,8 @@ How they were made stands in `reference/README.md`, beside their folders. Import
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,9 +31,33 @@ def reference_folder(name: str) -> Path:
     if name not in REFERENCE_DETECTORS:
         raise ConfigurationError(
             f"{name[:100]!r} does not come trained, only {' and '.join(REFERENCE_DETECTORS)} do; "
-            "train it (skyproof demo --train, or skyproof train), or name one of these."
+            "train it (skyproof train), or name one of these."
         )
     return REFERENCE_FOLDER / name
+
+
+def detector_folder(place: str | Path) -> Path:
+    """Returns a detector's folder, which may be given by the name of one that came with skyproof.
+
+    A folder of the user's that is called so goes first.
+    """
+    folder = Path(place)
+    named = str(place) in REFERENCE_DETECTORS and not folder.exists()
+    return REFERENCE_FOLDER / folder.name if named else folder
+
+
+@contextmanager
+def reinstalled(folder: Path) -> Iterator[None]:
+    """Within it, damage to a detector that came with skyproof is mended by installing it again."""
+    try:
+        yield
+    except StoredFileError as error:
+        if folder.parent != REFERENCE_FOLDER:
+            raise
+        wrong = str(error).partition(";")[0].rstrip(".")
+        raise StoredFileError(
+            f"A detector that came with skyproof cannot be used: {wrong}; install skyproof again."
+        ) from error
 
 
 def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
@@ -44,14 +70,7 @@ def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
         ConfigurationError: there is none of that name.
         StoredFileError: its files are missing, damaged or of another version.
     """
-    folder = reference_folder(name)
     # Here, so that the command line can name the detectors without loading a network's library.
     from skyproof.detectors.loaded import load_detector
 
-    try:
-        return load_detector(folder)
-    except StoredFileError as error:
-        wrong = str(error).partition(";")[0].rstrip(".")
-        raise StoredFileError(
-            f"A detector that came with skyproof cannot be used: {wrong}; install skyproof again."
-        ) from error
+    return load_detector(reference_folder(name))

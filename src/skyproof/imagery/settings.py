@@ -5,6 +5,7 @@ Imports no torch, so that the command line answers at once.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +16,9 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, GroundResolution, check_ranges
 from skyproof.scenes.splits import SPLITS, Split
+
+_ROOM_PX = 112
+"""By which procedural tiles are larger than the windows cut from them."""
 
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
 _Score = Annotated[float, Meta(gt=0, le=1)]
@@ -146,3 +150,17 @@ class ClearSettings:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+
+
+def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:
+    """Returns tiles from which square images of `image_px` can be cut at any heading.
+
+    Args:
+        image_px: side of the images in pixels.
+        gsd_m: metres per pixel of tiles and images.
+        imagery: whether the ground is imagery, whose tiles may shrink to what one image needs.
+    """
+    window_px = math.ceil(image_px * math.sqrt(2)) + 2
+    if imagery:
+        return TilingSettings(gsd_m=gsd_m, size_px=window_px * 3 // 2, minimum_px=window_px)
+    return TilingSettings(gsd_m=gsd_m, size_px=window_px + _ROOM_PX)

@@ -10,16 +10,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from skyproof.assessment.plan import Plan
 from skyproof.cli.console import say
+from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError
+from skyproof.reproduction.plan import Plan
 
 if TYPE_CHECKING:
     from skyproof.reproduction.held_out_detectors import Judge
+    from skyproof.reproduction.preset import Preset
 
 
 @dataclass(frozen=True)
@@ -68,19 +70,17 @@ class Reproduce:
 
     def run(self) -> None:
         """Runs what is not finished yet."""
-        from skyproof.assessment.demo import check_detectors
-        from skyproof.assessment.run_folder import RunFolder
-        from skyproof.assessment.serial import run_serially
+        from skyproof.assessment.run import Run
         from skyproof.cli.device import choose_device
-        from skyproof.files import alone
         from skyproof.layout import Layout
         from skyproof.reproduction.held_out_detectors import (
             new_judges,
             read_judges,
             store_judges,
+            store_reference_detectors,
             stored_judges,
         )
-        from skyproof.reproduction.preset import Preset, read_preset
+        from skyproof.reproduction.preset import read_preset
         from skyproof.reproduction.slurm import wait_for_earlier_jobs
         from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
         from skyproof.reproduction.workflow import reproduction_plan
@@ -88,7 +88,7 @@ class Reproduce:
         name, path, values, preset = read_preset(self.preset)
         cores = self._side_by_side()
         choose_device(self.device)
-        check_detectors(preset.detectors, preset.size)
+        _refuse_unbuildable(preset)
         more = self._cycles()
         blender = Path(more["blender"]) if more else None
         layout = Layout(self.out)
@@ -97,28 +97,22 @@ class Reproduce:
         names = {table: sorted(judge.name for judge in its) for table, its in added.items()}
         tables = dict(sorted({**stored_judges(layout), **names}.items()))
 
-        def plan_of(config: Mapping[str, Any]) -> Plan:
-            return reproduction_plan(
-                Preset.parse(config),
-                self.out,
-                device=self.device,
-                cycles=self.cycles,
-                blender=blender,
-                judges=tables,
-            )
-
-        config = {"preset": name, **values}
-        plan = plan_of(config)
-        run = RunFolder(self.out, config, plan, plan_of)
+        plan = reproduction_plan(
+            preset,
+            self.out,
+            device=self.device,
+            cycles=self.cycles,
+            blender=blender,
+            judges=tables,
+        )
+        run = Run(self.out, {"preset": name, **values}, plan.steps)
         if self.dry_run:
-            self._check(path, plan, more, added)
+            self._check(path, preset, plan, more, added)
             return
-        with alone(self.out) as hold:
+        with run.begun(self.device) as hold:
             if self.slurm_jobs is not None:
                 wait_for_earlier_jobs(self.out)
-            # Somebody else may have begun meanwhile.
-            run = RunFolder(self.out, config, plan, plan_of)
-            run.start(self.device)
+            store_reference_detectors(layout, preset)
             store_judges(layout, new_judges(layout, preset, judges))
             where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
             say(
@@ -126,7 +120,7 @@ class Reproduce:
                 f"run folder {self.out}"
             )
             if cores == 1 and self.slurm_jobs is None:
-                run_serially(plan, run)
+                run.do()
             else:
                 more = {"device": self.device, **more}
                 command = snakemake_words(self.out, self.out / "config.json", more)
@@ -137,7 +131,6 @@ class Reproduce:
                 if self.slurm_jobs is None and preset.resources.gpu:
                     command += ["--resources", "gpu=1"]
                 run_side_by_side(plan, run, command, cores, hold)
-            run.finish()
         page = self.out / "tables" / "README.md"
         # A run without textures has none of the paper's tables.
         if page.exists():
@@ -197,6 +190,7 @@ class Reproduce:
     def _check(
         self,
         path: Path,
+        preset: Preset,
         plan: Plan,
         more: Mapping[str, str],
         added: Mapping[str, Sequence[Judge]],
@@ -205,8 +199,9 @@ class Reproduce:
         from skyproof.reproduction.slurm import slurm_words
         from skyproof.reproduction.snakemake import snakemake_words
 
+        begun = Layout(self.out).config.exists()
         with tempfile.TemporaryDirectory() as empty:
-            place = self.out if self.out.exists() else Path(empty)
+            place = self.out if begun else Path(empty)
             words = snakemake_words(place, path, more)
             words += ["--cores", "1", "--dry-run", "--nolock", "--quiet", "all"]
             done = subprocess.run(words, capture_output=True, text=True)
@@ -217,11 +212,18 @@ class Reproduce:
             )
         say(f"Steps: {_listed(plan)}.")
         say("By hand, or with options for a cluster's executor:")
-        for table, judges in added.items():
-            folder = Layout(self.out).judged(table).detectors
-            say("  " + shlex.join(["mkdir", "-p", str(folder)]))
-            for judge in judges:
-                say("  " + shlex.join(["cp", "-r", str(judge.folder), str(folder / judge.name)]))
+        copies = [
+            (judge.folder, Layout(self.out).judged(table).detector(judge.name))
+            for table, judges in added.items()
+            for judge in judges
+        ]
+        if not begun:
+            own = Layout(self.out)
+            copies += [(reference_folder(name), own.detector(name)) for name in preset.reference]
+        for parent in dict.fromkeys(copy.parent for _, copy in copies):
+            say("  " + shlex.join(["mkdir", "-p", str(parent)]))
+        for folder, copy in copies:
+            say("  " + shlex.join(["cp", "-r", str(folder), str(copy)]))
         where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
         say("  " + shlex.join([*snakemake_words(self.out, path, more), *where]))
 
@@ -229,3 +231,17 @@ class Reproduce:
 def _listed(plan: Plan) -> str:
     counts = ", ".join(f"{kind} {count}" for kind, count in plan.counts.items())
     return f"{len(plan.steps)} steps ({counts})"
+
+
+def _refuse_unbuildable(preset: Preset) -> None:
+    """Shows a detector whose library is missing before the ground is drawn.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    import torch
+
+    from skyproof.detectors.build import build_detector
+
+    for name in preset.detectors:
+        build_detector(name, preset.size, generator=torch.Generator())

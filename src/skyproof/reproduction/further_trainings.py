@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from skyproof.assessment.attack_job import AttackJob
-from skyproof.assessment.plan import Step
-from skyproof.assessment.steps import attack_step, score_step, train_step
+from skyproof.assessment.run import Step
 from skyproof.layout import Layout
+from skyproof.reproduction.attack_job import AttackJob
 from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.steps import attack_step, score_step, train_step
 from skyproof.seeds import next_seed
 
 

@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.assessment.world import GSD_M
+from skyproof.reproduction.world import GSD_M
 from skyproof.detectors.card import DetectorCard, read_card_and_digest
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.files import finished_folder, is_leftover
+from skyproof.files import drop_empty_folder, finished_folder, is_leftover
 from skyproof.layout import Layout
 from skyproof.reproduction.preset import Preset
 from skyproof.results.precheck import PRECHECK_FILE
@@ -174,6 +174,21 @@ def store_judges(layout: Layout, tables: Mapping[str, Sequence[Judge]]) -> None:
         with finished_folder(layout.judges / table) as folder:
             for judge in judges:
                 copy_detector(judge.folder, Layout(folder).detector(judge.name), [PRECHECK_FILE])
+
+
+def store_reference_detectors(layout: Layout, preset: Preset) -> None:
+    """Copies the attacked detectors that come with skyproof, with their prechecks, into a run.
+
+    Raises:
+        RunFolderError: the disk cannot take them.
+    """
+    from skyproof.detectors.loaded import copy_detector
+
+    for name in preset.reference:
+        if not (layout.detector(name) / "detector.json").exists():
+            drop_empty_folder(layout.detector(name))
+            with finished_folder(layout.detector(name)) as folder:
+                copy_detector(reference_folder(name), folder, [PRECHECK_FILE])
 
 
 def _attacked(layout: Layout, preset: Preset, name: str) -> Judge | None:

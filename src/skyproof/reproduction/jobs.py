@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from skyproof.assessment.attack_job import AttackJob
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
+from skyproof.reproduction.attack_job import AttackJob
 from skyproof.reproduction.preset import Preset
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed

@@ -11,16 +11,16 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from skyproof.assessment.suite import AttackSteps
-from skyproof.assessment.world import WorldSizes
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
-from skyproof.cli.ground import tiling_for_images
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
+from skyproof.imagery.settings import tiling_for_images
 from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
+from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.sensor import BlurChoice
 
 PRESETS = {

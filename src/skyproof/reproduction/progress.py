@@ -8,8 +8,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.assessment.run_folder import FinishedJob
-
 # What a cluster said may have lines of its own, up to the next message with its time.
 _FAILED = re.compile(
     r"^Error in (?:rule|group) [^\n]*:\n(?P<said>(?:(?!\[|Error in )[^\n]*\n)*?)"
@@ -23,6 +21,37 @@ _ENDED = re.compile(r"SLURM status is: '(?P<status>\w+)'")
 # Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
 _LONGEST = 10_000
 _LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class FinishedJob:
+    """One step that is done.
+
+    Attributes:
+        kind, name: the step's.
+        seconds: what its last run took.
+        largest_memory_mb: the most memory it held; None where it was not measured.
+    """
+
+    kind: str
+    name: str
+    seconds: float
+    largest_memory_mb: float | None = None
+
+    @property
+    def id(self) -> str:
+        """The step's."""
+        return f"{self.kind}/{self.name}"
+
+    @property
+    def timing(self) -> dict[str, str | float | None]:
+        """Its row of `timings.json`."""
+        return {
+            "stage": self.kind,
+            "name": self.name,
+            "seconds": round(self.seconds, 2),
+            "largest_memory_mb": self.largest_memory_mb,
+        }
 
 
 def finished_jobs(folder: Path) -> list[FinishedJob]:

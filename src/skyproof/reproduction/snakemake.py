@@ -14,9 +14,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from skyproof.assessment.plan import Plan, Step
-from skyproof.assessment.run_folder import RunFolder
-from skyproof.assessment.serial import duration
+from skyproof.assessment.run import Step
+from skyproof.reproduction.plan import Plan
+from skyproof.assessment.run import Run
+from skyproof.assessment.run import duration, time_left_s
 from skyproof.cli.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
@@ -35,7 +36,7 @@ _COMMANDS = {"choose": "attack", "control": "attack"}
 def step_words(step: Step) -> list[str]:
     """Returns the words that do a step: the module to run, and its arguments."""
     program = "skyproof.reproduction" if step.kind in STEPS else "skyproof"
-    return [program, *command_words(_COMMANDS.get(step.kind, step.kind), step.command)]
+    return [program, *command_words(_COMMANDS.get(step.kind, step.kind), step.settings)]
 
 
 def shell_line(step: Step) -> Callable[[object], str]:
@@ -82,7 +83,7 @@ def snakemake_words(folder: Path, config: Path, more: Mapping[str, str]) -> list
 
 
 def run_side_by_side(
-    plan: Plan, run: RunFolder, command: Sequence[str], cores: int, hold: Hold
+    plan: Plan, run: Run, command: Sequence[str], cores: int, hold: Hold
 ) -> None:
     """Runs Snakemake on a plan, and prints a line per finished step.
 
@@ -97,8 +98,8 @@ def run_side_by_side(
     Raises:
         RunFolderError: a step failed; names it and its log.
     """
-    place = run.path / "snakemake.log"
-    before = set(_finished(run.path, plan))
+    place = run.folder / "snakemake.log"
+    before = set(_finished(run.folder, plan))
     if before:
         say(f"  {len(before)} steps were finished before")
     with open(place, "ab") as log, _stop_signals(), _pipe() as read_end:
@@ -119,20 +120,20 @@ def run_side_by_side(
         try:
             while child.poll() is None:
                 time.sleep(_POLL_S)
-                finished = _say_finished(run.path, plan, cores, before)
+                finished = _say_finished(run.folder, plan, cores, before)
                 if finished != before:
                     # The report, the last step, says how long all others took.
-                    run.note_times(finished_jobs(run.path))
+                    run.note_times([job.timing for job in finished_jobs(run.folder)])
                 before = finished
         except BaseException:
             _end(child)
             raise
         finally:
-            run.note_times(finished_jobs(run.path))
-    _say_finished(run.path, plan, cores, before)
+            run.note_times([job.timing for job in finished_jobs(run.folder)])
+    _say_finished(run.folder, plan, cores, before)
     if child.returncode:
         said = place.read_bytes()[start:].decode(errors="replace")
-        raise RunFolderError(_failure(run.path, said))
+        raise RunFolderError(_failure(run.folder, said))
 
 
 def _say_finished(
@@ -140,7 +141,7 @@ def _say_finished(
 ) -> set[FinishedJob]:
     """Says what is new; a step that was done again counts as new, as it took another time."""
     finished = _finished(folder, plan)
-    left_s = plan.time_left_s({job.id: job.seconds for job in finished}, cores)
+    left_s = time_left_s(plan.steps, {job.id: job.seconds for job in finished}, cores)
     titles = {step.id: step.title for step in plan.steps}
     for number, job in enumerate(finished, start=1):
         if job not in before:

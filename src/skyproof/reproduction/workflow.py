@@ -8,18 +8,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from skyproof.assessment.plan import START_S, Plan, Step
-from skyproof.assessment.steps import (
+from skyproof.assessment.run import START_S, Step
+from skyproof.reproduction.plan import Plan, command_step
+from skyproof.reproduction.steps import (
     attack_step,
     check_step,
     control_step,
-    reference_step,
-    report_step,
     score_step,
     train_step,
 )
-from skyproof.assessment.world import RENDERED, render_s, render_step, scene_step, world_steps
-from skyproof.cli.rendering import Rendering
+from skyproof.reproduction.world import RENDERED, render_s, render_step, scene_step, world_steps
+from skyproof.cycles.rendering import Rendering
 from skyproof.layout import Layout
 from skyproof.reproduction.further_trainings import training_steps
 from skyproof.reproduction.held_out_detectors import stored_judges
@@ -88,7 +87,6 @@ def reproduction_plan(
         blur_sigma_px=preset.blur_sigma_px,
         device=device,
     )
-    steps += [reference_step(layout, name, check=True) for name in preset.reference]
     steps += [
         train_step(
             layout,
@@ -188,8 +186,28 @@ def reproduction_plan(
         )
         steps += further
         scores += [step for step in further if step.kind == "score"]
-    steps.append(replace(report_step(layout, scores, checked), command=Report(out=folder)))
+    steps.append(_report_step(layout, scores, checked))
+    # No step leaves what comes with skyproof: it is copied before the first one.
+    given = {layout.detector(name) / "detector.json" for name in preset.reference}
+    steps = [
+        replace(step, inputs=tuple(path for path in step.inputs if path not in given))
+        for step in steps
+    ]
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
+
+
+def _report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str]) -> Step:
+    """Returns the step that merges all scores and writes the report."""
+    checks = [layout.precheck(name) for name in checked]
+    return command_step(
+        "report",
+        "report",
+        Report(out=layout.folder),
+        (*checks, *(folder for step in scores for folder in step.outputs)),
+        (layout.results, layout.report),
+        renewed=True,
+        effort_s=2 * START_S,
+    )
 
 
 def _looks_step(layout: Layout, camouflages: Sequence[str]) -> Step:
@@ -204,7 +222,7 @@ def _looks_step(layout: Layout, camouflages: Sequence[str]) -> Step:
     inputs = [command.original, layout.backgrounds, layout.fleets]
     inputs += [folder / "camouflage.json" for folder in command.camouflages]
     effort_s = 2 * START_S + _LOOK_S * len(camouflages)
-    return Step("looks", "looks", command, tuple(inputs), (command.out,), effort_s=effort_s)
+    return command_step("looks", "looks", command, tuple(inputs), (command.out,), effort_s=effort_s)
 
 
 def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], device: str) -> Step:
@@ -224,4 +242,4 @@ def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], d
     inputs += [folder / "camouflage.json" for folder in command.camouflages]
     images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
     effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
-    return Step("features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s)
+    return command_step("features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 from torchvision import ops
 
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 SAME_VEHICLE_IOU = 0.3
@@ -27,6 +30,17 @@ class VehicleFinder:
 
     loaded: LoadedDetector[Detector]
     name: str
+
+    @classmethod
+    def of_folder(
+        cls, loaded: LoadedDetector[Any], folder: Path, device: torch.device
+    ) -> VehicleFinder:
+        """Names a detector by its folder and its weights' digest, and moves it to a device."""
+        if not isinstance(loaded.detector, nn.Module):
+            return cls(loaded, f"{folder} (by its answers)")
+        digest = weights_digest(loaded.detector)
+        loaded.detector.to(device)
+        return cls(loaded, f"{folder} ({digest[:12]})")
 
     def detections(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Detections:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""

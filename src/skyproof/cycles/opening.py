@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from skyproof.cli.rendering import Rendering
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.renderer import CyclesRenderer
+from skyproof.cycles.rendering import Rendering
 from skyproof.cycles.workers import Workers
 from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
-from skyproof.assessment.attack_job import AttackJob
-from skyproof.assessment.plan import START_S, Step
-from skyproof.assessment.world import WorldSizes, render_s
+from skyproof.reproduction.attack_job import AttackJob
+from skyproof.assessment.run import START_S, Step
+from skyproof.reproduction.plan import command_step
+from skyproof.reproduction.world import WorldSizes, render_s
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
 from skyproof.cli.precheck import Precheck
-from skyproof.cli.reference import Reference
-from skyproof.cli.rendering import Rendering
-from skyproof.cli.report import Report
+from skyproof.cycles.rendering import Rendering
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
@@ -57,7 +55,7 @@ def train_step(
     )
     settings = replace(TRAINING_PRESETS[name, size], **changes)
     megapixels = sizes.megapixels(settings.steps * settings.batch_size)
-    return Step(
+    return command_step(
         "train",
         name,
         command,
@@ -68,19 +66,6 @@ def train_step(
     )
 
 
-def reference_step(layout: Layout, name: str, *, check: bool) -> Step:
-    """Returns the step that takes one of the detectors that come trained.
-
-    Args:
-        layout: the run folder's.
-        name: of the detector.
-        check: whether what the check found when it was made comes with it.
-    """
-    command = Reference(layout.detectors, (name,), check)
-    outputs = (layout.detector(name) / "detector.json",)
-    return Step("reference", name, command, (), outputs, effort_s=0.1)
-
-
 def check_step(
     layout: Layout,
     sizes: WorldSizes,
@@ -89,8 +74,6 @@ def check_step(
     draws: int,
     seed: int,
     *,
-    frames: Sequence[str] = (),
-    frame_classes: Sequence[str] = ("car", "minibus"),
     device: str = "auto",
 ) -> Step:
     """Returns the step that tells whether the detectors are worth attacking.
@@ -102,8 +85,6 @@ def check_step(
         scenes: how many of the test scenes are taken, at most.
         draws: of every random control.
         seed: of the controls and the bootstrap.
-        frames: annotated images to check the detectors on.
-        frame_classes: class names that count as vehicles in them.
         device: auto, cpu or cuda.
     """
     folders = tuple(layout.detector(name) for name in names)
@@ -115,8 +96,6 @@ def check_step(
         scenes=layout.scenes("test"),
         scenes_count=scenes,
         draws=draws,
-        frames=tuple(frames),
-        frame_classes=tuple(frame_classes),
         seed=seed,
         device=device,
     )
@@ -124,7 +103,7 @@ def check_step(
     inputs += [folder / "detector.json" for folder in folders]
     images = scenes * (1 + _TRIALS + _CONTROLS * draws)
     each_s = render_s(Rendering()) + _DETECT_S * len(names)
-    return Step(
+    return command_step(
         "check",
         "detectors",
         command,
@@ -140,15 +119,11 @@ def attack_step(
     image_px: int,
     *,
     places: Places = "uniform",
-    teachers: Layout | None = None,
     device: str = "auto",
 ) -> Step:
-    """Returns the step that learns or chooses one camouflage, on vehicles at these places.
-
-    `teachers` says where the job's detectors lie, if not among the run's own.
-    """
+    """Returns the step that optimises or chooses one camouflage, on vehicles at these places."""
     texture = layout.camouflage(job.texture) if job.texture else None
-    folders = tuple((teachers or layout).detector(name) for name in job.detectors)
+    folders = tuple(layout.detector(name) for name in job.detectors)
     command = Attack(
         names=(job.name,),
         out=layout.camouflages,
@@ -168,7 +143,7 @@ def attack_step(
     if texture:
         inputs.append(texture / "camouflage.json")
     chosen = CamouflageName.parse(job.name).choice is not None
-    return Step(
+    return command_step(
         "choose" if chosen else "attack",
         job.name,
         command,
@@ -200,7 +175,7 @@ def control_step(
     )
     inputs = [layout.backgrounds] + ([under / "camouflage.json"] if under else [])
     outputs = tuple(layout.camouflage(name) / "camouflage.json" for name in names)
-    return Step(
+    return command_step(
         "control",
         f"shapes-{texture}" if texture else "random",
         command,
@@ -219,8 +194,6 @@ def score_step(
     detectors: Sequence[str],
     seed: int,
     *,
-    frames: Sequence[str] = (),
-    frame_classes: Sequence[str] = ("car", "minibus"),
     empty: bool = False,
     rendering: Rendering | None = None,
     weather: bool = False,
@@ -236,9 +209,7 @@ def score_step(
         camouflages: folders relative to `camouflages/`.
         detectors: names of all that judge.
         seed: of the bootstrap.
-        frames: annotated images to check the detectors on.
-        frame_classes: class names that count as vehicles in them.
-        empty: whether false alarms are also counted on ground without vehicles, in place of frames.
+        empty: whether false alarms are also counted on ground without vehicles.
         rendering: the renderer; the differentiable one where not given.
         weather: whether the test scenes in weather are meant.
         judged: where detectors that only judge lie, and what they judged; where not given, the
@@ -250,9 +221,7 @@ def score_step(
     drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
     original = layout.dataset("weather" if weather else drawn)
     out = (layout.weather if weather else own).score(name)
-    if empty:
-        frames = (f"ground without vehicles={layout.dataset('empty')}@{sizes.gsd_m}",)
-        frame_classes = ("vehicle",)
+    frames = (f"ground without vehicles={layout.dataset('empty')}@{sizes.gsd_m}",)
     command = Score(
         **vars(chosen),
         detectors=tuple(own.detector(detector) for detector in detectors),
@@ -261,8 +230,8 @@ def score_step(
         camouflages=tuple(_camouflage(layout, folder) for folder in camouflages),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / "test",
-        frames=tuple(frames),
-        frame_classes=tuple(frame_classes),
+        frames=frames if empty else (),
+        frame_classes=("vehicle",) if empty else ("car", "minibus"),
         seed=seed,
         device=device,
     )
@@ -274,13 +243,14 @@ def score_step(
     inputs += [_camouflage(layout, attack) / "camouflage.json" for attack in attacks]
     images = sizes.test_images * (1 + len(camouflages))
     each_s = render_s(chosen) + _DETECT_S * len(detectors)
-    return Step(
+    return command_step(
         "score",
         # No table's name has a dot, so that no two steps have one name.
         f"judges.{judged.folder.name}.{name}" if judged else f"weather-{name}" if weather else name,
         command,
         tuple(inputs),
         (out,),
+        extra=chosen.renderer == "cycles",
         effort_s=START_S + each_s * sizes.megapixels(images),
     )
 
@@ -289,35 +259,3 @@ def _camouflage(layout: Layout, folder: str) -> Path:
     """A camouflage's folder; what is drawn and not learnt is the same for every training."""
     drawn = CamouflageName.parse(folder.partition("/")[0]).random
     return (layout.shared if drawn else layout).camouflage(folder)
-
-
-def report_step(
-    layout: Layout,
-    scores: Sequence[Step],
-    checked: Sequence[str] = (),
-    *,
-    requirement: Mapping[str, float] = MappingProxyType({}),
-) -> Step:
-    """Returns the step that merges all scores and writes the report.
-
-    Args:
-        layout: the run folder's.
-        scores: the steps that leave the score folders.
-        checked: names of the detectors that are checked in this run.
-        requirement: what the report is to decide on: accept, reject and both risks.
-    """
-    checks = [layout.precheck(name) for name in checked]
-    return Step(
-        "report",
-        "report",
-        Report(layout.folder, **requirement),
-        # Another requirement may be asked of a run that has ended.
-        (
-            *checks,
-            *(folder for step in scores for folder in step.outputs),
-            *([layout.config] if requirement else []),
-        ),
-        (layout.results, layout.report),
-        renewed=True,
-        effort_s=2 * START_S,
-    )

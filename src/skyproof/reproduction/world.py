@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from skyproof.assessment.plan import START_S, Step
-from skyproof.cli.ground import Ground, tiling_for_images
+from skyproof.assessment.run import START_S, Step
+from skyproof.cli.ground import Ground
 from skyproof.cli.render import Render
-from skyproof.cli.rendering import Rendering
 from skyproof.cli.scenes import Scenes
 from skyproof.cli.vehicles import Vehicles
-from skyproof.imagery.settings import SourceSettings
+from skyproof.cycles.rendering import Rendering
+from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.ranges import Count, Fraction, GroundResolution, check_ranges
+from skyproof.reproduction.plan import command_step
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
@@ -48,8 +48,7 @@ class WorldSizes:
     Attributes:
         gsd_m: metres per pixel of ground and images, in which vehicles are of true size.
         image_px: image side.
-        tiles: procedural ground tiles per split (train, validation, attack, test), where no imagery
-            is given.
+        tiles: procedural ground tiles per split (train, validation, attack, test).
         vehicles: vehicles in the fleet of each split.
         training_images: rendered images to train on.
         validation_images: images that choose weights and threshold.
@@ -135,20 +134,11 @@ def world_steps(
     seed: int,
     *,
     splits: Sequence[Rendered] = RENDERED,
-    imagery: Sequence[Path] = (),
-    imagery_gsd_m: float | None = None,
     blur_sigma_px: BlurChoice | None = None,
     device: str = "auto",
 ) -> list[Step]:
     """Returns the steps from nothing to rendered images of some splits."""
-    ground = ground_step(
-        layout,
-        sizes,
-        seed,
-        imagery=imagery,
-        imagery_gsd_m=imagery_gsd_m,
-        blur_sigma_px=blur_sigma_px,
-    )
+    ground = ground_step(layout, sizes, seed, blur_sigma_px=blur_sigma_px)
     scenes = [scene_step(layout, sizes, split, seed) for split in splits]
     rendered = [render_step(layout, sizes, split, device=device) for split in splits]
     return [ground, vehicles_step(layout, sizes, seed), *scenes, *rendered]
@@ -159,25 +149,19 @@ def ground_step(
     sizes: WorldSizes,
     seed: int,
     *,
-    imagery: Sequence[Path] = (),
-    imagery_gsd_m: float | None = None,
     blur_sigma_px: BlurChoice | None = None,
 ) -> Step:
-    """Returns the step that draws ground, or cuts it from imagery."""
-    tiling = tiling_for_images(sizes.image_px, gsd_m=sizes.gsd_m, imagery=bool(imagery))
+    """Returns the step that draws ground."""
+    tiling = tiling_for_images(sizes.image_px, gsd_m=sizes.gsd_m, imagery=False)
     command = Ground(
         out=layout.backgrounds,
-        sources=tuple(imagery),
         tiles=sizes.tiles,
         blur_sigma_px=blur_sigma_px,
         seed=seed,
         tiling=tiling,
-        source=SourceSettings(gsd_m=imagery_gsd_m),
     )
     effort_s = START_S + _GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
-    return Step(
-        "ground", "ground", command, tuple(imagery), (layout.backgrounds,), effort_s=effort_s
-    )
+    return command_step("ground", "ground", command, (), (layout.backgrounds,), effort_s=effort_s)
 
 
 def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
@@ -190,7 +174,7 @@ def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
         shapes=sizes.shapes,
     )
     effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
-    return Step("vehicles", "fleets", command, (), (layout.fleets,), effort_s=effort_s)
+    return command_step("vehicles", "fleets", command, (), (layout.fleets,), effort_s=effort_s)
 
 
 def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) -> Step:
@@ -206,7 +190,7 @@ def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) ->
         seed=seed,
     )
     inputs = (layout.backgrounds, layout.fleets)
-    return Step("scenes", split, command, inputs, (layout.scenes(split),), effort_s=START_S)
+    return command_step("scenes", split, command, inputs, (layout.scenes(split),), effort_s=START_S)
 
 
 def render_s(rendering: Rendering) -> float:
@@ -235,7 +219,15 @@ def render_step(
     )
     effort_s = START_S + render_s(chosen) * sizes.megapixels(sizes.count(split))
     inputs = (layout.backgrounds, layout.fleets, layout.scenes(split))
-    return Step("render", name, command, inputs, (layout.dataset(name),), effort_s=effort_s)
+    return command_step(
+        "render",
+        name,
+        command,
+        inputs,
+        (layout.dataset(name),),
+        extra=chosen.renderer == "cycles",
+        effort_s=effort_s,
+    )
 
 
 def _ground_of(split: Rendered) -> Split:

@@ -1,0 +1,279 @@
+"""`skyproof assess`: how robust detectors are on somebody's imagery, and whether they pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skyproof.assessment.answers import say_answers, say_expected, say_verdict
+from skyproof.assessment.attacking import attacks, controls, scored
+from skyproof.assessment.judging import (
+    enough_ground,
+    precheck,
+    refuse_what_scenes_cannot_show,
+    report,
+    score,
+)
+from skyproof.assessment.objects import checked_object
+from skyproof.assessment.planning import plan_words
+from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
+from skyproof.assessment.request import Request
+from skyproof.assessment.run import SOURCES, Run, Step
+from skyproof.assessment.sources import source_digests
+from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
+from skyproof.assessment.suite import SUITE, Suite, read_suite, suite_digest
+from skyproof.cli.console import say
+from skyproof.cli.device import choose_device
+from skyproof.cycles.blender import find_blender
+from skyproof.cycles.rendering import Rendering
+from skyproof.detectors.card import read_card
+from skyproof.detectors.reference_detectors import detector_folder
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import check_ranges
+
+if TYPE_CHECKING:
+    from skyproof.detectors.detector import Detector
+
+_SCORED_AT_ONCE = 24
+
+
+def assess_steps(its: Subject) -> Iterator[Step]:
+    """Gives the steps from detectors and imagery to a report, in the order they are done."""
+    layout, requirement = its.layout, its.request.requirement
+    yield from prepare(its)
+    yield fleets(its, layout)
+    yield scenes(its, layout, "test")
+    if requirement is not None:
+        yield enough_ground(its, requirement)
+    yield rendered(its, layout, "test")
+    if its.suite.check_scenes:
+        yield precheck(its)
+    made = [*attacks(its)]
+    yield from made
+    drawn = [*controls(its)]
+    yield from drawn
+    optimised = scored(its, made)
+    worn = [*optimised, *(place.parent for step in drawn for place in step.outputs)]
+    batches = [
+        worn[start : start + _SCORED_AT_ONCE] for start in range(0, len(worn), _SCORED_AT_ONCE)
+    ]
+    scores = [
+        score(its, f"test-{number}", batch, first=number == 0)
+        for number, batch in enumerate(batches)
+    ]
+    if its.request.cycles:
+        rendering = Rendering(renderer="cycles", blender=its.request.blender)
+        scores.append(rendered(its, layout, "test", rendering=rendering))
+        # Every one takes a minute and more there: of random controls the best will do.
+        finished = [folder for folder in optimised if folder.parent == layout.camouflages]
+        scores.append(score(its, "test-cycles", finished, rendering=rendering))
+    yield from scores
+    yield report(its, scores, requirement)
+
+
+def run_assessment(
+    request: Request, suite_file: Path = SUITE, black_box: Detector | None = None
+) -> Path:
+    """Does all steps that are not finished yet, and prints the answer; returns the report's path.
+
+    Args:
+        request: what is asked.
+        suite_file: the attacks.
+        black_box: a detector that only answers, in place of the request's folder.
+
+    Raises:
+        SkyproofError: whatever stops a step, in a sentence.
+    """
+    its = _subject(request, read_suite(suite_file), black_box)
+    what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
+    config = {
+        "title": f"How robust {what} to camouflage?",
+        **request.config(),
+        "names": list(its.names),
+        "suite": {"version": its.suite.version, "sha256": suite_digest(suite_file)},
+        SOURCES: dict(its.sources),
+    }
+    # Mistakes are looked for first: they should show before an hour's work, not after it.
+    run = Run(request.out, config, [*assess_steps(its)])
+    if request.cycles:
+        find_blender(request.blender)
+    with run.begun(str(its.device)):
+        say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
+        for sentence in _limits(its):
+            say(f"  note: {sentence}")
+        run.do()
+    say_answers(its.layout, its.suite.attacks)
+    if its.layout.verdict.exists():
+        say_verdict(its.layout)
+    if not request.imagery and request.seed == 0 and len(its.names) == 1:
+        say_expected(its.layout, its.suite)
+    say(f"Report: {its.layout.report.resolve()}")
+    return its.layout.report
+
+
+def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
+    """Says what the request's test needs and has, and how long it takes; writes nothing."""
+    its = _subject(request, read_suite(suite_file), None)
+    for line in plan_words(its, [*assess_steps(its)]):
+        say(line)
+
+
+def assess(
+    detector: str | Path | Detector | Sequence[str | Path],
+    out: str | Path,
+    *,
+    imagery: str | Path | Sequence[str | Path] = (),
+    gsd: float | None = None,
+    labels: str | Path | None = None,
+    label_classes: Sequence[str] = (),
+    vehicle_classes: Sequence[str] = (),
+    architecture: str | None = None,
+    detector_gsd: float | None = None,
+    accept: float | None = None,
+    reject: float | None = None,
+    producer_risk: float = 0.05,
+    consumer_risk: float = 0.05,
+    cycles: bool = False,
+    blender: str | Path | None = None,
+    seed: int = 0,
+    device: str = "auto",
+) -> Path:
+    """Puts detectors to the suite of attacks, as `skyproof assess` does, and writes a report.
+
+    Of a detector that is an object, only `name` and `detect` are used: attacks are optimised on the
+    detectors that come with skyproof, and carried on by query attacks. Its threshold is frozen on
+    the labels; without any, on rendered vehicles. What stops half-way, a server too, goes on when
+    the same is asked again. A MAITE model of object detection is such a detector, too, under its
+    `id`; one that takes bytes instead of floats is given as `skyproof.maite.ModelDetector`.
+
+    Args:
+        detector: a detector folder, "retinanet" or "faster_rcnn", or several of them, which are
+            attacked together; or a checkpoint file, an object with `name` and `detect`, or a MAITE
+            model.
+        out: run folder.
+        imagery: photographs, or folders of them; ground is drawn where not given.
+        gsd: metres per pixel of images that do not say it themselves.
+        labels: file or folder of labels of the vehicles in the imagery.
+        label_classes: classes of the labels that are vehicles.
+        vehicle_classes: classes of a checkpoint or of a MAITE model that are vehicles.
+        architecture: architecture of a torchvision checkpoint.
+        detector_gsd: metres per pixel that a checkpoint or an object was made for.
+        accept: share of found vehicles that a detector may lose to the worst attack.
+        reject: the share lost from which on it is refused.
+        producer_risk: largest chance that a detector which loses `accept` is rejected.
+        consumer_risk: largest chance that a detector which loses `reject` is accepted.
+        cycles: judge the test scenes as Blender Cycles draws them, too.
+        blender: a Blender 4.5 executable, or a Python that has bpy 4.5.
+        seed: decides everything that is drawn.
+        device: "auto", "cpu" or "cuda".
+
+    Returns:
+        The report's path.
+
+    Raises:
+        ConfigurationError: arguments that cannot work, or not together.
+        DetectorAnswerError: the object stopped answering, or gave what is no answer.
+        SkyproofError: whatever else stops a step, in a sentence.
+    """
+    black_box = None
+    if isinstance(detector, str | Path):
+        places = [Path(detector)]
+    elif isinstance(detector, Sequence):
+        places = [Path(place) for place in detector]
+    else:
+        black_box = checked_object(detector, vehicle_classes, architecture)
+        places = [Path(black_box.name)]
+    request = Request(
+        detectors=tuple(places),
+        out=Path(out),
+        imagery=tuple(map(Path, [imagery] if isinstance(imagery, str | Path) else imagery)),
+        gsd=gsd,
+        labels=None if labels is None else Path(labels),
+        label_classes=tuple(label_classes),
+        vehicle_classes=tuple(vehicle_classes),
+        architecture=architecture,
+        detector_gsd=detector_gsd,
+        accept=accept,
+        reject=reject,
+        producer_risk=producer_risk,
+        consumer_risk=consumer_risk,
+        cycles=cycles,
+        blender=None if blender is None else Path(blender),
+        seed=seed,
+        device=device,
+    )
+    check_ranges(request)
+    return run_assessment(request, black_box=black_box)
+
+
+def _subject(request: Request, suite: Suite, black_box: Detector | None) -> Subject:
+    """Reads what detectors and labels say of themselves, after mistakes were looked for.
+
+    Raises:
+        ConfigurationError: what is asked cannot work; or detectors have one name or different
+            resolutions; or a black box sees another resolution than skyproof's own detectors.
+    """
+    request.refuse_contradictions(objects=black_box is not None)
+    if request.requirement is not None:
+        refuse_what_scenes_cannot_show(request.requirement, suite.test_images)
+    usual_m = request.detector_gsd or REFERENCE_GSD_M
+    places = [] if black_box is not None else [*request.detectors]
+    folders = [detector_folder(place) for place in places]
+    if black_box is not None:
+        known = [(black_box.name, usual_m)]
+    elif folders[0].is_file():
+        known = [(request.checkpoint_name, usual_m)]
+    else:
+        known = [(card.name, card.gsd_m) for card in map(read_card, folders)]
+    names = [name for name, _ in known]
+    for number, (name, gsd_m) in enumerate(known):
+        if name in names[:number]:
+            raise ConfigurationError(
+                f"{places[number]} is a second {name}; give each kind of detector once."
+            )
+        if not math.isclose(gsd_m, known[0][1]):
+            raise ConfigurationError(
+                f"{places[number]} sees {gsd_m:g} m per pixel and {places[0]} {known[0][1]:g}; "
+                "assess them in runs of their own."
+            )
+    read = [*places, *([] if request.labels is None else [request.labels])]
+    its = Subject(
+        request,
+        suite,
+        tuple(names),
+        known[0][1],
+        choose_device(request.device),
+        source_digests(read),
+        black_box,
+    )
+    if black_box is not None and not its.fits_reference:
+        raise ConfigurationError(
+            f"A detector that only answers is attacked with what hides from skyproof's own "
+            f"detectors, which see {REFERENCE_GSD_M} m per pixel, got {its.gsd_m:g}; give it "
+            f"images of {REFERENCE_GSD_M} m and resize them in its detect."
+        )
+    return its
+
+
+def _limits(its: Subject) -> Iterator[str]:
+    """Says what this run cannot say."""
+    if not its.request.imagery:
+        yield "without --imagery, ground is drawn: the answer says nothing of your places"
+    elif not its.labelled:
+        yield (
+            "without --labels, the threshold is not chosen on photographs, only what the detector "
+            "itself finds is cleared, and nothing tells how well it finds real vehicles"
+        )
+    if not its.fits_reference:
+        yield (
+            f"the detector sees {its.gsd_m:g} m per pixel, and skyproof's own, which begin query "
+            f"attacks on it, see {REFERENCE_GSD_M}: whether its gradients mislead attacks is not "
+            "tried"
+        )
+    elif len(its.names) > 1 and its.suite.compared:
+        yield (
+            "several detectors are attacked together: whether the gradients of one mislead attacks "
+            "is only tried where it is assessed alone"
+        )

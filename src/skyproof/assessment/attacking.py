@@ -1,0 +1,192 @@
+"""The steps that make camouflages: attacks, controls, and query attacks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.subject import Subject
+from skyproof.assessment.suite import texture_under
+from skyproof.attacks.making import Maker, draw_random_control
+from skyproof.attacks.queries import query_attack
+from skyproof.attacks.settings import AttackSettings
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
+from skyproof.cli.console import progress_bar
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
+from skyproof.randomness import generator_of
+
+# Seconds on one core, for the time left alone: a million pixels before one detector, an answer.
+_ATTACK_S = 4.0
+_ANSWER_S = 0.03
+
+_PLAIN_PAINTS = 27
+_CHOICE_SCENES = 32
+"""On average: all candidates are shown 16, the best quarter of them 64 more."""
+_WITHOUT_GRADIENT = 0.4
+
+
+def attacks(its: Subject) -> Iterator[Step]:
+    """Gives the steps that optimise or choose camouflages by the detectors' losses and answers."""
+    suite, seed = its.suite, its.seed
+    if its.black_box is None:
+        for name in suite.names:
+            yield attack(its, name, suite.attack(name, seed))
+    else:
+        for name in suite.names:
+            taught = name.with_variant(TRANSFER)
+            yield attack(its, taught, suite.attack(name, seed), taught=True)
+            yield query(its, name, start=taught)
+    searches = [name for name in suite.chosen(seed) if name.choice == "search"]
+    for name in searches if its.black_box is not None else []:
+        yield query(its, name)
+    for name, settings in suite.chosen(seed).items():
+        if its.black_box is None or name not in searches:
+            yield attack(its, name, settings)
+    # Of several detectors each would need query attacks of its own.
+    if its.black_box is None and its.fits_reference and len(its.names) == 1:
+        for name in suite.names:
+            if str(name) in suite.compared:
+                taught = name.with_variant(TRANSFER)
+                yield attack(its, taught, suite.attack(name, seed), taught=True)
+                yield query(its, name.with_variant(ASKED), start=taught)
+
+
+def attack(
+    its: Subject, name: CamouflageName, settings: AttackSettings, *, taught: bool = False
+) -> Step:
+    """Optimises a camouflage, or chooses a control.
+
+    Args:
+        its: what is assessed.
+        name: of the camouflage.
+        settings: how it is made.
+        taught: whether skyproof's own detectors are attacked in place of the assessed ones.
+    """
+    layout = its.layout
+    folder = layout.camouflage(str(name))
+    under = layout.camouflage(texture_under(name)) if name.order == "seq" else None
+    best_of = its.suite.best_of
+
+    def work() -> None:
+        detectors = its.references if taught else its.detectors
+        maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
+        if name.choice in ("plain", "best"):
+            with progress_bar(f"choose {name}") as update:
+                maker.choose(name, folder, draws=best_of, progress=update)
+        else:
+            texture = None if under is None else load_camouflage(under)
+            with progress_bar(f"attack {name}") as update:
+                maker.optimise(name, folder, texture=texture, progress=update)
+
+    attacked = REFERENCE_DETECTORS if taught else its.names
+    images = _images(name, settings, best_of) * len(attacked)
+    return Step(
+        "attack" if name.choice is None else "choose",
+        str(name),
+        (folder / "camouflage.json",),
+        work,
+        (settings, attacked, best_of, its.attack_px, its.places),
+        growing=True,
+        effort_s=START_S + _ATTACK_S * images * its.attack_px**2 / 1e6,
+    )
+
+
+def _images(name: CamouflageName, settings: AttackSettings, best_of: int) -> float:
+    """How many images it sees, counted in those of an attack, which has a gradient, too."""
+    if name.choice in ("plain", "best"):
+        candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
+        return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
+    return settings.steps * settings.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
+
+
+def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
+    """Seeks a camouflage by the detector's answers alone.
+
+    Args:
+        its: what is assessed.
+        name: of the camouflage.
+        start: what it begins at; a random search begins at a random draw.
+    """
+    layout = its.layout
+    settings = replace(its.suite.queries, seed=its.seed)
+
+    def work() -> None:
+        if start is None:
+            begun = make_camouflage(
+                name,
+                generator=generator_of(its.seed, "texture", str(name)),
+                palette=its.palette(name),
+            )
+        else:
+            begun = load_camouflage(layout.camouflage(str(start)))
+            begun.name = name
+        (detector,) = its.detectors
+        with progress_bar(f"query attack {name}") as update:
+            query_attack(
+                begun.to(its.device),
+                detector,
+                its.world,
+                settings,
+                layout.camouflage(str(name)),
+                on_step=update,
+            )
+
+    return Step(
+        "ask",
+        str(name),
+        (layout.camouflage(str(name)) / "camouflage.json",),
+        work,
+        (settings, str(start), its.names, its.attack_px, its.places),
+        growing=True,
+        effort_s=START_S + _ANSWER_S * settings.images,
+    )
+
+
+def controls(its: Subject) -> Iterator[Step]:
+    """Gives the steps that draw random controls, and random shapes on optimised textures."""
+    yield _drawn(its, its.suite.drawn())
+    for texture, names in its.suite.drawn_shapes().items():
+        yield _drawn(its, names, texture)
+
+
+def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> Step:
+    layout = its.layout
+    names = [CamouflageName.parse(text) for text in texts]
+
+    def work() -> None:
+        under = None if texture is None else load_camouflage(layout.camouflage(texture))
+        for name in names:
+            draw_random_control(
+                name,
+                layout.camouflage(str(name)),
+                seed=its.seed,
+                palette=its.palette(name),
+                texture=under,
+            )
+
+    return Step(
+        "control",
+        "random" if texture is None else f"shapes-{texture}",
+        tuple(layout.camouflage(text) / "camouflage.json" for text in texts),
+        work,
+        (texts, its.seed, texture),
+        growing=True,
+        effort_s=START_S + 0.1 * len(names),
+    )
+
+
+def scored(its: Subject, steps: Sequence[Step]) -> list[Path]:
+    """Gives the folders that attacks leave to be scored: the camouflages and their kept copies."""
+    folders = []
+    for step in steps:
+        folder = its.layout.camouflage(step.name)
+        folders.append(folder)
+        if step.kind == "ask":
+            name = CamouflageName.parse(step.name)
+            kept = [str(name.asked(images)) for images in its.suite.queries.keep_at]
+            folders += [folder / "snapshots" / copy for copy in kept]
+    return folders

@@ -1,0 +1,179 @@
+"""The steps that measure: precheck, test of the camouflages, and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from skyproof.assessment.preparing import RENDER_S, VEHICLE_CLASSES, YOURS
+from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.subject import Subject
+from skyproof.cli.precheck import Precheck
+from skyproof.cli.console import say
+from skyproof.cli.score import Score
+from skyproof.cycles.rendering import Rendering
+from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.files import write_json
+from skyproof.report.report import write_report
+from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
+from skyproof.results.statistics.planning import tiles_to_show
+from skyproof.scenes.scene import read_scenes
+from skyproof.words import percent
+
+# Seconds on one core for a million pixels before one detector; for the time left alone.
+_DETECT_S = 3.0
+
+_TRIALS = 62
+"""Changes that a precheck tries on every scene, but for random controls."""
+_CONTROLS = 6
+
+
+def enough_ground(its: Subject, requirement: Requirement) -> Step:
+    """Stops a run that could never accept its detector, before anything is attacked."""
+    scenes, out = its.layout.scenes("test"), its.layout.folder / "enough.json"
+
+    def work() -> None:
+        drawn = read_scenes(scenes)
+        tiles = len({scene.background.tile for scene in drawn})
+        needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
+        if tiles < needed:
+            raise ImageryError(
+                f"The {len(drawn)} scenes of {scenes} stand on {tiles} test tiles, and on fewer "
+                f"than {needed} no detector can be accepted at {percent(requirement.reject)} with "
+                "these risks, not even one that loses nothing; give imagery with about "
+                f"{tiles_to_show(needed, len(drawn)):,} test tiles that have drivable ground, or "
+                "leave out --accept and --reject."
+            )
+        say(f"Test tiles: {tiles}; no verdict is possible on fewer than {needed}.")
+        write_json(out, {"test_tiles": tiles, "fewest": needed})
+
+    # Another requirement may be asked of a run that has ended.
+    return Step("size", "size", (out,), work, requirement, inputs=(scenes,), renewed=True)
+
+
+def refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> None:
+    """Refuses a requirement that takes more tiles than there are test scenes.
+
+    Raises:
+        ConfigurationError: no imagery could be enough.
+    """
+    needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
+    if needed >= scenes:
+        raise ConfigurationError(
+            f"To accept a detector at --reject {requirement.reject:g} with --consumer-risk "
+            f"{requirement.consumer_risk:g} takes {needed} test tiles at least, and the suite has "
+            f"{scenes} scenes, which do not all stand on tiles of their own; ask for a larger "
+            "share or a larger risk."
+        )
+
+
+def precheck(its: Subject) -> Step:
+    """Tells whether the detectors are worth attacking."""
+    layout, suite = its.layout, its.suite
+    scenes = min(suite.check_scenes, suite.test_images)
+    frames = _frames(its)
+
+    def work() -> None:
+        Precheck(
+            detectors=tuple(layout.detector(name) for name in its.names),
+            backgrounds=layout.backgrounds,
+            fleet=layout.fleets / "test",
+            scenes=layout.scenes("test"),
+            scenes_count=scenes,
+            draws=suite.check_draws,
+            frames=frames,
+            frame_classes=VEHICLE_CLASSES,
+            seed=its.seed,
+            device=its.request.device,
+        ).run(its.load)
+
+    images = scenes * (1 + _TRIALS + _CONTROLS * suite.check_draws)
+    return Step(
+        "check",
+        "detectors",
+        tuple(layout.precheck(name) for name in its.names),
+        work,
+        (its.names, scenes, suite.check_draws, its.seed, frames),
+        effort_s=START_S + _looked_at_s(its, "torch") * images / suite.test_images,
+    )
+
+
+def score(
+    its: Subject,
+    title: str,
+    camouflages: Sequence[Path],
+    *,
+    first: bool = False,
+    rendering: Rendering | None = None,
+) -> Step:
+    """Judges every detector on the test scenes, with and without camouflages.
+
+    Args:
+        its: what is assessed.
+        title: of the score folder.
+        camouflages: their folders.
+        first: whether detectors are also checked on the labelled test tiles.
+        rendering: the renderer; the differentiable one where not given.
+    """
+    layout = its.layout
+    chosen = rendering or Rendering()
+    original = layout.dataset("test" if rendering is None else f"test-{chosen.renderer}")
+    frames = _frames(its) if first else ()
+    out = layout.score(title)
+
+    def work() -> None:
+        Score(
+            **vars(chosen),
+            detectors=tuple(layout.detector(name) for name in its.names),
+            out=out,
+            original=original,
+            camouflages=tuple(camouflages),
+            backgrounds=layout.backgrounds,
+            fleet=layout.fleets / "test",
+            frames=frames,
+            frame_classes=VEHICLE_CLASSES,
+            seed=its.seed,
+            device=its.request.device,
+        ).run(its.load)
+
+    each_s = _looked_at_s(its, chosen.renderer)
+    return Step(
+        "score",
+        title,
+        (out,),
+        work,
+        (its.names, camouflages, its.seed, frames, chosen),
+        extra=rendering is not None,
+        effort_s=START_S + each_s * (1 + len(camouflages)),
+    )
+
+
+def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None) -> Step:
+    """Merges all scores and writes the report."""
+    layout = its.layout
+    checks = [layout.precheck(name) for name in its.names]
+
+    def work() -> None:
+        say(f"Report: {write_report(layout.folder, requirement).resolve()}")
+
+    return Step(
+        "report",
+        "report",
+        (layout.results, layout.report),
+        work,
+        None if requirement is None else asdict(requirement),
+        inputs=(*checks, *(folder for step in scores for folder in step.outputs)),
+        renewed=True,
+        effort_s=2 * START_S,
+    )
+
+
+def _frames(its: Subject) -> tuple[str, ...]:
+    """The labelled test tiles, on which no threshold was frozen."""
+    return (f"{YOURS}={its.layout.tiles / 'test'}@{its.gsd_m}",) if its.labelled else ()
+
+
+def _looked_at_s(its: Subject, renderer: str) -> float:
+    """About how long it takes to draw all test scenes once, and to show them to all detectors."""
+    return (RENDER_S[renderer] + _DETECT_S * len(its.names)) * its.test_megapixels

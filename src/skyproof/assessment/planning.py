@@ -1,0 +1,73 @@
+"""What an assessment would take, and what its test could decide: said before it is begun."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+
+from skyproof.assessment.preparing import tiling_of
+from skyproof.assessment.run import Step, duration
+from skyproof.assessment.subject import Subject
+from skyproof.errors import ConfigurationError
+from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.tiling import count_cells
+from skyproof.results.statistics.acceptance import fewest_tiles
+from skyproof.results.statistics.compliance import tiles_to_decide
+from skyproof.results.statistics.planning import (
+    Assumptions,
+    expected_half_width,
+    tiles_to_show,
+    vehicles_needed,
+)
+from skyproof.words import percent
+
+_VEHICLES = 3
+"""In a test scene, on average."""
+_EASR = 0.8
+_CORRELATION = 0.1
+"""How alike vehicles of one tile fare, where nothing was measured yet."""
+_HALF_WIDTH = 0.05
+
+
+def plan_words(its: Subject, steps: Sequence[Step]) -> Iterator[str]:
+    """Says what the test has, what it needs, and about how long the run takes."""
+    scenes = its.suite.test_images
+    tiles = _test_tiles(its)
+    # Scenes fall on tiles at random, so that some tiles are seen twice and some never.
+    shown = max(1, round(tiles * (1 - (1 - 1 / max(tiles, 1)) ** scenes)))
+    each = max(_VEHICLES * scenes / shown, 1.0)
+    effect = 1 + max(each - 1, 0) * _CORRELATION
+    fleet = its.suite.vehicles[3]
+    assumptions = Assumptions(_EASR, vehicles_per_tile=each, design_effect=effect, fleet=fleet)
+    width = expected_half_width(shown, assumptions)
+    yield (
+        f"Test: {scenes} scenes with about {_VEHICLES * scenes} vehicles on {shown} of "
+        f"{'at most ' if its.request.imagery else ''}{tiles} test tiles. The 95 % interval of an "
+        f"EASR of {percent(_EASR)} would be about ±{100 * width:.0f} percentage points."
+    )
+    # Of too few different vehicles no number of tiles makes it so narrow.
+    with suppress(ConfigurationError):
+        need = vehicles_needed(_HALF_WIDTH, assumptions)
+        yield f"For ±{100 * _HALF_WIDTH:.0f} points it takes about {need.tiles:,} such tiles."
+    requirement = its.request.requirement
+    if requirement is not None:
+        fewest = fewest_tiles(requirement.reject, requirement.consumer_risk)
+        decides = tiles_to_decide(requirement, assumptions)
+        verdict = "enough" if shown >= fewest else "too few"
+        yield (
+            f"Requirement: no verdict is possible on fewer than {fewest} tiles that scenes stand "
+            f"on ({shown} are {verdict}), which takes about {tiles_to_show(fewest, scenes):,} "
+            f"test tiles. On about {decides:,}, nine of ten tests decide it."
+        )
+    effort_s = math.fsum(step.effort_s for step in steps)
+    yield f"Time: {len(steps)} steps, about {duration(effort_s)} on one CPU core."
+
+
+def _test_tiles(its: Subject) -> int:
+    """Test tiles that are drawn, or that the imagery holds at most."""
+    if not its.request.imagery:
+        return its.suite.tiles[3]
+    tiling = tiling_of(its)
+    cells = count_cells(its.request.imagery, tiling, SourceSettings(gsd_m=its.request.gsd))
+    return max(1, round(cells * tiling.shares[3]))

@@ -1,0 +1,170 @@
+"""What is asked of an assessment: one frozen record, from the command line to config.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta
+from tyro.conf import Positional
+
+from skyproof.detectors.card import require_detector_name
+from skyproof.detectors.reference_detectors import detector_folder
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
+
+if TYPE_CHECKING:
+    from skyproof.results.statistics.acceptance import Requirement
+
+_Class = Annotated[str, Meta(max_length=200)]
+_UNDECIDED = ("out", "device", "cycles", "blender")
+"""Where a run is computed, or what is added to it, changes none of its results."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is assessed, on which imagery, and what it is to show.
+
+    Attributes:
+        detectors: detector folders, attacked together and judged one by one; "retinanet" and
+            "faster_rcnn" name those that come with skyproof. A single one may be a checkpoint file
+            of Ultralytics or torchvision.
+        out: run folder; the report goes there.
+        imagery: orthophotos or photographs, or folders of them: GeoTIFFs, or JPEG/PNG with --gsd.
+            Without any, ground is drawn, and the answer says nothing of your places.
+        gsd: metres per pixel of images that do not say it themselves.
+        labels: labels of the vehicles in the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage
+            or Shapefile. Without any, the threshold stays as it is, and nothing is said of
+            photographs.
+        label_classes: the labels' classes that are vehicles; may be left out where there is only
+            one class.
+        vehicle_classes: a checkpoint's classes that are vehicles (names of Ultralytics, numbers of
+            torchvision).
+        architecture: architecture of a torchvision checkpoint, as for `skyproof import`.
+        detector_gsd: metres per pixel that a checkpoint was made for; 0.125 where not given.
+        accept: share of found vehicles that a detector may lose to the worst attack; with `reject`,
+            the report says whether it is accepted, and verdict.json is written.
+        reject: the share lost from which on it is refused.
+        producer_risk: largest chance that a detector which loses `accept` is rejected.
+        consumer_risk: largest chance that a detector which loses `reject` is accepted.
+        cycles: the test scenes are also judged as Blender Cycles draws them; a finished run goes on
+            with that part alone.
+        blender: a Blender 4.5 executable, or a Python that has bpy 4.5, for --cycles; where not
+            given, what `make blender` made, then `blender` on the PATH.
+        seed: decides everything that is drawn.
+        device: auto, cpu or cuda.
+    """
+
+    detectors: Positional[tuple[Path, ...]]
+    out: Path
+    imagery: tuple[Path, ...] = ()
+    gsd: GroundResolution | None = None
+    labels: Path | None = None
+    label_classes: tuple[_Class, ...] = ()
+    vehicle_classes: Annotated[tuple[_Class, ...], Meta(max_length=1000)] = ()
+    architecture: str | None = None
+    detector_gsd: GroundResolution | None = None
+    accept: Fraction | None = None
+    reject: Fraction | None = None
+    producer_risk: Risk = 0.05
+    consumer_risk: Risk = 0.05
+    cycles: bool = False
+    blender: Path | None = None
+    seed: Seed = 0
+    device: str = "auto"
+
+    @property
+    def requirement(self) -> Requirement | None:
+        """What decides whether a detector is accepted; None where nothing is asked.
+
+        Raises:
+            ConfigurationError: only one of both limits is given, or they are exchanged.
+        """
+        from skyproof.results.statistics.acceptance import requirement_of
+
+        return requirement_of(self.accept, self.reject, self.producer_risk, self.consumer_risk)
+
+    @property
+    def checkpoint_name(self) -> str:
+        """The name of a detector from a checkpoint: that of the run folder.
+
+        "best" and "last" are what trainers call their files.
+        """
+        return self.out.resolve().name
+
+    def config(self) -> dict[str, object]:
+        """Gives what decides the results, for config.json."""
+        settings = {key: value for key, value in asdict(self).items() if key not in _UNDECIDED}
+        imagery = [str(path) for path in self.imagery] or "procedural"
+        return {**settings, "imagery": imagery}
+
+    def refuse_contradictions(self, *, objects: bool) -> None:
+        """Shows a mistake before anything is made.
+
+        Args:
+            objects: whether detectors are Python objects, of which no file is read.
+
+        Raises:
+            ConfigurationError: options that contradict each other, or speak of what is not there.
+        """
+        if self.blender is not None and not self.cycles:
+            raise ConfigurationError(
+                "--blender says which Blender draws for --cycles; give --cycles too."
+            )
+        about_imagery: Mapping[str, object] = {
+            "--gsd": self.gsd,
+            "--labels": self.labels,
+            "--label-classes": self.label_classes or None,
+        }
+        for option, value in about_imagery.items():
+            if value is not None and not self.imagery:
+                raise ConfigurationError(f"{option} speaks of imagery; give --imagery too.")
+        if self.label_classes and self.labels is None:
+            raise ConfigurationError(
+                "--label-classes says which classes of --labels are vehicles; give --labels too."
+            )
+        for path in (*self.imagery, *([] if self.labels is None else [self.labels])):
+            if not path.exists():
+                raise ConfigurationError(f"{path} is not there; check --imagery and --labels.")
+        if not self.detectors:
+            raise ConfigurationError("assess expects at least one detector, got none.")
+        if not objects:
+            for place in self.detectors:
+                self._refuse_detector(place)
+
+    def _refuse_detector(self, place: Path) -> None:
+        folder = detector_folder(place)
+        if not folder.exists():
+            raise ConfigurationError(
+                f"{place} is not there; give a detector folder, a checkpoint file, or the name of "
+                "a detector that comes with skyproof (retinanet, faster_rcnn)."
+            )
+        if folder.is_dir():
+            for option in self._about_checkpoints():
+                raise ConfigurationError(
+                    f"{option} is for checkpoint files, and {place} is a folder, which says it "
+                    "itself; leave the option out."
+                )
+        elif len(self.detectors) > 1:
+            raise ConfigurationError(
+                f"{place} is a checkpoint file, which is assessed alone; make a detector folder of "
+                "it first (skyproof import), and give that beside the others."
+            )
+        elif not self.vehicle_classes:
+            raise ConfigurationError(
+                f"{place} is a checkpoint file, whose classes may be anything; say with "
+                "--vehicle-classes which of them are vehicles."
+            )
+        else:
+            remedy = "it is called like the run folder, so choose another --out"
+            require_detector_name(self.checkpoint_name, remedy)
+
+    def _about_checkpoints(self) -> Iterator[str]:
+        given: Mapping[str, object] = {
+            "--vehicle-classes": self.vehicle_classes or None,
+            "--architecture": self.architecture,
+            "--detector-gsd": self.detector_gsd,
+        }
+        return (option for option, value in given.items() if value is not None)

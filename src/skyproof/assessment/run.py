@@ -1,0 +1,411 @@
+"""A run folder and its steps: each is done once, and kept when the same run is asked for again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec.structs import asdict
+
+from skyproof import __version__
+from skyproof.cli.console import say
+from skyproof.documents import read_document
+from skyproof.errors import RunFolderError
+from skyproof.files import Hold, alone, is_leftover, write_json
+from skyproof.layout import Layout
+from skyproof.results.stored import read_environment, read_timings
+
+# What a step costs before it works, seconds on one core.
+START_S = 5.0
+
+SOURCES = "sources_sha256"
+"""Where a run's config keeps the digests of the user's files, by path."""
+
+# What the efforts are trusted for: how long steps took counts for more once it is longer than this.
+_TRUSTED_S = 60.0
+
+# Where something is computed changes none of its results.
+_PLACE = ("device", "blender", "workers")
+
+_REMEDY = "move it away and give the same command again"
+
+_LONGEST_COMMAND = 2000
+"""A shell may have put hundreds of photographs into it."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that a run does once.
+
+    Attributes:
+        kind: what is done: "train", "attack". It groups steps in tables of times.
+        name: what it is done to; kind and name together are unique in a run.
+        outputs: files and folders that it leaves. A step whose outputs are there is finished.
+        work: does it.
+        settings: what decides its outputs, beside those of earlier steps: plain values, paths, and
+            dataclasses of them.
+        inputs: files and folders that must be there before.
+        growing: whether the outputs lie in folders that a stopped step leaves half-filled, to go on
+            from there; otherwise an output appears whole or not at all.
+        renewed: whether the step is done again when its settings changed or an input is newer than
+            its outputs. All other steps are kept for good.
+        extra: whether the same run may be asked for without it, after it was done.
+        effort_s: about how long it takes on one core; only the share of the whole counts.
+    """
+
+    kind: str
+    name: str
+    outputs: tuple[Path, ...]
+    work: Callable[[], object]
+    settings: object = None
+    inputs: tuple[Path, ...] = ()
+    growing: bool = False
+    renewed: bool = False
+    extra: bool = False
+    effort_s: float = START_S
+
+    @property
+    def id(self) -> str:
+        """Kind and name, such as "train/retinanet"."""
+        return f"{self.kind}/{self.name}"
+
+    @property
+    def title(self) -> str:
+        """Kind and name for people to read: "train retinanet", "ground"."""
+        return self.kind if self.kind == self.name else f"{self.kind} {self.name}"
+
+    @property
+    def places(self) -> list[Path]:
+        """Where it leaves anything that the next try would go on from."""
+        return [output.parent if self.growing else output for output in self.outputs]
+
+    def is_begun(self) -> bool:
+        """Says whether it has left anything that the next try would go on from."""
+        return any(place.exists() for place in self.places)
+
+    def is_finished(self) -> bool:
+        """Says whether its outputs are there, and new enough where that counts."""
+        if not all(output.exists() for output in self.outputs):
+            return False
+        if not self.renewed:
+            return True
+        oldest = min(output.stat().st_mtime_ns for output in self.outputs)
+        return all(path.stat().st_mtime_ns <= oldest for path in self.inputs if path.exists())
+
+
+class _Kept(msgspec.Struct, frozen=True):
+    """What `steps.json` keeps of a step: the digest of its settings, and where it left anything."""
+
+    settings_sha256: str
+    places: list[str] = []
+    extra: bool = False
+
+
+class Run:
+    """A new run, or the same run again; nothing is written before `begun`.
+
+    A run may be given other settings as long as they change nothing of its finished steps: a
+    mistake that shows late is corrected, and what was made before it is kept.
+
+    Args:
+        folder: the run folder; made if missing.
+        config: everything that decides the results, as plain JSON values.
+        steps: what is to be done, in this order.
+
+    Raises:
+        RunFolderError: the folder holds another run or something else.
+        StoredFileError: a record of the folder is damaged.
+    """
+
+    def __init__(self, folder: Path, config: Mapping[str, Any], steps: Sequence[Step]) -> None:
+        self.folder = Path(folder)
+        self.steps = tuple(steps)
+        self._layout = Layout(self.folder)
+        self._config: dict[str, Any] = json.loads(json.dumps(config, default=str))
+        self._digests = {step.id: self._digest(step) for step in self.steps}
+        self._refuse_another()
+
+    @contextmanager
+    def begun(self, device: str) -> Iterator[Hold]:
+        """Locks the folder, notes what was asked on what machine, and at the end that it ended.
+
+        Raises:
+            RunFolderError: somebody else works there, or it cannot be written.
+        """
+        with alone(self.folder) as hold:
+            # Somebody else may have begun meanwhile.
+            stored = self._refuse_another()
+            if stored != self._config:
+                write_json(self._layout.config, self._config)
+            self._keep(step for step in self.steps if not step.renewed)
+            # What nothing is left to do of was made by the version and until the time it tells.
+            ended = "finished" in read_environment(self._layout.environment)
+            ended = ended and all(map(self.is_finished, self.steps))
+            if not ended:
+                self._record_environment(device)
+            yield hold
+            if not ended:
+                path = self._layout.environment
+                noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+                write_json(path, {**noted, "finished": _now()})
+
+    def do(self) -> None:
+        """Does every step that is not finished yet, and says how long the rest may take."""
+        for number, step in enumerate(self.steps, 1):
+            if self.is_finished(step):
+                continue
+            finished = {before.id for before in self.steps if self.is_finished(before)}
+            times = read_timings(self._layout.timings)
+            seconds = {f"{row.stage}/{row.name or ''}": row.seconds for row in times}
+            left_s = time_left_s(self.steps, {key: seconds[key] for key in finished & {*seconds}})
+            about = "" if left_s is None else f" (about {duration(left_s)} left)"
+            say(f"[{number}/{len(self.steps)}] {step.title}{about}")
+            self._timed(step)
+            if step.renewed:
+                self._keep([step])
+
+    def is_finished(self, step: Step) -> bool:
+        """Says whether a step is finished; one that is renewed also by what it was made of."""
+        if not step.is_finished():
+            return False
+        kept = self._kept().get(step.id) if step.renewed else None
+        return kept is None or kept.settings_sha256 == self._digests[step.id]
+
+    def note_times(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Writes the times of steps that others did: stage, name, seconds, largest_memory_mb."""
+        write_json(self._layout.timings, [dict(row) for row in rows])
+
+    def _refuse_another(self) -> dict[str, Any] | None:
+        """Refuses a folder that is not this run's; returns the config that lies in it."""
+        if not self.folder.exists():
+            return None
+        if not self.folder.is_dir():
+            raise RunFolderError(f"{self.folder} is a file; choose another --out.")
+        layout = self._layout
+        entries = {entry.name for entry in self.folder.iterdir() if not is_leftover(entry)}
+        if layout.config.name not in entries:
+            if entries:
+                raise RunFolderError(
+                    f"{self.folder} is not empty and not a run of skyproof; choose another --out."
+                )
+            return None
+        stored: dict[str, Any] = read_document(
+            layout.config, dict[str, Any], "choose another --out"
+        )
+        records = {path.name for path in (layout.config, layout.environment, layout.timings)}
+        if stored == self._config or entries <= {*records, layout.steps.name}:
+            return stored
+        if self._changes_what_is_begun():
+            before, after = stored.get(SOURCES), self._config.get(SOURCES)
+            if isinstance(before, dict) and isinstance(after, dict):
+                both = sorted({*before} & {*after})
+                replaced = [path for path in both if before[path] != after[path]]
+                if replaced:
+                    raise RunFolderError(
+                        f"{self.folder} holds a run whose finished steps read other content of "
+                        f"{', '.join(replaced)[:300]}; choose another --out, or put back what they "
+                        "read."
+                    )
+            names = {*stored, *self._config}
+            changed = sorted(key for key in names if stored.get(key) != self._config.get(key))
+            raise RunFolderError(
+                f"{self.folder} holds a run with other settings ({', '.join(changed)[:300]}) that "
+                "finished steps depend on; choose another --out, or remove the folder to start "
+                "afresh."
+            )
+        return stored
+
+    def _changes_what_is_begun(self) -> bool:
+        """Says whether a step that has left something was made of other settings, or is gone."""
+        known = self._kept()
+        begun = {step.id for step in self.steps if step.is_begun() and not step.renewed}
+        if not known:
+            return bool(begun)
+        changed = any(
+            name in known and known[name].settings_sha256 != self._digests[name] for name in begun
+        )
+        return changed or any(
+            not kept.extra and any((self.folder / place).exists() for place in kept.places)
+            for name, kept in known.items()
+            if name not in self._digests
+        )
+
+    def _kept(self) -> dict[str, _Kept]:
+        place = self._layout.steps
+        if not place.exists():
+            return {}
+        kept: dict[str, _Kept] = read_document(place, dict[str, _Kept], "choose another --out")
+        return kept
+
+    def _keep(self, steps: Iterator[Step] | Sequence[Step]) -> None:
+        """Adds what steps are made of to `steps.json`; those that the run had before stay in it."""
+        known = self._kept()
+        now = {
+            step.id: _Kept(
+                self._digests[step.id],
+                # What is renewed is made again where anything changes.
+                [] if step.renewed else [self._relative(place) for place in step.places],
+                step.extra,
+            )
+            for step in steps
+        }
+        if any(known.get(name) != kept for name, kept in now.items()):
+            every = {**known, **now}
+            write_json(self._layout.steps, {name: asdict(kept) for name, kept in every.items()})
+
+    def _digest(self, step: Step) -> str:
+        text = json.dumps(self._plain(step.settings), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _plain(self, value: object) -> object:
+        """Settings as JSON values; the run folder may be moved, or called otherwise."""
+        if is_dataclass(value):
+            return {
+                field.name: self._plain(getattr(value, field.name))
+                for field in fields(value)
+                if field.name not in _PLACE
+            }
+        if isinstance(value, Mapping):
+            return {str(key): self._plain(each) for key, each in value.items()}
+        if isinstance(value, tuple | list):
+            return [self._plain(each) for each in value]
+        if isinstance(value, Path | str):
+            return self._relative(value)
+        return value
+
+    def _relative(self, value: Path | str) -> str:
+        return str(value).replace(f"{self.folder}{os.sep}", "")
+
+    def _timed(self, step: Step) -> None:
+        """Does a step's work, and keeps the time it took."""
+        started = time.monotonic()
+        try:
+            step.work()
+        except BaseException:
+            # A stopped step's time counts too: it goes on later from its checkpoint. Why it stopped
+            # matters more.
+            with suppress(RunFolderError):
+                self._add_time(step, time.monotonic() - started)
+            raise
+        self._add_time(step, time.monotonic() - started)
+
+    def _add_time(self, step: Step, seconds: float) -> None:
+        rows = [
+            {name: value for name, value in asdict(row).items() if value is not None}
+            for row in read_timings(self._layout.timings)
+        ]
+        known = [row for row in rows if (row["stage"], row.get("name")) == (step.kind, step.name)]
+        if not known:
+            known = [{"stage": step.kind, "name": step.name, "seconds": 0.0}]
+            rows += known
+        known[0]["seconds"] = round(known[0]["seconds"] + seconds, 2)
+        write_json(self._layout.timings, rows)
+
+    def _record_environment(self, device: str) -> None:
+        path = self._layout.environment
+        stored = read_environment(path)
+        command = " ".join(["skyproof", *sys.argv[1:]])
+        if len(command) > _LONGEST_COMMAND:
+            command = f"{command[:_LONGEST_COMMAND]} …"
+        commands = [*stored.get("commands", []), command]
+        record = {
+            "skyproof": __version__,
+            "commit": _commit(),
+            "python": platform.python_version(),
+            **{
+                name: _version(name)
+                for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")
+            },
+            "platform": platform.platform(),
+            "cpu": _cpu_name(),
+            "cores": os.cpu_count(),
+            "device": device,
+            "seed": self._config.get("seed"),
+            "started": stored.get("started", _now()),
+            "commands": list(dict.fromkeys(commands)),
+        }
+        write_json(path, record)
+
+
+def time_left_s(
+    steps: Sequence[Step], seconds: Mapping[str, float], cores: int = 1
+) -> float | None:
+    """Guesses how long the rest of a run will take, from the steps that are finished.
+
+    Args:
+        steps: all of them.
+        seconds: by step id, how long finished steps took.
+        cores: how many steps run side by side.
+
+    Returns:
+        Seconds; None before the first step has finished.
+    """
+    done = [step for step in steps if step.id in seconds]
+    if not done:
+        return None
+    took_s = sum(seconds[step.id] for step in done)
+    speed = (_TRUSTED_S + took_s) / (_TRUSTED_S + sum(step.effort_s for step in done))
+    rest_s = sum(step.effort_s for step in steps if step.id not in seconds)
+    return speed * rest_s / cores
+
+
+def duration(seconds: float) -> str:
+    """Returns a time in words that suit its length."""
+    minutes = round(seconds / 60)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 100 else f"{seconds / 3600:.1f} h"
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Returns the commit of a source checkout.
+
+    It is None for an installed package, even for one inside a user's own checkout.
+    """
+    here = Path(__file__).resolve().parents[3]
+    if not (here / ".git").exists():
+        return None
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() or None
+
+
+def _cpu_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -1,0 +1,133 @@
+"""What an assessment works with: detectors, ground and vehicles, each loaded once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skyproof.assessment.request import Request
+from skyproof.assessment.suite import Suite
+from skyproof.attacks.world import AttackWorld
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.palette import ground_palette
+from skyproof.detectors.card import read_card
+from skyproof.detectors.detector import Detector
+from skyproof.detectors.loaded import LoadedDetector, load_detector, load_ensemble
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
+from skyproof.layout import Layout
+from skyproof.scenes.places import Places
+
+REFERENCE_GSD_M = 0.125
+"""What skyproof's own detectors see, and what a detector sees that does not say it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is assessed, and what its steps share.
+
+    Attributes:
+        request: what was asked.
+        suite: the attacks.
+        names: of the detectors.
+        gsd_m: metres per pixel of what they are shown.
+        device: where they run.
+        sources: SHA-256 of the user's files, by path.
+        black_box: the detector, where it is an object that only answers; else None.
+    """
+
+    request: Request
+    suite: Suite
+    names: tuple[str, ...]
+    gsd_m: float
+    device: torch.device
+    sources: Mapping[str, str]
+    black_box: Detector | None = None
+
+    @property
+    def layout(self) -> Layout:
+        """The run folder's places."""
+        return Layout(self.request.out)
+
+    @property
+    def seed(self) -> int:
+        """Decides everything that is drawn."""
+        return self.request.seed
+
+    @property
+    def places(self) -> Places:
+        """Where vehicles stand: in photographs not on roofs and in trees."""
+        return "drivable" if self.request.imagery else "uniform"
+
+    @property
+    def image_px(self) -> int:
+        """Side of the test images."""
+        return self.suite.image_px(self.gsd_m)
+
+    @property
+    def attack_px(self) -> int:
+        """Side of the images in attacks."""
+        return self.suite.attack_px(self.gsd_m)
+
+    @property
+    def test_megapixels(self) -> float:
+        """A million pixels of all test images, for the time left alone."""
+        return self.suite.test_images * self.image_px**2 / 1e6
+
+    @property
+    def labelled(self) -> bool:
+        """Whether labels tell where vehicles stand in the imagery."""
+        return self.request.labels is not None
+
+    @property
+    def fits_reference(self) -> bool:
+        """Whether the detectors see what skyproof's own see, so that these can teach attacks."""
+        return math.isclose(self.gsd_m, REFERENCE_GSD_M)
+
+    @property
+    def cards(self) -> list[Path]:
+        """The cards that stand for the detectors in the run folder."""
+        return [self.layout.detector(name) / "detector.json" for name in self.names]
+
+    def load(self, folder: Path) -> LoadedDetector[Any]:
+        """Loads a detector anew; of a black box the object, under the card of its folder."""
+        if self.black_box is not None and folder == self.layout.detector(self.names[0]):
+            return LoadedDetector(self.black_box, read_card(folder))
+        return load_detector(folder)
+
+    @cached_property
+    def detectors(self) -> list[LoadedDetector[Any]]:
+        """The detectors of the run folder, on the device."""
+        folders = [self.layout.detector(name) for name in self.names]
+        return load_ensemble(folders, self.device, self.gsd_m, self.load)
+
+    @cached_property
+    def references(self) -> list[LoadedDetector[Any]]:
+        """The detectors that come with skyproof, on the device."""
+        folders = [reference_folder(name) for name in REFERENCE_DETECTORS]
+        return load_ensemble(folders, self.device, self.gsd_m)
+
+    @cached_property
+    def world(self) -> AttackWorld:
+        """What attacks see."""
+        return AttackWorld.open(
+            self.layout.backgrounds,
+            self.layout.fleets / "attack",
+            size_px=self.attack_px,
+            places=self.places,
+        )
+
+    def palette(self, name: CamouflageName) -> Float[Tensor, "colours 3"] | None:
+        """Gives the ground's colours, where a camouflage takes any."""
+        return self._ground_palette if name.takes_palette else None
+
+    @cached_property
+    def _ground_palette(self) -> Float[Tensor, "colours 3"]:
+        return ground_palette(self.world.backgrounds)

@@ -1,0 +1,103 @@
+"""What is said of imagery whose vehicles were removed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from skyproof.imagery.clearing.shared_sun import KNOWN_FROM
+
+_MANY_MORE = 3
+"""A detector that finds so many times what is labelled mostly finds what is no vehicle."""
+
+_LARGE_SHARE = 0.10
+
+
+def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterator[str]:
+    """Says what was removed, what hints at mistakes, and where to look.
+
+    Args:
+        record: of `clear_backgrounds`.
+        out: the folder that was written.
+        checked: whether a detector looked at the result.
+    """
+    totals = record["totals"]
+    reasons = [f"{count} because {why}" for why, count in totals["left_out"].items()]
+    left_out = ", ".join(reasons) or "none"
+    yield f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}."
+    yield from emptied_words(totals["splits_without_tiles"])
+    removed = totals["labelled_removed"] + totals["detected_removed"]
+    yield (
+        f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
+        f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
+    )
+    for sentence in warnings(totals, record["vehicles_from"]):
+        yield f"WARNING: {sentence}"
+    yield from light_words(record)
+    if not checked:
+        yield "Not checked by a detector: a person has to look at every tile."
+    sheet = (out / "sheets" / "index.html").resolve()
+    yield f"Look at {sheet}; take tiles out with skyproof clear {out} --reject TILE."
+
+
+def emptied_words(splits: Sequence[str]) -> Iterator[str]:
+    """Says which splits have no tile any more."""
+    for split in splits:
+        yield (
+            f"No tile of the split {split} is left; give more imagery before using this folder "
+            "for it."
+        )
+
+
+def light_words(record: dict[str, Any]) -> Iterator[str]:
+    """Says over how many sources the sun is known, and what is done with the others."""
+    suns, overcast, photographs = record["suns"], record["overcast"], record["photographs"]
+    sunny = [sun for name, sun in suns.items() if name not in overcast]
+    if sunny:
+        elevations_deg = [math.degrees(sun["elevation_rad"]) for sun in sunny]
+        shared = sum(sun["known_from"] == KNOWN_FROM for sun in sunny)
+        taken = f", that of {shared} taken from the others, which agree" if shared else ""
+        yield (
+            f"Sun known over {len(sunny)} of {photographs} sources, {min(elevations_deg):.0f} to "
+            f"{max(elevations_deg):.0f} degrees high{taken}: vehicles will stand in it, and in the "
+            f"shadows that were found on {len(record['shaded'])} tiles."
+        )
+    if overcast:
+        yield (
+            f"Overcast: over {len(overcast)} of {photographs} sources vehicles cast no shadow (or "
+            "too few stand to tell, and nearly all others are overcast), so they will be drawn in "
+            "the sky's light alone."
+        )
+    unknown = photographs - len(sunny) - len(overcast)
+    if unknown:
+        yield (
+            f"Where the sun stood over {unknown} of {photographs} sources is not known (too few "
+            "vehicles with clear shadows): scenes will draw any sun."
+        )
+
+
+def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
+    """Says in a sentence each what hints that ground was smeared in place of vehicles.
+
+    Args:
+        totals: of the record of `clear_backgrounds`.
+        vehicles_from: who said where vehicles stand, also of the record.
+    """
+    sentences = []
+    labelled, detected = totals["labelled_removed"], totals["detected_removed"]
+    if "labels" in vehicles_from and detected > _MANY_MORE * max(labelled, 1):
+        sentences.append(
+            f"{detected} removed vehicles were only found by the detector, and {labelled} are "
+            "labelled: most of what it finds here may be no vehicle; look at the sheet, and take "
+            "another detector or a higher --settings.finding-score of skyproof clear."
+        )
+    if totals["masked_share"] > _LARGE_SHARE:
+        sentences.append(
+            f"{totals['masked_share']:.0%} of the ground was filled, more than the "
+            f"{_LARGE_SHARE:.0%} of a place with many vehicles: detectors will be tested on "
+            "painted-over ground; look at the sheet, and take another detector or a higher "
+            "--settings.finding-score of skyproof clear."
+        )
+    return sentences
