@@ -26,9 +26,9 @@ from skyproof.attacks.objective import frozen, objective_and_gradient
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.cli.device import choose_device
-from skyproof.cli.renderers import open_workers
-from skyproof.cli.rendering import Rendering
+from skyproof.cycles.opening import open_workers
 from skyproof.cycles.renderer import CyclesRenderer
+from skyproof.cycles.rendering import Rendering
 from skyproof.detectors.build import build_detector
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.randomness import generator_of

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from skyproof.assessment import assess
-from skyproof.assessment import run as run_module
+from skyproof.assessment import assess, environment
 from skyproof.assessment.answers import say_answers, say_expected
 from skyproof.assessment.suite import Expected, read_suite
 from skyproof.attacks.settings import QuerySettings
@@ -85,7 +84,7 @@ def test_a_second_call_changes_nothing_and_says_the_answer(
     assessed, skyproof: Skyproof, monkeypatch
 ):
     before = bytes_of(assessed)
-    monkeypatch.setattr(run_module, "_now", lambda: "another second")
+    monkeypatch.setattr(environment, "_now", lambda: "another second")
     again = skyproof("assess", assessed / "mine", "--out", assessed / "run", "--device", "cpu")
     assert again.code == 0
     assert "the answer says nothing of your places" in again.out

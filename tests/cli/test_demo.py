@@ -13,9 +13,9 @@ from skyproof.cycles.rendering import Rendering
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
-from skyproof.results.precheck import read_precheck
 from skyproof.main import run
 from skyproof.render.renderer import TorchRenderer
+from skyproof.results.precheck import read_precheck
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import CHOSEN, TINY, Skyproof, bytes_of
 from tests.tiny_suite import TINY_SUITE, tiny_suite

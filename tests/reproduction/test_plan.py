@@ -18,7 +18,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
 from skyproof.cli.scenes import Scenes
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.layout import Layout
 from skyproof.main import COMMANDS, load_command
 from skyproof.ranges import Fraction
 from skyproof.reproduction.jobs import Jobs

@@ -9,8 +9,8 @@ from pathlib import Path
 from skyproof.assessment.preparing import RENDER_S, VEHICLE_CLASSES, YOURS
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.cli.precheck import Precheck
 from skyproof.cli.console import say
+from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError, ImageryError

@@ -11,7 +11,13 @@ from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.tiling import count_cells
+from skyproof.imagery.tiles.grid import cells_of, lay_grids
+from skyproof.imagery.tiles.sources import (
+    SourceReader,
+    find_images,
+    gdal_limits,
+    inspect_source,
+)
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import (
@@ -69,5 +75,16 @@ def _test_tiles(its: Subject) -> int:
     if not its.request.imagery:
         return its.suite.tiles[3]
     tiling = tiling_of(its)
-    cells = count_cells(its.request.imagery, tiling, SourceSettings(gsd_m=its.request.gsd))
+    with gdal_limits(), SourceReader() as reader:
+        given = SourceSettings(gsd_m=its.request.gsd)
+        files = find_images(its.request.imagery)
+        grids = lay_grids(
+            [inspect_source(path, given, reader) for path in files],
+            size_px=tiling.size_px,
+            minimum_px=tiling.minimum_px or tiling.size_px,
+            wanted=len(tiling.split_shares),
+            gsd_m=tiling.gsd_m,
+            notes=[],
+        )
+    cells = sum(bool(cell.sources) for grid in grids for cell in cells_of(grid))
     return max(1, round(cells * tiling.shares[3]))

@@ -9,8 +9,8 @@ from pathlib import Path
 from skyproof.assessment.objects import freeze_object
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.cli.fleets import draw_fleets
 from skyproof.cli.console import progress_bar, say, stage_bars
+from skyproof.cli.fleets import draw_fleets
 from skyproof.cli.frames import read_frames
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
@@ -19,10 +19,8 @@ from skyproof.detectors.card import read_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
 from skyproof.detectors.loaded import copy_detector, load_apart, load_detector, save_detector
 from skyproof.detectors.reference_detectors import detector_folder
-from skyproof.files import finished_folder, new_file
-from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 from skyproof.detectors.threshold import threshold_of_labels
-from skyproof.results.findings import findings, verdict
+from skyproof.files import finished_folder, new_file
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.clear import clear_backgrounds
 from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
@@ -40,6 +38,8 @@ from skyproof.imagery.tiles.words import tiling_words
 from skyproof.layout import Layout
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
+from skyproof.results.findings import findings, verdict
+from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import read_scenes, write_scenes

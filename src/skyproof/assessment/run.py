@@ -5,22 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
-from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from msgspec.structs import asdict
 
-from skyproof import __version__
+from skyproof.assessment.environment import note_end, write_environment
 from skyproof.cli.console import say
 from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
@@ -39,11 +34,6 @@ _TRUSTED_S = 60.0
 
 # Where something is computed changes none of its results.
 _PLACE = ("device", "blender", "workers")
-
-_REMEDY = "move it away and give the same command again"
-
-_LONGEST_COMMAND = 2000
-"""A shell may have put hundreds of photographs into it."""
 
 
 @dataclass(frozen=True)
@@ -155,12 +145,10 @@ class Run:
             ended = "finished" in read_environment(self._layout.environment)
             ended = ended and all(map(self.is_finished, self.steps))
             if not ended:
-                self._record_environment(device)
+                write_environment(self._layout.environment, device, self._config.get("seed"))
             yield hold
             if not ended:
-                path = self._layout.environment
-                noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
-                write_json(path, {**noted, "finished": _now()})
+                note_end(self._layout.environment)
 
     def do(self) -> None:
         """Does every step that is not finished yet, and says how long the rest may take."""
@@ -314,31 +302,6 @@ class Run:
         known[0]["seconds"] = round(known[0]["seconds"] + seconds, 2)
         write_json(self._layout.timings, rows)
 
-    def _record_environment(self, device: str) -> None:
-        path = self._layout.environment
-        stored = read_environment(path)
-        command = " ".join(["skyproof", *sys.argv[1:]])
-        if len(command) > _LONGEST_COMMAND:
-            command = f"{command[:_LONGEST_COMMAND]} …"
-        commands = [*stored.get("commands", []), command]
-        record = {
-            "skyproof": __version__,
-            "commit": _commit(),
-            "python": platform.python_version(),
-            **{
-                name: _version(name)
-                for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")
-            },
-            "platform": platform.platform(),
-            "cpu": _cpu_name(),
-            "cores": os.cpu_count(),
-            "device": device,
-            "seed": self._config.get("seed"),
-            "started": stored.get("started", _now()),
-            "commands": list(dict.fromkeys(commands)),
-        }
-        write_json(path, record)
-
 
 def time_left_s(
     steps: Sequence[Step], seconds: Mapping[str, float], cores: int = 1
@@ -368,44 +331,3 @@ def duration(seconds: float) -> str:
     if minutes < 1:
         return f"{seconds:.0f} s"
     return f"{minutes} min" if minutes < 100 else f"{seconds / 3600:.1f} h"
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
-def _commit() -> str | None:
-    """Returns the commit of a source checkout.
-
-    It is None for an installed package, even for one inside a user's own checkout.
-    """
-    here = Path(__file__).resolve().parents[3]
-    if not (here / ".git").exists():
-        return None
-    try:
-        answer = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return answer.stdout.strip() or None
-
-
-def _cpu_name() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

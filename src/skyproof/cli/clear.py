@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
 
-
 @dataclass(frozen=True)
 class Clear:
     """Removes the vehicles from tiled imagery, so that it can serve as backgrounds.

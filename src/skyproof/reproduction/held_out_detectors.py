@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.reproduction.world import GSD_M
 from skyproof.detectors.card import DetectorCard, read_card_and_digest
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import drop_empty_folder, finished_folder, is_leftover
 from skyproof.layout import Layout
 from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.world import GSD_M
 from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.words import detector_name
 

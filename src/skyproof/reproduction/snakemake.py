@@ -14,14 +14,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from skyproof.assessment.run import Step
-from skyproof.reproduction.plan import Plan
-from skyproof.assessment.run import Run
-from skyproof.assessment.run import duration, time_left_s
+from skyproof.assessment.run import Run, Step, duration, time_left_s
 from skyproof.cli.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.reproduction.command_words import command_words
+from skyproof.reproduction.plan import Plan
 from skyproof.reproduction.progress import FinishedJob, failed_job, finished_jobs
 from skyproof.reproduction.step_commands import STEPS
 
@@ -82,9 +80,7 @@ def snakemake_words(folder: Path, config: Path, more: Mapping[str, str]) -> list
     return [*words, "--rerun-triggers", "mtime"]
 
 
-def run_side_by_side(
-    plan: Plan, run: Run, command: Sequence[str], cores: int, hold: Hold
-) -> None:
+def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, hold: Hold) -> None:
     """Runs Snakemake on a plan, and prints a line per finished step.
 
     Args:

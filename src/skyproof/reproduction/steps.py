@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from skyproof.reproduction.attack_job import AttackJob
 from skyproof.assessment.run import START_S, Step
-from skyproof.reproduction.plan import command_step
-from skyproof.reproduction.world import WorldSizes, render_s
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
 from skyproof.cli.precheck import Precheck
-from skyproof.cycles.rendering import Rendering
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
+from skyproof.cycles.rendering import Rendering
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
+from skyproof.reproduction.attack_job import AttackJob
+from skyproof.reproduction.plan import command_step
+from skyproof.reproduction.world import WorldSizes, render_s
 from skyproof.scenes.places import Places
 
 # Seconds on one core for a million pixels before one detector; for the time left alone.

@@ -9,7 +9,14 @@ from types import MappingProxyType
 from typing import Any
 
 from skyproof.assessment.run import START_S, Step
+from skyproof.cycles.rendering import Rendering
+from skyproof.layout import Layout
+from skyproof.reproduction.further_trainings import training_steps
+from skyproof.reproduction.held_out_detectors import stored_judges
+from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.plan import Plan, command_step
+from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.step_commands import Features, Looks, Report
 from skyproof.reproduction.steps import (
     attack_step,
     check_step,
@@ -18,13 +25,6 @@ from skyproof.reproduction.steps import (
     train_step,
 )
 from skyproof.reproduction.world import RENDERED, render_s, render_step, scene_step, world_steps
-from skyproof.cycles.rendering import Rendering
-from skyproof.layout import Layout
-from skyproof.reproduction.further_trainings import training_steps
-from skyproof.reproduction.held_out_detectors import stored_judges
-from skyproof.reproduction.jobs import Jobs
-from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.step_commands import Features, Looks, Report
 
 _LOOK_S = 0.1
 _MOST_SCENES = 200
@@ -242,4 +242,6 @@ def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], d
     inputs += [folder / "camouflage.json" for folder in command.camouflages]
     images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
     effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
-    return command_step("features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s)
+    return command_step(
+        "features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s
+    )

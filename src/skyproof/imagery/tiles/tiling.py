@@ -258,20 +258,6 @@ def _sensor(
     return sensor
 
 
-def count_cells(
-    paths: Sequence[Path], settings: TilingSettings, source_settings: SourceSettings
-) -> int:
-    """Says how many tiles imagery may yield at most; the pixels are not read.
-
-    Raises:
-        ImageryError: as `tile_imagery` does.
-    """
-    with gdal_limits(), SourceReader() as reader:
-        files = find_images(paths)
-        sources = [inspect_source(path, source_settings, reader) for path in files]
-        return sum(bool(cell.sources) for cell in _cells(sources, settings, []))
-
-
 def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
     if settings.like is not None:
         return cells_like(settings.like, sources, notes)

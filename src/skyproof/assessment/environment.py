@@ -1,0 +1,95 @@
+"""On what machine, by which versions and when a run was made."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from skyproof import __version__
+from skyproof.documents import read_document
+from skyproof.files import write_json
+from skyproof.results.stored import read_environment
+
+_REMEDY = "move it away and give the same command again"
+
+_LONGEST_COMMAND = 2000
+"""A shell may have put hundreds of photographs into it."""
+
+
+def write_environment(path: Path, device: str, seed: object) -> None:
+    """Writes it at the start of a run; the commands of earlier starts are kept."""
+    stored = read_environment(path)
+    command = " ".join(["skyproof", *sys.argv[1:]])
+    if len(command) > _LONGEST_COMMAND:
+        command = f"{command[:_LONGEST_COMMAND]} …"
+    commands = [*stored.get("commands", []), command]
+    record = {
+        "skyproof": __version__,
+        "commit": _commit(),
+        "python": platform.python_version(),
+        **{
+            name: _version(name)
+            for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")
+        },
+        "platform": platform.platform(),
+        "cpu": _cpu_name(),
+        "cores": os.cpu_count(),
+        "device": device,
+        "seed": seed,
+        "started": stored.get("started", _now()),
+        "commands": list(dict.fromkeys(commands)),
+    }
+    write_json(path, record)
+
+
+def note_end(path: Path) -> None:
+    """Adds when the run ended."""
+    noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+    write_json(path, {**noted, "finished": _now()})
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Returns the commit of a source checkout.
+
+    It is None for an installed package, even for one inside a user's own checkout.
+    """
+    here = Path(__file__).resolve().parents[3]
+    if not (here / ".git").exists():
+        return None
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() or None
+
+
+def _cpu_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
