@@ -1,10 +1,9 @@
 """One validated read for every stored document: JSON files and files of JSON lines.
 
-The kind of a document is a dataclass or a `msgspec.Struct` whose annotations say types, ranges and
-names (`skyproof.ranges`). msgspec reads it: it checks while it parses, says the place of a mistake,
-takes our dataclasses as they are, skips the fields that nobody asks for without keeping them, and
-needs no other package. pydantic would have kept the whole of a large annotation file in memory
-first, and takes long to import.
+The kind of a document is a dataclass or a `msgspec.Struct` whose annotations give types, ranges and
+names (`skyproof.ranges`). msgspec checks while it parses, names the place of a mistake, accepts our
+dataclasses, skips unwanted fields without keeping them, and needs no other package. pydantic would
+keep the whole of a large annotation file in memory, and takes long to import.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _TYPES = {
     "`object`": "an object",
     "`null`": "null",
     "`Path`": "a path",
-    # What does not become a path is called by its name in Python.
+    # msgspec uses Python's names for values that do not become a path.
     "`list`": "a list",
     "`dict`": "an object",
     "`NoneType`": "null",
@@ -48,19 +47,19 @@ def read_document(
     version: int | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> T:
-    """Reads a JSON file as a value of a kind; nothing else gets in.
+    """Reads a JSON file as a value of a kind, and refuses everything else.
 
     Every number is finite, and whole numbers have at most 64 bits. A field that a dataclass does
-    not know is refused, at any depth: it may be misspelt. A Struct says for itself what becomes of
-    those it does not know.
+    not know is refused at any depth, because it may be misspelt. A Struct decides itself about
+    unknown fields.
 
     Args:
         path: the file.
-        kind: what it must hold, such as a dataclass, or `dict[str, Any]`.
-        remedy: what the error advises, such as "copy the file again".
-        version: which its field "format" must say; other versions are refused before their fields
-            are looked at. None for files without one.
-        error: the class of the error.
+        kind: type of the content, such as a dataclass, or `dict[str, Any]`.
+        remedy: advice of the error, such as "copy the file again".
+        version: required value of the field "format"; other versions are refused before their
+            fields are read. None for files without one.
+        error: class of the error.
 
     Raises:
         SkyproofError: the file is missing, no JSON, of another version or form; one sentence with
@@ -80,7 +79,7 @@ def read_document(
 def read_lines(
     path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
 ) -> list[T]:
-    """Reads a file of one JSON value a line, each as `read_document` reads a file.
+    """Reads a file of one JSON value per line, each as `read_document` reads a file.
 
     Raises:
         SkyproofError: as `read_document`, with the line.
@@ -101,7 +100,7 @@ def parse_document(
     *,
     error: type[SkyproofError] = StoredFileError,
 ) -> T:
-    """Reads JSON text as `read_document` reads a file; `place` is what the error calls it."""
+    """Reads JSON text as `read_document` reads a file; `place` names it in errors."""
 
     def parsed() -> T:
         if _is_struct(kind):
@@ -119,7 +118,7 @@ def check_document(
     *,
     error: type[SkyproofError] = StoredFileError,
 ) -> T:
-    """Takes plain values, such as a part of an open document, as `parse_document` takes text."""
+    """Checks plain values, such as a part of an open document, as `parse_document` checks text."""
     return _in_one_sentence(lambda: _converted(value, kind), place, remedy, error)
 
 
@@ -133,7 +132,7 @@ def _converted(value: Any, kind: type[T] | Any) -> T:
 
 
 def _path_of_text(kind: type, value: Any) -> Any:
-    """Makes the one type that msgspec does not know; it refuses whatever else comes back."""
+    """Makes a path, the one type unknown to msgspec, which refuses any other result."""
     return Path(value) if kind is Path and isinstance(value, str) else value
 
 
@@ -156,7 +155,7 @@ def _in_one_sentence(
 
 
 class _Strange(Exception):
-    """What msgspec lets pass and we do not."""
+    """A value that msgspec accepts and we refuse."""
 
 
 def _content(path: Path, remedy: str, error: type[SkyproofError]) -> bytes:
@@ -217,7 +216,7 @@ def _part_of(hint: Any, index: int) -> Any:
         return _part_of(parts[0], index)
     if get_origin(hint) is tuple and parts[-1] is not Ellipsis:
         return parts[index] if index < len(parts) else None
-    # Of an object the values come last; a list, and a tuple of any length, has one kind of item.
+    # An object's values come last; a list, and a tuple of any length, has one kind of item.
     return parts[-1] if index < 0 else parts[0]
 
 

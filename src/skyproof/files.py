@@ -1,4 +1,4 @@
-"""Writing so that a kill or a full disk never leaves a half-written file under its final name."""
+"""Writes so that a kill or a full disk never leaves a partial file under its final name."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _NEARLY_FULL_BYTES = 2**20
 
 @contextmanager
 def write_beside(path: Path) -> Iterator[Path]:
-    """Yields a temporary path beside `path`, which becomes `path` when the block ends well.
+    """Yields a temporary path beside `path`, which becomes `path` if the block ends well.
 
     The file is on the disk before it gets its name, so that not even a power cut leaves an empty
-    one. When the block ends otherwise, what lies at the temporary path is removed.
+    one. If the block fails, the temporary file is removed.
 
     Raises:
         RunFolderError: the disk is full or not writable; names `path` and the remedy.
@@ -36,7 +36,7 @@ def write_beside(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # What a kill left; or a link, which would be written through.
+        # Removes the leftover of a kill, or a link, which the block would write through.
         temporary.unlink(missing_ok=True)
         yield temporary
         _settle(temporary)
@@ -51,12 +51,12 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[None]:
-    """Keeps everybody else from a file that a user asked for and that must not exist yet.
+    """Locks a file that must not exist yet, while the block writes it.
 
-    The block writes it, whole or not at all, as `write_json` and `write_beside` do.
+    The block writes it whole or not at all, with `write_json` or `write_beside`.
 
     Raises:
-        RunFolderError: `path` exists already, somebody else is writing it, or the disk is full or
+        RunFolderError: `path` exists already, another process is writing it, or the disk is full or
             not writable.
     """
     with alone(path):
@@ -66,18 +66,18 @@ def new_file(path: Path) -> Iterator[None]:
 
 @contextmanager
 def finished_folder(path: Path) -> Iterator[Path]:
-    """Yields a fresh folder `.<name>.partial`, which becomes `path` when the block ends well.
+    """Yields a fresh folder `.<name>.partial`, which becomes `path` if the block ends well.
 
-    Only a folder under its final name counts as finished, and by then all of it is on the disk.
-    When the block ends otherwise what it wrote is removed, so that a full disk has room again; what
-    a kill left is thrown away by the next try.
+    Only a folder under its final name counts as finished, and by then all of it is on the disk. If
+    the block fails, its files are removed, so that a full disk has room again; the next try removes
+    the leftovers of a kill.
 
     Raises:
-        RunFolderError: `path` exists already, somebody else is writing it, or the disk is full or
+        RunFolderError: `path` exists already, another process is writing it, or the disk is full or
             not writable.
     """
     path = Path(path)
-    # Hidden, so that a folder of the user's is not mistaken for a leftover of ours.
+    # The name is hidden, so that it cannot be a folder of the user.
     partial = path.with_name(f".{path.name}.partial")
     with alone(path):
         refuse_existing(path)
@@ -99,10 +99,10 @@ def finished_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def alone(place: Path) -> Iterator[Hold]:
-    """Keeps everybody else from writing a file or folder at the same time.
+    """Locks a file or folder against other writers.
 
-    The lock is a file `.<name>.lock` beside the place; it says who holds it. The death of its
-    holder gives it back, and what file is left then is no obstacle.
+    The lock is a file `.<name>.lock` beside the place; it names its holder. The holder's death
+    releases it, and a leftover lock file is no obstacle.
 
     Raises:
         RunFolderError: another process, or another part of this one, is writing there.
@@ -126,7 +126,7 @@ def alone(place: Path) -> Iterator[Hold]:
         hold.note(f"process {os.getpid()}, {' '.join(['skyproof', *sys.argv[1:]])[:200]}")
         yield hold
     finally:
-        # While it is held: afterwards it might be somebody else's.
+        # Removed while it is held: afterwards it might belong to another process.
         with suppress(OSError):
             path.unlink()
         lock.release()
@@ -134,16 +134,17 @@ def alone(place: Path) -> Iterator[Hold]:
 
 @dataclass(frozen=True)
 class Hold:
-    """A lock that is held.
+    """A lock in use.
 
     Attributes:
-        descriptor: of the lock file; a child process that inherits it holds the lock, too.
+        descriptor: descriptor of the lock file; a child process that inherits it holds the lock,
+            too.
     """
 
     descriptor: int
 
     def note(self, text: str) -> None:
-        """Says who holds the lock, for others to read."""
+        """Writes the lock's holder, for others to read."""
         with suppress(OSError):
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, text.encode(errors="replace"), 0)
@@ -161,12 +162,12 @@ def _settle(path: Path) -> None:
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
-        # Some systems do not open folders; a library that failed left no file, which shows later.
+        # Some systems do not open folders; if a library failed to write the file, it shows later.
         return
     try:
         os.fsync(descriptor)
     except OSError as error:
-        # Some file systems have nothing to wait for.
+        # Some file systems do not support waiting.
         if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
             raise
     finally:
@@ -174,10 +175,7 @@ def _settle(path: Path) -> None:
 
 
 def is_leftover(path: Path) -> bool:
-    """Whether a kill left this file or folder.
-
-    It was being written then, and never got its final name; or it is the lock of who wrote.
-    """
+    """Whether a kill left this file or folder: a partial one, or the lock of its writer."""
     return path.name.startswith(".") and (
         path.name.endswith((".partial", ".lock")) or path.stem.endswith(".partial")
     )
@@ -186,19 +184,19 @@ def is_leftover(path: Path) -> bool:
 def drop_empty_folder(path: Path) -> None:
     """Removes a folder if it is empty.
 
-    Snakemake makes the folder of a file that a step is to leave; one that holds anything stays.
+    Snakemake makes the folder of a step's result in advance.
     """
     with suppress(OSError):
         path.rmdir()
 
 
 def refuse_existing(path: Path) -> None:
-    """Keeps a stage from overwriting what is there.
+    """Keeps a stage from overwriting an existing path.
 
     Raises:
         RunFolderError: `path` exists.
     """
-    # A link that leads nowhere is the user's, too.
+    # A broken link belongs to the user, too.
     if os.path.lexists(path):
         raise RunFolderError(
             f"{path} exists already and is not overwritten; choose another --out, or move it away "
@@ -207,10 +205,10 @@ def refuse_existing(path: Path) -> None:
 
 
 def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
-    """Keeps a stage from writing among files that are not its own.
+    """Keeps a stage from writing among foreign files.
 
     Args:
-        folder: where it is about to write; may be missing.
+        folder: folder to write to; may be missing.
         ours: names that the stage itself may have left there.
 
     Raises:
@@ -231,18 +229,18 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
 
 
 def file_digest(path: Path) -> str:
-    """Computes the SHA-256 of a file, however large it is."""
+    """Computes the SHA-256 of a file of any size."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:
-    """Gives the file below a folder that a document of somebody else's names.
+    """Gives the file below a folder that a foreign document names.
 
     Args:
-        folder: the document's.
-        reference: as the document names it, a `skyproof.ranges.FileReference`.
-        document: for the message.
+        folder: the document's folder.
+        reference: name in the document, a `skyproof.ranges.FileReference`.
+        document: path of the document, for the message.
 
     Raises:
         StoredFileError: a link leads out of the folder.
@@ -251,7 +249,7 @@ def inside(folder: Path, reference: str, document: Path) -> Path:
     try:
         leads_out = not path.resolve().is_relative_to(Path(folder).resolve())
     except (OSError, RuntimeError, ValueError):
-        # A link that leads to itself, or no name at all.
+        # The link leads to itself, or the name is not valid.
         leads_out = True
     if leads_out:
         raise StoredFileError(

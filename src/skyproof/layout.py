@@ -1,4 +1,4 @@
-"""Where everything lies in a run folder: told here, for those who write it and who read it."""
+"""The paths in a run folder, in one place for its writers and readers."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CLEARING_RECORD = "clearing.json"
-"""In a background set without vehicles: what was removed."""
+"""The record of removed vehicles in a cleared background set."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of a run folder.
+    """The paths of a run folder.
 
     Attributes:
-        folder: the run folder, as the steps of a plan are to name it.
-        world: of a further training, the run folder whose ground, vehicles, scenes, images and
-            random draws it shares; None of a run, which has its own.
+        folder: path of the run folder in the steps of a plan.
+        world: run folder whose ground, vehicles, scenes, images and random draws a further training
+            shares; None for a run, which has its own.
     """
 
     folder: Path
@@ -24,7 +24,7 @@ class Layout:
 
     @property
     def shared(self) -> Layout:
-        """The run's own places, of a further training, too."""
+        """The paths of the run itself, also for a further training."""
         return self if self.world is None else Layout(self.world)
 
     @property
@@ -33,7 +33,7 @@ class Layout:
         return self.folder / "trainings"
 
     def training(self, number: int) -> Layout:
-        """The places of a further training; number 0 is the run itself."""
+        """The paths of a further training; number 0 is the run itself."""
         return Layout(self.trainings / str(number), self.folder) if number else self
 
     @property
@@ -53,12 +53,12 @@ class Layout:
 
     @property
     def steps(self) -> Path:
-        """What the steps that were begun are made of, as digests."""
+        """Digests of the inputs of the steps that were begun."""
         return self.folder / "steps.json"
 
     @property
     def tiles(self) -> Path:
-        """Imagery as it was cut, with its vehicles."""
+        """Tiles cut from imagery, with their vehicles."""
         return self.folder / "tiles"
 
     @property
@@ -89,12 +89,12 @@ class Layout:
         return self.detectors / name
 
     def precheck(self, name: str) -> Path:
-        """What `skyproof precheck` found of a detector."""
+        """The precheck of a detector."""
         return self.detector(name) / "precheck.json"
 
     @property
     def camouflages(self) -> Path:
-        """The folder of all camouflages, learnt and drawn."""
+        """The folder of all camouflages, optimised and random."""
         return self.folder / "camouflages"
 
     def camouflage(self, name: str) -> Path:
@@ -112,16 +112,16 @@ class Layout:
 
     @property
     def weather(self) -> Layout:
-        """Scores of the test scenes in weather: apart, because no scene is in two weathers here."""
+        """Scores of the test scenes in weather, apart, because each scene has one weather here."""
         return Layout(self.folder / "weather")
 
     @property
     def judges(self) -> Path:
-        """The folder of detectors that only judge, and of what they judged."""
+        """The folder of held-out detectors and of their scores."""
         return self.folder / "judges"
 
     def judged(self, table: str) -> Layout:
-        """The places of one table of such detectors: `detectors` and `scores` alone."""
+        """The paths of one table of held-out detectors: `detectors` and `scores` alone."""
         return Layout(self.judges / table)
 
     @property
@@ -136,7 +136,7 @@ class Layout:
 
     @property
     def verdict(self) -> Path:
-        """Which detectors are accepted, where that was asked."""
+        """The accepted and rejected detectors, if there is a requirement."""
         return self.folder / "verdict.json"
 
     @property

@@ -1,4 +1,4 @@
-"""One resumable loop, for trainings and attacks: steps with checkpoints that survive a kill."""
+"""One resumable loop for trainings and attacks, whose checkpoints survive a kill."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _ROWS = "steps.jsonl"
 
 @runtime_checkable
 class Part(Protocol):
-    """Something that changes from step to step: a module, an optimiser, a schedule."""
+    """An object that changes from step to step: a module, an optimiser, a schedule."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Gives all that changes: nested dictionaries of tensors and plain values."""
+        """Gives its changing state: nested dictionaries of tensors and plain values."""
         ...
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> Any:
-        """Takes over what `state_dict` gave."""
+        """Restores a result of `state_dict`."""
         ...
 
 
@@ -39,25 +39,24 @@ class Part(Protocol):
 class Loop:
     """The steps of a run in a folder: `for step in loop` gives 1, 2, ... up to the last.
 
-    `resume` goes back to the last checkpoint first, so that a stopped run goes on where it was;
-    whatever the body of the loop does must follow from the step's number and from `parts` alone. A
-    checkpoint is one file that holds the parts, the step, the identity and the facts, written
-    before the first step, after every `checkpoint_every` steps and after the last.
+    `resume` first returns to the last checkpoint, so that a stopped run continues. The body of the
+    loop must depend on the step's number and on `parts` alone. A checkpoint is one file with the
+    parts, the step, the identity and the facts, written before the first step, after every
+    `checkpoint_every` steps and after the last.
 
     Attributes:
         folder: gets `steps.jsonl`, and `checkpoint.safetensors` until the run is finished.
-        identity: what the run is, in JSON values; a folder with another identity is refused.
-        steps: the number of the last step.
+        identity: JSON values that identify the run; a folder with another identity is refused.
+        steps: number of the last step.
         checkpoint_every: steps between checkpoints.
         parts: everything that changes from step to step, by name.
-        other: what an error calls a run of another identity, such as "a training with other
+        other: name in errors of a run of another identity, such as "a training with other
             settings".
-        remedy: what an error advises about a damaged checkpoint, such as "remove it and train
-            again".
-        on_row: called with each row of `steps.jsonl` once its step is over.
+        remedy: advice in errors about a damaged checkpoint, such as "remove it and train again".
+        on_row: called with each row of `steps.jsonl` after its step.
         facts: JSON values that are decided once, before the first step, and kept in the checkpoint.
-        step: the step that is under way, or the last one that is over; 0 at the start.
-        rows: the rows of `steps.jsonl` so far.
+        step: number of the current step, or of the last finished one; 0 at the start.
+        rows: rows of `steps.jsonl` so far.
     """
 
     folder: Path
@@ -74,10 +73,10 @@ class Loop:
     _clock: float = 0.0
 
     def resume(self) -> None:
-        """Goes back to the last checkpoint, if there is one.
+        """Returns to the last checkpoint, if there is one.
 
         Raises:
-            RunFolderError: the folder holds a run of another identity, or files of somebody else.
+            RunFolderError: the folder holds a run of another identity, or foreign files.
             StoredFileError: the checkpoint is damaged.
         """
         path = self.folder / CHECKPOINT
@@ -97,14 +96,14 @@ class Loop:
             for name, part in self.parts.items():
                 part.load_state_dict(_joined(name, tensors, record.plain))
         except Exception as error:
-            # Whatever a library makes of values that are not its own.
+            # A library may raise anything for values that are not its own.
             raise StoredFileError(f"{path} does not fit this run; {self.remedy}.") from error
         self.facts = record.facts
         self.step = record.step
         self.rows = [row for row in self._stored_rows() if row["step"] <= self.step]
 
     def _stored_rows(self) -> list[dict[str, Any]]:
-        """Reads `steps.jsonl`; a kill between two files can leave rows of later steps."""
+        """Reads `steps.jsonl`, without rows of later steps that a kill may have left."""
         path = self.folder / _ROWS
         rows: list[dict[str, Any]] = read_lines(path, dict[str, Any], self.remedy)
         for row in rows:
@@ -112,14 +111,14 @@ class Loop:
         return rows
 
     def __iter__(self) -> Iterator[int]:
-        """Gives the numbers of the steps that are still to be taken.
+        """Gives the numbers of the remaining steps.
 
         Raises:
             NotFiniteError: a part is no longer finite; the last checkpoint stays.
             RunFolderError: the disk is full or not writable.
         """
         if self.step == 0:
-            # This marks the folder as ours before anything else is written to it.
+            # This file marks the folder as ours before any other.
             self._store()
         while self.step < self.steps:
             done = len(self.rows)
@@ -135,7 +134,7 @@ class Loop:
     def report(self, row: Mapping[str, Any]) -> None:
         """Adds a row to `steps.jsonl`, with its number of seconds.
 
-        The seconds count from the start of the step, or from the row before it in the same step.
+        The seconds count from the start of the step, or from the previous row of the same step.
         """
         now = time.perf_counter()
         self.rows.append({**row, "seconds": round(now - self._clock, 4)})
@@ -146,7 +145,7 @@ class Loop:
         (self.folder / CHECKPOINT).unlink(missing_ok=True)
 
     def _store(self) -> None:
-        """Writes rows and checkpoint; the checkpoint comes last and says its step."""
+        """Writes rows and then the checkpoint, which gives its step."""
         tensors: dict[str, Tensor] = {}
         plain: dict[str, Any] = {}
         for name, part in self.parts.items():
@@ -159,7 +158,7 @@ class Loop:
         }
         path = self.folder / CHECKPOINT
         try:
-            # As it will be read: JSON makes lists of tuples.
+            # The form that will be read: JSON turns tuples into lists.
             content = json.loads(to_json(path, record))
             write_jsonl(self.folder / _ROWS, self.rows)
             write_tensors(path, tensors, {**content, "digest": _digest(content, tensors)})
@@ -172,10 +171,10 @@ class Loop:
 
 @dataclass(frozen=True)
 class _Record:
-    """What a checkpoint holds beside its tensors.
+    """The plain values of a checkpoint, beside its tensors.
 
     Attributes:
-        digest: over all else; checkpoints of before it was there have none.
+        digest: digest of all else; older checkpoints have none.
     """
 
     identity: Any
@@ -188,7 +187,7 @@ class _Record:
 def _digest(record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     """Computes the SHA-256 over a record and the kinds and shapes of the tensors beside it.
 
-    So optimisers are handed nothing that they did not give.
+    It ensures that optimisers only get back their own state.
     """
     kinds = {name: [str(value.dtype), list(value.shape)] for name, value in tensors.items()}
     content = [{name: value for name, value in record.items() if name != "digest"}, kinds]
@@ -196,13 +195,13 @@ def _digest(record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
 
 
 def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: str) -> None:
-    """Keeps a run from going on in a folder that holds a run of another identity.
+    """Keeps a run out of a folder that holds a run of another identity.
 
     Args:
-        folder: the run's.
-        stored: the identity that the folder says, as read from JSON.
-        wanted: the identity of the run.
-        other: what the error calls the folder's run.
+        folder: the run's folder.
+        stored: identity in the folder, as read from JSON.
+        wanted: identity of the run.
+        other: name of the folder's run in the error.
 
     Raises:
         RunFolderError: the two identities differ.
@@ -217,7 +216,7 @@ def _split(path: str, value: Any, tensors: dict[str, Tensor], plain: dict[str, A
     """Sorts the leaves of nested dictionaries into tensors and plain values, by their path."""
     if isinstance(value, Mapping) and value:
         for key, below in value.items():
-            # Optimisers number their parameters; JSON would make text of the numbers.
+            # Optimisers number their parameters; JSON would turn the numbers into text.
             _split(f"{path}/{'#' if isinstance(key, int) else ''}{key}", below, tensors, plain)
     elif isinstance(value, Tensor):
         tensors[path] = value
@@ -226,7 +225,7 @@ def _split(path: str, value: Any, tensors: dict[str, Tensor], plain: dict[str, A
 
 
 def _joined(name: str, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> dict[str, Any]:
-    """Puts the nested dictionaries of one part together again."""
+    """Rebuilds the nested dictionaries of one part."""
     state: dict[str, Any] = {}
     for path, value in (*plain.items(), *tensors.items()):
         part, *keys = path.split("/")

@@ -1,4 +1,4 @@
-"""The one way to open a picture: known formats, a stated limit, one sentence."""
+"""The one way to open a picture: known formats, a size limit, errors of one sentence."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from PIL import Image
 from skyproof.errors import SkyproofError, StoredFileError
 
 LARGEST_PX = 178_956_970
-"""The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: what Pillow allows
-at most. A header that claims more is refused before memory is asked for; imagery that is cut into
-tiles is read window by window, and may be larger."""
+"""The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: Pillow's limit.
+
+A header that claims more is refused before memory is allocated; imagery for tiles is read window by
+window, and may be larger.
+"""
 
 # Others of Pillow's readers start programs (EPS runs Ghostscript) or are rarely looked after. What
 # reads JPEG also reads the pictures in pairs (MPO) of some cameras.
@@ -28,13 +30,13 @@ def open_picture(
     error: type[SkyproofError] = StoredFileError,
     also: tuple[str, ...] = (),
 ) -> Image.Image:
-    """Reads the header of a picture; its pixels are decoded by `read_pixels`, or by Pillow.
+    """Reads the header of a picture; `read_pixels` or Pillow decodes its pixels.
 
     Args:
         path: a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file.
-        remedy: what the error advises, such as "replace it, or leave it out".
-        error: the class of the error.
-        also: further formats of Pillow's.
+        remedy: advice of the error, such as "replace it, or leave it out".
+        error: class of the error.
+        also: further formats of Pillow.
 
     Raises:
         SkyproofError: the file is missing, of another format, damaged, or has more than
@@ -42,8 +44,8 @@ def open_picture(
     """
     try:
         with warnings.catch_warnings():
-            # Aerial pictures are large; only what Pillow refuses is too large. Nor are notes on
-            # damaged metadata for the user: pixels are all that is taken.
+            # Aerial pictures are large, and only Pillow's limit counts. Notes on damaged metadata
+            # are not for the user, because only the pixels are read.
             warnings.simplefilter("ignore")
             picture = Image.open(path, formats=(*_FORMATS, *also))
     except FileNotFoundError:
@@ -54,7 +56,7 @@ def open_picture(
             f"which is too large to be read at once; cut it into parts, or {remedy}."
         ) from None
     except Exception as damage:
-        # Pillow's readers meet damage with any exception there is.
+        # Damage makes Pillow's readers raise any exception.
         raise error(
             f"{path} cannot be read as a picture ({_reason(damage)}); {remedy}."
         ) from damage
@@ -86,16 +88,13 @@ def read_pixels(
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Decodes a whole picture as sRGB bytes.
 
-    Args:
-        path: as of `open_picture`.
-        remedy: what the error advises.
-        size_px: width and height that it must have, where they are known; refused before decoding.
-        error: the class of the error.
+    `size_px`, if given, is its required width and height, checked before decoding; the other
+    arguments are as in `open_picture`.
 
     Raises:
-        SkyproofError: as of `open_picture`, or the size is another.
+        SkyproofError: as `open_picture`, or the size differs.
     """
-    # One copy: a conversion copies even where there is nothing to convert.
+    # One copy: a conversion copies even if there is nothing to convert.
     return np.array(whole_picture(path, remedy, size_px=size_px, error=error))
 
 
@@ -106,14 +105,7 @@ def whole_picture(
     size_px: tuple[int, int] | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> Image.Image:
-    """Decodes a whole picture as Pillow's, in RGB, for those who want parts of it.
-
-    Args:
-        path, remedy, size_px, error: as of `read_pixels`.
-
-    Raises:
-        SkyproofError: as of `read_pixels`.
-    """
+    """Decodes a whole picture as Pillow's, in RGB; arguments and errors as `read_pixels`."""
     with open_picture(path, remedy, error=error) as picture:
         if size_px is not None and picture.size != size_px:
             width, height = picture.size
@@ -133,24 +125,24 @@ def decoded(
     error: type[SkyproofError] = StoredFileError,
     also: tuple[str, ...] = (),
 ) -> UInt8[np.ndarray, ...]:
-    """Decodes a picture that is open, perhaps by a library that found it inside another file.
+    """Decodes an open picture, perhaps one that a library found inside another file.
 
     Args:
-        picture: as Pillow opened it.
-        mode: Pillow's name of what its pixels shall be: "L", "RGB" or "RGBA".
-        place: what an error calls it.
-        remedy: what the error advises.
-        error: the class of the error.
-        also: further formats of Pillow's.
+        picture: picture from Pillow.
+        mode: Pillow's name of the wanted pixels: "L", "RGB" or "RGBA".
+        place: name of the picture in the error.
+        remedy: advice of the error.
+        error: class of the error.
+        also: further formats of Pillow.
 
     Returns:
-        Bytes, `[H, W]` of "L", else `[H, W, 3 or 4]`.
+        Bytes, `[H, W]` for "L", else `[H, W, 3 or 4]`.
 
     Raises:
         SkyproofError: it is of another format, damaged or too large.
     """
     _refuse_giant(picture, place, remedy, error)
-    # One that was made in memory has no format.
+    # A picture made in memory has no format.
     if picture.format not in (None, "MPO", *_FORMATS, *also):
         raise error(f"{place} is a picture of the format {picture.format}; {remedy}.")
     return np.array(_loaded(picture, mode, place, remedy, error))
@@ -163,7 +155,7 @@ def _loaded(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             picture.load()
-            # A conversion copies even where there is nothing to convert.
+            # A conversion copies even if there is nothing to convert.
             return picture if picture.mode == mode else picture.convert(mode)
     except Exception as damage:
         # As above.

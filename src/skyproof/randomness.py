@@ -1,4 +1,4 @@
-"""A generator of its own for every purpose, from one seed of 64 bits, negative ones included."""
+"""A separate generator for every purpose, from one seed of 64 bits, negative ones included."""
 
 from __future__ import annotations
 
@@ -6,13 +6,9 @@ import torch
 
 
 def generator_of(seed: int, *names: str | int) -> torch.Generator:
-    """Returns a generator for one purpose.
+    """Returns a generator for one purpose, such as "fleet" and the split.
 
-    So a change to one stage leaves the draws of the others alone.
-
-    Args:
-        seed: the run's.
-        names: the purpose, such as "fleet" and the split.
+    A change to one stage therefore leaves the draws of the others alone.
     """
     mixed = seed
     for name in names:

@@ -1,7 +1,7 @@
-"""What a number, a name or a file reference may be: told on the field, checked in one way.
+"""Ranges of numbers, forms of names and file references: annotations of fields, checked in one way.
 
-A setting and a field of a stored document bear the same kinds of annotation. `check_ranges` checks
-settings against them, `skyproof.documents` what is read from files. Imports no torch.
+Settings and stored documents use the same annotations: `check_ranges` checks settings,
+`skyproof.documents` checks files. Imports no torch.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
-"""How many of something there are, at least one."""
+"""A number of things, at least one."""
 
 WholeNumber = Annotated[int, Meta(ge=0, le=1_000_000)]
-"""How many of something there are, perhaps none."""
+"""A number of things, perhaps none."""
 
 _SIGNED_64_BITS = (-(2**63), 2**63 - 1)
 
@@ -32,13 +32,13 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 """A share of a whole."""
 
 Risk = Annotated[float, Meta(ge=1e-6, le=0.5)]
-"""The chance of a wrong answer that is put up with."""
+"""The accepted chance of a wrong answer."""
 
 Metres = Annotated[float, Meta(ge=0, le=1e6)]
 """A length."""
 
 GroundResolution = Annotated[float, Meta(ge=0.001, le=100)]
-"""Metres per pixel; finer than a millimetre one vehicle alone would fill the memory."""
+"""Metres per pixel; below a millimetre one vehicle alone would fill the memory."""
 
 ImageSide = Annotated[int, Meta(ge=1, le=16_384)]
 """Width or height of an image in pixels."""
@@ -56,7 +56,7 @@ _NAME = rf"\A{_PART}\Z"
 _REFERENCE = rf"\A{_PART}(?:/{_PART}){{0,7}}\Z"
 
 Name = Annotated[str, Meta(pattern=_NAME)]
-"""What becomes a file or folder name: no separators, no dots alone, at most 150 characters."""
+"""A future file or folder name: no separators, no dots alone, at most 150 characters."""
 
 FileReference = Annotated[str, Meta(pattern=_REFERENCE)]
 """A file below the folder of the document that names it: relative, without "..", with "/"."""
@@ -65,22 +65,22 @@ WORDS = {
     _NAME: "a plain name (at most 150 characters, no separators, not dots alone)",
     _REFERENCE: "a file inside the same folder (a relative path without '..')",
 }
-"""What a pattern asks for, in words that a message can use."""
+"""The requirement of each pattern, in words for a message."""
 
 
 def is_name(text: str) -> bool:
-    """Says whether a text can be a file's name, as `Name` asks."""
+    """Whether a text can be a file's name, as `Name` requires."""
     return re.search(_NAME, text) is not None
 
 
 def check_ranges(settings: object) -> None:
-    """Checks the fields of a dataclass against what their annotations allow.
+    """Checks the fields of a dataclass against the limits in their annotations.
 
-    Settings call it in `__post_init__`; nested settings check themselves, but for typed
-    dictionaries, whose values are checked here. The command line does it for every command.
+    Settings call it in `__post_init__`. Nested settings check themselves, except typed
+    dictionaries, whose values are checked here. The command line calls it for every command.
 
     Raises:
-        ConfigurationError: a value out of its range, or of another type; names the field.
+        ConfigurationError: a value is out of its range, or of another type; names the field.
     """
     kind: Any = type(settings)
     for name, hint in _limited(kind).items():
@@ -97,7 +97,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
     """Checks one value against an annotation.
 
     Args:
-        name: what an error calls the value.
+        name: name of the value in the error.
         value: a number, a text, or a tuple of such; numbers of NumPy, too.
         hint: an annotation with limits, such as `Count` or `tuple[Fraction, ...]`.
 
@@ -120,7 +120,7 @@ def limits_of(kind: type) -> Mapping[str, Any]:
 
 @cache
 def _limited(kind: type) -> Mapping[str, Any]:
-    """Gives the annotations that say a limit or a choice, by field."""
+    """Gives the annotations with a limit or a choice, by field."""
     hints = limits_of(kind)
     named = {field.name: hints[field.name] for field in fields(kind)}
     return {
@@ -131,7 +131,7 @@ def _limited(kind: type) -> Mapping[str, Any]:
 
 
 def _choices(hint: Any) -> list[str]:
-    """Gives what an annotation lets one choose from; nothing where it is no choice."""
+    """Gives the choices of an annotation; empty if it is no choice."""
     if get_origin(hint) is Literal:
         return [str(choice) for choice in get_args(hint)]
     return [choice for part in get_args(hint) for choice in _choices(part)]
@@ -146,7 +146,7 @@ def _metas(hint: Any) -> list[tuple[Any, Meta]]:
 
 
 def _expected(hint: Any) -> str:
-    """Says in words what an annotation allows."""
+    """Describes the values that an annotation allows."""
     kinds = {int: "a whole number", float: "a number", str: "text"}
     choices = _choices(hint)
     words = [f"one of {', '.join(choices)}"] if len(choices) > 1 else choices
@@ -175,7 +175,7 @@ def _expected(hint: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Gives the beginning of a value; Python does not write out whole numbers of any length."""
+    """Gives the beginning of a value; Python does not print whole numbers of any length."""
     try:
         text = repr(value)
     except ValueError:

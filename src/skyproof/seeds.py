@@ -9,17 +9,12 @@ if TYPE_CHECKING:
 
 
 def numpy_generator(seed: int) -> np.random.Generator:
-    """Returns NumPy's generator for a seed; NumPy itself takes no negative ones."""
+    """Returns NumPy's generator for a seed, negative ones included, which NumPy does not accept."""
     import numpy as np
 
     return np.random.default_rng(seed % 2**64)
 
 
 def next_seed(seed: int, number: int) -> int:
-    """Returns the seed of the repeat of that number; after the largest of 64 bits comes the least.
-
-    Args:
-        seed: the run's.
-        number: added to it.
-    """
+    """Returns `seed` plus `number`; the smallest 64-bit number follows the largest."""
     return (seed + number + 2**63) % 2**64 - 2**63

@@ -1,4 +1,4 @@
-"""Tensors in files: safetensors, with a record beside the numbers, and no pickle."""
+"""Tensors in files: safetensors with a record beside the numbers, and no pickle."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def write_tensors(
     Record and tensors share a file, so that a kill can never leave one older than the other.
 
     Args:
-        path: usually ends in `.safetensors`; its folder is made if missing.
-        tensors: by name, on any device; no two of them may share memory.
-        record: anything that JSON can hold; kept in the file's metadata.
+        path: usually ends in `.safetensors`; a missing folder is made.
+        tensors: tensors by name, on any device; no two of them may share memory.
+        record: any JSON value; kept in the file's metadata.
 
     Raises:
         NotFiniteError: a number in them is not finite; nothing is written.
@@ -45,14 +45,12 @@ def write_tensors(
 
 
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Reads what `write_tensors` wrote; opening a file runs no code.
+    """Reads a file of `write_tensors`; opening it runs no code.
 
-    Args:
-        path: the file.
-        remedy: what the error advises, such as "make the camouflage again".
+    `remedy` is the advice of the error, such as "make the camouflage again".
 
     Returns:
-        The tensors by name on the CPU, and the record; the latter is empty where none was written.
+        The tensors by name on the CPU, and the record, empty if none was written.
 
     Raises:
         StoredFileError: the file is missing or damaged; names it and the remedy.
@@ -62,8 +60,8 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
     try:
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get("record", "{}")
-            # In the file they lie at any address. Kernels choose by it how they add up, so that a
-            # copy gives the numbers of the tensors that were written, to the last bit.
+            # Tensors lie at any address in the file, which changes the order of sums in kernels. A
+            # copy gives the same numbers as the written tensors, to the last bit.
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is no whole safetensors file"
@@ -92,7 +90,7 @@ def _not_finite(tensors: Mapping[str, Tensor]) -> str | None:
     """Names the first tensor that holds a NaN or an infinity."""
     for name, tensor in tensors.items():
         if tensor.is_floating_point():
-            # Of kinds with less than 16 bits torch knows little but how to widen them.
+            # Torch can do little with kinds below 16 bits but widen them.
             wide = tensor.float() if tensor.element_size() == 1 else tensor
             if not torch.isfinite(wide).all():
                 return name

@@ -1,4 +1,4 @@
-"""Finds a Blender that the worker can run in: a Python with bpy, or the user's executable."""
+"""Finds a Blender for the worker: a Python with bpy, or the user's executable."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _PATIENCE_S = 120
 
 @dataclass(frozen=True)
 class Blender:
-    """An interpreter that has Blender's Python interface.
+    """An interpreter with Blender's Python interface.
 
     Attributes:
         path: a Python with bpy, or a Blender executable.
-        is_python: which of the two.
-        version: of Blender, such as "4.5.15".
+        is_python: whether it is a Python.
+        version: Blender's version, such as "4.5.15".
     """
 
     path: Path
@@ -41,10 +41,10 @@ class Blender:
 
 
 def find_blender(path: Path | None = None) -> Blender:
-    """The Blender at `path`; where not given, what `make blender` made, then `blender` on the PATH.
+    """Finds the Blender at `path`; if None, the one of `make blender`, then `blender` on the PATH.
 
     Raises:
-        ConfigurationError: there is none, it does not start, or it has another version than 4.5.
+        ConfigurationError: there is none, it does not start, or its version is not 4.5.
     """
     chosen = _search() if path is None else Path(path)
     if not chosen.is_file():
@@ -64,11 +64,9 @@ def find_blender(path: Path | None = None) -> Blender:
 
 
 def worker_environment(environment: dict[str, str], scratch: str | Path) -> dict[str, str]:
-    """Returns it without what would bring this Python's packages into Blender's.
+    """Returns an environment that keeps this Python's packages out of Blender's.
 
-    Args:
-        environment: of this process.
-        scratch: where Blender puts files of its own, which a killed one leaves behind.
+    `scratch` is the folder for Blender's own files, which a killed Blender leaves behind.
     """
     kept = {
         name: value
@@ -81,7 +79,7 @@ def worker_environment(environment: dict[str, str], scratch: str | Path) -> dict
 def _search() -> Path:
     checkout = Path(__file__).resolve().parents[3]
     for folder in (Path.cwd(), checkout):
-        # Not resolved: a virtual environment is known by the path of its link.
+        # The link is not resolved, because its path identifies a virtual environment.
         if (folder / _ENVIRONMENT).is_file():
             return folder / _ENVIRONMENT
     found = shutil.which("blender")
@@ -93,7 +91,7 @@ def _search() -> Path:
 
 
 def _ask(path: Path) -> tuple[bool, str | None]:
-    """Whether it is a Python, and the version of Blender in it; None where there is none."""
+    """Whether it is a Python, and the version of its Blender; None if there is none."""
     answer = _output([str(path), "--version"])
     if found := re.search(r"^Blender (\d+\.\d+[.\d]*)", answer, re.MULTILINE):
         return False, found[1]

@@ -1,4 +1,4 @@
-"""Path-traced crops laid over the photograph, in linear light (section S2)."""
+"""Lays path-traced crops over the photograph, in linear light (section S2)."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ def composite_crops(
 ) -> Float[Tensor, "3 H W"]:
     """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
 
-    Noise is added where a vehicle is.
+    Vehicles get the sensor's noise.
 
-    What is taken from the ground's light, per channel: all of it behind vehicles, and 1 - ratio
-    beside them, where ratio is the light there over the light without vehicles (below 1 in shadow,
-    above 1 beside a bright side). Pixels that nothing reaches keep the photograph's value exactly.
+    `taken` is the share that the crop takes from the ground's light, per channel: all of it behind
+    vehicles, and 1 - ratio beside them, where ratio is the light there over the light without
+    vehicles (below 1 in shadow, above 1 beside a bright side). Pixels out of reach keep the
+    photograph's value exactly.
 
     Args:
         photograph: sRGB.
         crops: left, top, width, height in image pixels, and linear colour times coverage (3),
-            coverage (1), ratio (3). Each shows all that is to be seen in its window, so that where
-            two overlap either is right.
-        seed: of the noise.
-        margin_px: towards a crop's edge, the rest of the ratio fades out over this many pixels; not
-            where the image cut the crop, whose shadow goes on there.
+            coverage (1), ratio (3). Each crop shows everything in its window, so that either is
+            right in an overlap of two.
+        seed: seed of the noise.
+        margin_px: width in pixels over which the rest of the ratio fades out towards a crop's edge;
+            the image's border does not fade it, because the shadow continues there.
         sensor: blur and noise.
-        lights: how this one photograph shows light.
+        lights: how this photograph shows light.
     """
     if not crops:
         return photograph
@@ -85,9 +86,9 @@ def composite_crops(
 def _inwards(
     length: int, margin: int, cut: tuple[bool, bool], like: Tensor
 ) -> Float[Tensor, " length"]:
-    """From 0 outside the first pixel to 1 beyond the margin, and back at the other end.
+    """Rises from 0 outside the first pixel to 1 beyond the margin, and falls at the other end.
 
-    An end that is cut has 1 up to its last pixel.
+    A cut end stays 1 up to its last pixel.
     """
     step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
     from_first, from_last = (

@@ -1,4 +1,4 @@
-"""What a Blender process is asked for: one crop around one vehicle, as plain numbers and arrays."""
+"""The job of a Blender process: one crop around one vehicle, as plain numbers and arrays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
 _WORKER = Path(__file__).with_name("worker.py")
-# Ground around a crop that still sends noticeable light to its vehicles.
+# Reach of the ground that sends noticeable light to a crop's vehicles.
 _GROUND_BORDER_M = 2.0
 
 
@@ -37,8 +37,8 @@ class Job:
     """One crop.
 
     Attributes:
-        name: for messages, such as "vehicle 2 of test-0007".
-        scene: index of the image it belongs to.
+        name: name in messages, such as "vehicle 2 of test-0007".
+        scene: index of its image.
         window_px: left, top, width, height in image pixels; may reach beyond the image by the
             sensor's blur.
         numbers: camera, sun, samples, seed.
@@ -52,13 +52,13 @@ class Job:
     arrays: dict[str, np.ndarray]
 
     def stored(self) -> bytes:
-        """The job file: NumPy's .npz, the numbers as JSON in an array of their own."""
+        """The job file: NumPy's .npz, with the numbers as JSON in an array of their own."""
         buffer = io.BytesIO()
         np.savez(buffer, job=np.array(json.dumps(self.numbers)), **self.arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
 
     def digest(self, blender_version: str) -> str:
-        """Names the result: another worker or Blender is another result."""
+        """Names the result; another worker or Blender gives another name."""
         total = _worker_hash().copy()
         total.update(json.dumps([blender_version, self.numbers]).encode())
         for name, values in self.arrays.items():
@@ -71,13 +71,13 @@ class Job:
 def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
-    Cut at the image's border, beyond which only what the sensor's blur brings in is drawn; without
-    area where nothing of the vehicle is near the image.
+    Windows end at the image's border plus the reach of the sensor's blur; a window has no area if
+    its vehicle is not near the image.
 
     Args:
         placed: the vehicles.
-        margin_px: ground around each.
-        borders_px: how far the blur brings something in, one per image.
+        margin_px: ground around each vehicle.
+        borders_px: reach of the blur, one per image.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
@@ -101,11 +101,11 @@ def crop_jobs(
     A crop also holds the scene's other vehicles that reach into it: they hide and shade each other.
 
     Args:
-        scenes: as drawn.
+        scenes: the scenes.
         vehicles: one row per placement.
-        placed: the same, in their scenes.
+        placed: the same vehicles, in their scenes.
         ground: the photographs as the ground's reflectance.
-        windows: of `crop_windows`.
+        windows: windows from `crop_windows`.
         settings: samples and finish.
         lights: how each scene's photograph shows light.
     """
@@ -135,7 +135,7 @@ def crop_jobs(
                 "sun_diameter_rad": SUN_DIAMETER_RAD,
                 "ground_origin_px": origin,
                 "samples": settings.samples,
-                # The same with and without camouflage, so that pairs share their noise.
+                # The seed is the same with and without camouflage, so that pairs share their noise.
                 "seed": (scene.seed * 31 + number) % 2**31,
             }
             arrays = {
@@ -152,17 +152,17 @@ def crop_jobs(
 
 @cache
 def _worker_hash() -> hashlib._Hash:
-    """Of the worker's text, read once: every job's digest begins with it."""
+    """The hash of the worker's text, read once: every job's digest begins with it."""
     return hashlib.sha256(_WORKER.read_bytes())
 
 
 def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:
-    """Returns textures as bytes that hold what their surfaces reflect."""
+    """Returns textures as bytes of their surfaces' reflectance."""
     return (linear_to_srgb(reflectance(srgb_to_linear(srgb))) * 255).round().byte().numpy()
 
 
 class _Rows:
-    """Vehicles as arrays, turned into bytes once."""
+    """Vehicles as arrays, converted to bytes once."""
 
     def __init__(self, vehicles: VehicleBatch, placed: Placed) -> None:
         self._vehicles, self._placed = vehicles, placed
@@ -176,7 +176,7 @@ class _Rows:
         worn = self._vehicles.worn_texture().detach().cpu()
         if worn.dtype != torch.uint8:
             return _shown(worn.clamp(0, 1))
-        # Of 256 values each is worked out once: a batch of full maps would take seconds.
+        # Each of the 256 values is computed once: a batch of full maps would take seconds.
         return np.take(_shown(torch.arange(256) / 255), worn.numpy())
 
     @cached_property

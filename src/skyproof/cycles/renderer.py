@@ -1,4 +1,4 @@
-"""The path tracer as a renderer: the same scenes and labels, other light (section S3.2.2)."""
+"""The path tracer as a renderer: the same scenes and labels in another light (section S3.2.2)."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ from skyproof.vehicles.vehicle import VehicleBatch
 class CyclesRenderer:
     """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.
 
-    Sun and sky add up to the light the photograph was exposed for. Vehicles hide, shade and mirror
-    each other and themselves, take light from the ground that the photograph shows, and send theirs
-    to it. Camera, places, headings, labels, blur, noise and weather are those of `TorchRenderer`.
+    Sun and sky add up to the light of the photograph's exposure. Vehicles hide, shade and mirror
+    each other and themselves, and exchange light with the photographed ground. Camera, places,
+    headings, labels, blur, noise and weather are those of `TorchRenderer`.
 
-    Differences from the paper: only crops are path-traced, and the photograph is the ground; the
-    authors' Blender scenes are not available. No camera effects beyond the sensor model; vehicles
-    are closed shells without an inside.
+    Differences from the paper: only crops are path-traced, and the photograph is the ground,
+    because the authors' Blender scenes are not available. There are no camera effects beyond the
+    sensor model; vehicles are closed shells without an inside.
     """
 
     name = "cycles"
     differentiable = False
-    # Its processes are the parallel ones.
+    # Its processes already run in parallel.
     concurrent = False
 
     def __init__(
@@ -62,8 +62,8 @@ class CyclesRenderer:
         self.shared = shared or RenderSettings()
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
-        """Its settings, with blur and noise as these scenes have them, and Blender's version."""
-        # What only the differentiable renderer is told makes no difference here, and the ground's
+        """Its settings, with the blur and noise of these scenes, and Blender's version."""
+        # Settings of the differentiable renderer alone make no difference here, and the ground's
         # own light is the ground's.
         given = {} if self.shared.light is None else {"light": asdict(self.shared.light)}
         return {

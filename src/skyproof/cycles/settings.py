@@ -1,4 +1,4 @@
-"""What the path tracer can be told beside light and sensor. Imports no torch."""
+"""Settings of the path tracer besides light and sensor. Imports no torch."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from skyproof.ranges import check_ranges
 
 @dataclass(frozen=True)
 class CyclesSettings:
-    """How finely crops are path-traced, and what camouflage is painted with.
+    """How finely crops are path-traced, and the finish of the camouflage paint.
 
     Attributes:
         samples: light paths per pixel; 32 in bulk, 64 for final pictures. The sensor's blur
-            averages the noise of some 70 pixels.
+            averages the noise of about 70 pixels.
         finish: camouflage paint under the vehicle's clear coat (gloss), or without one (matt).
-        margin_m: how far a crop reaches beyond the vehicle and its cast shadow, in metres, because
-            the vehicle hides a part of the sky from the ground around it; the rest of that effect
-            fades out towards the crop's edge.
+        margin_m: reach of a crop beyond the vehicle and its cast shadow, in metres; the vehicle
+            hides a part of the sky from this ground, and the rest of that effect fades out towards
+            the crop's edge.
     """
 
     samples: Annotated[int, Meta(ge=1, le=65_536)] = 32

@@ -1,4 +1,4 @@
-"""Sun and sky as light sources whose sum is what the photograph was exposed for."""
+"""Sun and sky as light sources that add up to the light of the photograph's exposure."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _ROWS, _COLUMNS = 32, 64
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light on a scene, in units in which a white matt surface on open ground sends 1.
+    """Light on a scene; a white matt surface on open ground sends 1.
 
     Attributes:
         sun_irradiance: linear red, green, blue across the sun's rays.
         sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row, -90 in the
-            last) and azimuth, as Blender's environment texture wants it: the middle column looks
-            along +x, columns go clockwise seen from above; nothing below the horizon.
+            last) and azimuth, for Blender's environment texture: the middle column looks along +x,
+            columns go clockwise seen from above; zero below the horizon.
     """
 
     sun_irradiance: tuple[float, float, float]
@@ -36,9 +36,9 @@ def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> 
     """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
 
     Args:
-        sun: where it stands.
-        sky_light: the sky's part of the light on open ground, red, green, blue.
-        clouds: which part of the sky's light comes from clouds, 0 to 1.
+        sun: place of the sun.
+        sky_light: the sky's share of the light on open ground, red, green, blue.
+        clouds: share of the sky's light that comes from clouds, 0 to 1.
     """
     dome = (1 - clouds) * _dome(CLEAR, sun) + clouds * _dome(OVERCAST, sun)
     share = np.array(sky_light)

@@ -12,8 +12,8 @@
 
 Started as `python worker.py SCRATCH` with bpy, or as `blender --background --python worker.py --
 SCRATCH`. Every line of standard input names a job file (.npz) and the file for its result (.npy),
-separated by a tab. Lines that are meant for skyproof begin with `skyproof-worker` on standard
-output; Blender prints there too.
+separated by a tab. Lines for skyproof begin with `skyproof-worker` on standard output, because
+Blender prints there too.
 """
 
 import json
@@ -29,8 +29,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 MARK = "skyproof-worker"
-# Metres; beyond it lies no ground. Far larger than a crop, so that only light near the horizon
-# notices.
+# Metres; the ground ends there. Far larger than a crop, so that only light near the horizon
+# differs.
 GROUND_HALF_WIDTH_M = 300.0
 CAMERA_DISTANCE_M = 60.0
 CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [
@@ -39,7 +39,7 @@ CHANNELS = [f"Combined.{channel}" for channel in "RGBA"] + [
 
 
 class Stage:
-    """A Blender scene with ground, sun, sky and camera, into which every job puts its vehicles."""
+    """A Blender scene with ground, sun, sky and camera; every job adds its vehicles."""
 
     def __init__(self, scratch: Path) -> None:
         self.picture = scratch / f"{os.getpid()}.exr"
@@ -61,7 +61,8 @@ class Stage:
     def render(self, job: dict[str, Any], arrays: dict[str, np.ndarray]) -> np.ndarray:
         """Returns one crop, `[H, W, 7]`.
 
-        It holds linear colour times coverage, coverage, and the ground's light over undisturbed.
+        It holds linear colour times coverage, coverage, and the ground's light over undisturbed
+        light.
         """
         self._point_camera(job)
         self._light(job, arrays["sky"])
@@ -82,7 +83,7 @@ class Stage:
         cycles.engine = "CYCLES"
         cycles.film_transparent = True
         cycles.threads_mode, cycles.threads = "FIXED", 1
-        # Kept data would be served stale after a change of seed or samples.
+        # Kept data would be stale after a change of seed or samples.
         cycles.use_persistent_data = False
         cycles.resolution_percentage = 100
         cycles.filepath = str(self.picture)
@@ -111,7 +112,7 @@ class Stage:
             setattr(scene.cycles, name, value)
 
     def _ground(self) -> tuple[Any, Any]:
-        """Adds a matt plane that shows only in the light vehicles take from it and get from it."""
+        """Adds a matt plane that shows only by the light it exchanges with vehicles."""
         half = GROUND_HALF_WIDTH_M
         mesh = bpy.data.meshes.new("ground")
         mesh.from_pydata(
@@ -220,7 +221,7 @@ class Stage:
     def _surface(
         self, texture: np.ndarray, labels: np.ndarray, table: np.ndarray
     ) -> tuple[Any, list[Any]]:
-        """Makes one material whose colour and finish come from maps.
+        """Makes one material with colour and finish from maps.
 
         The finish is roughness, coat, specular level and the coat's roughness.
         """
@@ -252,11 +253,11 @@ def linear(texture: np.ndarray) -> np.ndarray:
 
 
 def new_image(values: np.ndarray) -> Any:
-    """A float image of `[H, W, 3 or 4]` values as they are, the first row at the bottom."""
+    """A float image of unchanged `[H, W, 3 or 4]` values, the first row at the bottom."""
     height, width, channels = values.shape
     image = bpy.data.images.new("values", width, height, alpha=True, float_buffer=True)
     image.colorspace_settings.name = "Non-Color"
-    # Else colour would be scaled by what stands in the fourth channel.
+    # Otherwise the fourth channel would scale the colour.
     image.alpha_mode = "CHANNEL_PACKED"
     pixels = np.ones((height, width, 4), dtype=np.float32)
     pixels[..., :channels] = values
@@ -265,9 +266,9 @@ def new_image(values: np.ndarray) -> Any:
 
 
 def replace_image(node: Any, values: np.ndarray) -> None:
-    """Makes an image of values whose first row is at the top.
+    """Puts a new image of values, whose first row is at the top, into a node.
 
-    New pixels need a new image: an old one's would be served again.
+    New pixels need a new image: Blender would serve the old one's again.
     """
     old = node.image
     node.image = new_image(values[::-1])
@@ -276,9 +277,9 @@ def replace_image(node: Any, values: np.ndarray) -> None:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """Reads the channels we need of an uncompressed multilayer OpenEXR file, as `[H, W, 7]`.
+    """Reads the needed channels of an uncompressed multilayer OpenEXR file, as `[H, W, 7]`.
 
-    Blender does not hand out a multilayer file's pixels. Layout:
+    Blender gives no access to a multilayer file's pixels. Layout:
     https://openexr.com/en/latest/OpenEXRFileLayout.html
     """
     data = path.read_bytes()
@@ -306,7 +307,7 @@ def read_exr(path: Path) -> np.ndarray:
 
 
 def say(out: TextIO, **message: Any) -> None:
-    """One line for skyproof."""
+    """Prints one line for skyproof."""
     print(MARK, json.dumps(message), file=out, flush=True)
 
 

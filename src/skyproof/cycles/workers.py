@@ -1,4 +1,4 @@
-"""Blender processes that take job files and leave arrays; restarted when they die."""
+"""Blender processes that turn job files into arrays; restarted when they die."""
 
 from __future__ import annotations
 
@@ -34,15 +34,14 @@ _CHANNELS = 7
 
 
 class Workers:
-    """Some Blender processes of one thread each, used as a context; the first job starts them.
+    """Several Blender processes of one thread each, used as a context; the first job starts them.
 
-    What a job gives depends on the job alone: the same bytes whatever the number of processes.
-    Finished results are kept in a folder under the jobs' digests, so that work that was stopped
-    goes on where it was.
+    A result depends on its job alone: its bytes are the same for any number of processes. Results
+    are kept in a folder under the jobs' digests, so that interrupted work continues.
 
     Args:
-        blender: what runs them.
-        count: how many.
+        blender: the Blender to run.
+        count: number of processes.
         results: folder of finished results; None keeps them only until the context ends.
     """
 
@@ -69,7 +68,7 @@ class Workers:
         self.close()
 
     def process_ids(self) -> list[int]:
-        """Of the processes that run now."""
+        """The ids of the running processes."""
         return [number for process in self._all if (number := process.process_id) is not None]
 
     def close(self) -> None:
@@ -81,7 +80,7 @@ class Workers:
     def run(
         self, jobs: Sequence[Job], *, on_done: Callable[[], None] | None = None
     ) -> list[np.ndarray]:
-        """The results of all jobs, in their order; those that are there already are read.
+        """The results of all jobs, in their order; existing ones are read.
 
         Raises:
             RunFolderError: a job failed twice, a worker died twice in it, or the disk is full;
@@ -97,7 +96,7 @@ class Workers:
                     on_done()
             return done
         except BaseException:
-            # Threads wait for their processes: without these they end at once.
+            # Threads wait for their processes: they end at once without them.
             for process in self._all:
                 process.stop()
             raise
@@ -109,7 +108,7 @@ class Workers:
         if result.exists():
             with suppress(_Unfit):
                 return _picture(result, job)
-            # Whole when it was written, damaged since: drawn again.
+            # The file was written whole and damaged later, so it is rendered again.
         process = self._idle.get()
         try:
             return self._render(process, job, result)
@@ -138,7 +137,7 @@ class Workers:
 
 
 class _Unfit(Exception):
-    """A result that is not what its job asked for."""
+    """A result that does not fit its job."""
 
 
 def _picture(path: Path, job: Job) -> np.ndarray:
@@ -160,14 +159,14 @@ def _picture(path: Path, job: Job) -> np.ndarray:
 
 
 class _Answer(msgspec.Struct):
-    """A line of a worker; the first one says a version, the others "done", or "why" not."""
+    """A line of a worker: first a version, later "done", or "why" not."""
 
     done: str | None = None
     why: str = "it did not say"
 
 
 class _Process:
-    """One Blender process; started when needed, started again after its death."""
+    """One Blender process, started on demand and restarted after its death."""
 
     def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
         self.number = number
@@ -179,11 +178,11 @@ class _Process:
 
     @property
     def process_id(self) -> int | None:
-        """Its number in the system while it runs."""
+        """Its process id while it runs."""
         return None if self._process is None else self._process.pid
 
     def ask(self, job: Path, result: Path) -> _Answer:
-        """Has one job done."""
+        """Runs one job."""
         try:
             if self._process is None and not self._start():
                 return _Answer(why=f"it did not start: {self._last_words()}")
@@ -193,7 +192,7 @@ class _Process:
             self._process.stdin.flush()
             answer = self._listen()
         except msgspec.DecodeError:
-            # It lives, and nobody knows what it will say next.
+            # The process lives, but its next lines cannot be trusted.
             self._end()
             return _Answer(why="its process answered in another form")
         except (BrokenPipeError, ValueError):
@@ -226,7 +225,7 @@ class _Process:
                     start_new_session=True,
                 )
             except OSError as error:
-                # Such as no memory for one more process.
+                # For example, no memory for one more process.
                 log.write(str(error))
                 return False
         if self._listen() is None:
@@ -235,7 +234,7 @@ class _Process:
         return True
 
     def _listen(self) -> _Answer | None:
-        """The next line that is meant for us; None when the process has ended.
+        """The next line for us; None if the process has ended.
 
         Raises:
             ValueError: the line has another form.
@@ -250,13 +249,13 @@ class _Process:
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            # With all that it started: a launcher's child would hold the pipe open, and a thread
+            # Kills its children, too: a launcher's child would hold the pipe open, and a thread
             # would wait for it.
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             if process.stdin is not None:
-                # What a dead process did not read cannot be sent any more.
+                # Unsent data cannot reach a dead process.
                 with suppress(OSError):
                     process.stdin.close()
 

@@ -1,4 +1,4 @@
-"""Making the next thing in a thread while the present one is in use."""
+"""Makes the next item in a thread while the present one is in use."""
 
 from __future__ import annotations
 
@@ -11,14 +11,10 @@ Made = TypeVar("Made")
 
 
 def made_ahead(make: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-    """Yields `make(item)` for each item in order; the next is being made meanwhile in a thread.
+    """Yields `make(item)` for each item in order, and makes the next one in a thread meanwhile.
 
-    At most two results exist at a time: the one in use and the next. An error of `make` is raised
-    where its result would have come.
-
-    Args:
-        make: must not depend on what the user of the results does meanwhile.
-        items: what to make results of.
+    At most two results exist at a time. An error of `make` is raised in place of its result. `make`
+    must not depend on the consumer's use of earlier results.
     """
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as maker:
         waiting: Future[Made] | None = None

@@ -1,4 +1,4 @@
-"""The annotation file of a dataset of ours, read whole and checked: COCO with our additions."""
+"""Reads and checks the annotation file of our datasets: COCO with our additions."""
 
 from __future__ import annotations
 
@@ -29,15 +29,14 @@ _Length = Annotated[float, Meta(ge=0, le=1e9)]
 
 
 class Information(msgspec.Struct, frozen=True):
-    """What the file says of the whole set.
+    """The file's facts about the whole set.
 
     Attributes:
         gsd_m: metres per pixel of all images.
-        description: what the images are.
-        renderer: who rendered them; None where it is not said.
-        rendering: the settings they were rendered with.
-        camouflage: a digest of what the vehicles wear; empty where they are as they were, and of
-            sets from before it was kept.
+        description: short description of the images.
+        renderer: renderer of the images; None if not stated.
+        rendering: settings of the renderer.
+        camouflage: digest of the vehicles' camouflage; empty without camouflage, and in older sets.
     """
 
     gsd_m: GroundResolution
@@ -55,7 +54,7 @@ class CategoryRow(msgspec.Struct, frozen=True):
 
 
 class ImageRow(msgspec.Struct, frozen=True):
-    """One image: its file below the dataset's folder, and the name of what it shows."""
+    """One image: its file below the dataset's folder, and the name of its scene."""
 
     id: Seed
     width: ImageSide
@@ -65,14 +64,14 @@ class ImageRow(msgspec.Struct, frozen=True):
 
 
 class AnnotationRow(msgspec.Struct, frozen=True):
-    """One vehicle, or with `iscrowd` a region where nothing is scored.
+    """One vehicle, or with `iscrowd` a region that is not scored.
 
-    Outlines are most of the file, and only those who ask for them keep them.
+    Outlines make up most of the file, and only readers that ask for them keep them.
 
     Attributes:
         bbox: left, top, width and height in pixels.
-        visible_fraction: of its pixels, how many are inside the image and not hidden by the
-            photograph; None where not known.
+        visible_fraction: share of its pixels that are inside the image and not hidden by the
+            photograph; None if not known.
     """
 
     image_id: Seed
@@ -93,14 +92,14 @@ File = TypeVar("File", bound=AnnotationFile)
 
 
 def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
-    """Reads `annotations.json` of a dataset folder.
+    """Reads `annotations.json` of a dataset folder that `skyproof.datasets.coco.CocoWriter` wrote.
 
     Args:
-        folder: as `skyproof.datasets.coco.CocoWriter` wrote it.
-        kind: how much of it is wanted: `AnnotationFile`, or one with more fields.
+        folder: the dataset's folder.
+        kind: amount of detail: `AnnotationFile`, or a kind with more fields.
 
     Returns:
-        The file's content, and per image the file it is in.
+        The file's content, and the file of each image.
 
     Raises:
         StoredFileError: the file is missing, damaged or of another form; two images share an id, a
@@ -126,11 +125,9 @@ def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
 
 
 def drop_images(folder: Path, names: Collection[str]) -> None:
-    """Takes images and what is annotated in them out of `annotations.json`; all else stays.
+    """Removes images and their annotations from `annotations.json`; all else stays.
 
-    Args:
-        folder: of the dataset.
-        names: what the images show (`scene_id`); those that it has not are passed over.
+    Names (`scene_id`) that the dataset lacks are ignored.
 
     Raises:
         StoredFileError: the file is missing, damaged or of another form.
@@ -140,7 +137,7 @@ def drop_images(folder: Path, names: Collection[str]) -> None:
     if not dropped:
         return
     path = Path(folder) / ANNOTATIONS
-    # Read once more with all that others may have added.
+    # A second read keeps all fields that other programs may have added.
     document: dict[str, Any] = read_document(path, dict[str, Any], REMEDY)
     document["images"] = [row for row in document["images"] if row["id"] not in dropped]
     document["annotations"] = [

@@ -1,4 +1,4 @@
-"""Writing labelled images to a folder: PNGs and one COCO annotation file."""
+"""Writes labelled images to a folder: PNGs and one COCO annotation file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch import Tensor
 from skyproof.files import write_json
 
 DESCRIPTION = "skyproof scenes"
-"""What `info` says where nobody says otherwise: the images were rendered."""
+"""The description in `info` unless another is given: the images are rendered."""
 
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
 
@@ -27,16 +27,16 @@ class Annotation:
 
     Attributes:
         box_xyxy: pixels, half-open.
-        centre_px: where the vehicle's centre lies, (x, y).
-        visible_fraction: of its pixels, how many are inside the image and not hidden by the
+        centre_px: centre of the vehicle, (x, y).
+        visible_fraction: share of its pixels that are inside the image and not hidden by the
             photograph.
         mask: `[H, W]` its visible pixels in the whole image, or None.
-        vehicle: id in the fleet, or None where not known.
-        placement_index: which of the scene's placements it is, or None.
-        ignore: a region where nothing is scored; COCO's iscrowd.
-        corners_px: the rectangle on the ground that the vehicle stands on, (x, y) of front left,
-            front right, rear right, rear left, not cut at the border; None where not known.
-        unlabelled: an ignored region that is no object: nobody looked for vehicles there.
+        vehicle: id in the fleet, or None if not known.
+        placement_index: index of the scene's placement, or None.
+        ignore: whether this is a region that is not scored; COCO's iscrowd.
+        corners_px: rectangle of ground below the vehicle, (x, y) of front left, front right, rear
+            right, rear left, not clipped to the image; None if not known.
+        unlabelled: whether this is an ignore region that holds no object but was never labelled.
     """
 
     box_xyxy: tuple[float, float, float, float]
@@ -51,15 +51,15 @@ class Annotation:
 
 
 class CocoWriter:
-    """Writes a dataset image by image, and its annotations when the block ends well.
+    """Writes a dataset image by image, and its annotations if the block ends well.
 
-    The images are `images/<scene id>.png`, the annotations `annotations.json`. Put it inside
-    `skyproof.files.finished_folder`, so that only a whole dataset gets its final name.
+    The images are `images/<scene id>.png`, the annotations `annotations.json`. Use it inside
+    `skyproof.files.finished_folder`, so that only a complete dataset gets its final name.
 
     Args:
-        folder: gets the files.
+        folder: folder of the files.
         gsd_m: metres per pixel.
-        source: what else `info` is to say, such as who rendered the images.
+        source: further entries of `info`, such as the renderer of the images.
     """
 
     def __init__(
@@ -106,13 +106,7 @@ class CocoWriter:
     def add_written(
         self, scene_id: str, size_px: tuple[int, int], annotations: Sequence[Annotation]
     ) -> None:
-        """Keeps the annotations of an image that lies at its place already.
-
-        Args:
-            scene_id: names the image.
-            size_px: its width and height.
-            annotations: its vehicles and ignore regions.
-        """
+        """Keeps the annotations of an image that is already in the folder."""
         image_id = len(self._images) + 1
         width, height = size_px
         self._images.append(

@@ -1,4 +1,4 @@
-"""Images with known vehicles: what detectors train on and are judged by."""
+"""Images with known vehicles, to train and evaluate detectors on."""
 
 from __future__ import annotations
 
@@ -32,27 +32,26 @@ from skyproof.errors import StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 
-# As in labels of imagery: rounding may carry a box over the edge.
+# As for labels of imagery: rounding may carry a box over the edge.
 _SLACK = 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Images with the boxes of every vehicle in them; pixels are decoded when they are asked for.
+    """Images with the boxes of every vehicle in them; pixels are decoded on demand.
 
     Make one with `open`, `of_images` or `joined`.
 
     Attributes:
         pictures: the images; `image` and `images` decode them.
-        boxes: per image `[n, 4]` true vehicles, pixel xyxy.
-        ignore: per image `[m, 4]` regions where nothing is scored: other vehicle classes,
+        boxes: `[n, 4]` true vehicles of each image, pixel xyxy.
+        ignore: `[m, 4]` regions of each image that are not scored: other vehicle classes,
             unlabelled borders.
-        ids: per image its name.
+        ids: name of each image.
         gsd_m: metres per pixel of all images.
-        visible_fractions: per image `[n]` the fraction of each vehicle's pixels that are
-            visible in the image; nan where not known.
-        folder: where the images lie; None where they are of several places or in memory.
-        info: what the annotation file says of the whole set; None where there is none.
+        visible_fractions: `[n]` visible share of each vehicle's pixels, by image; nan if not known.
+        folder: folder of the images; None if they come from several folders or from memory.
+        info: the annotation file's facts about the whole set; None without a file.
     """
 
     pictures: Sequence[Picture]
@@ -71,7 +70,7 @@ class Dataset:
         Annotations with iscrowd become ignore regions.
 
         Raises:
-            StoredFileError: `annotations.json` is missing, damaged or of another form, names an
+            StoredFileError: `annotations.json` is missing, damaged or of another form, or names an
                 image outside the folder, or a vehicle outside its image.
         """
         folder = Path(folder)
@@ -110,11 +109,11 @@ class Dataset:
         """Makes a dataset of images in memory.
 
         Args:
-            images: per image `[3, H, W]` sRGB bytes; sizes may differ.
-            boxes: per image `[n, 4]` true vehicles, pixel xyxy.
+            images: `[3, H, W]` sRGB bytes of each image; sizes may differ.
+            boxes: `[n, 4]` true vehicles of each image, pixel xyxy.
             gsd_m: metres per pixel.
-            ignore: per image `[m, 4]` regions where nothing is scored; none where not given.
-            ids: per image its name; counted where not given.
+            ignore: `[m, 4]` regions of each image that are not scored; None for none.
+            ids: name of each image; None numbers them.
         """
         count = len(images)
         return cls(
@@ -128,7 +127,7 @@ class Dataset:
 
     @classmethod
     def joined(cls, parts: Sequence[Dataset]) -> Dataset:
-        """Puts several sets of one resolution together, in their order."""
+        """Joins several sets of one resolution in their order."""
         return cls(
             pictures=[picture for part in parts for picture in part.pictures],
             boxes=[boxes for part in parts for boxes in part.boxes],
@@ -143,27 +142,27 @@ class Dataset:
 
     @property
     def sizes_px(self) -> list[tuple[int, int]]:
-        """Per image its width and height, known without decoding."""
+        """Width and height of each image, known without decoding."""
         return [picture.size_px for picture in self.pictures]
 
     @property
     def area_m2(self) -> float:
-        """How much ground all images show together."""
+        """The area of ground in all images together."""
         return sum(width * height for width, height in self.sizes_px) * self.gsd_m**2
 
     def image(self, index: int) -> UInt8[Tensor, "3 H W"]:
         """Decodes one image, as sRGB bytes.
 
         Raises:
-            StoredFileError: the file is missing, damaged or of another size than was stated.
+            StoredFileError: the file is missing, damaged or of another size than stated.
         """
         return self.pictures[index].read()
 
     def images(self, indices: Iterable[int]) -> list[UInt8[Tensor, "3 _H _W"]]:
-        """Decodes several images at once, each in a thread of its own.
+        """Decodes several images at once, each in its own thread.
 
         Raises:
-            StoredFileError: as `image` does.
+            StoredFileError: as `image`.
         """
         return list(_decoders().map(self.image, indices))
 
@@ -180,8 +179,8 @@ class Dataset:
 
     @property
     def renderer(self) -> str:
-        """Who rendered the images: "torch" or "cycles"; empty where nobody did."""
-        # Datasets of before there was a choice of renderer say only that they are scenes.
+        """The renderer of the images: "torch" or "cycles"; empty if they are not rendered."""
+        # Datasets older than the choice of renderer only state that they are scenes.
         if self.info is None:
             return ""
         default = "torch" if self.info.description == DESCRIPTION else ""
@@ -189,14 +188,14 @@ class Dataset:
 
     @property
     def rendering(self) -> dict[str, Any]:
-        """The settings that the images were rendered with; empty where they are not known."""
+        """The settings of the renderer; empty if they are not known."""
         return {} if self.info is None else dict(self.info.rendering)
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the images' names, sizes and labels and of how they were made, not of pixels.
+        """SHA-256 of the images' names, sizes, labels and making, not of their pixels.
 
-        Sets of one digest teach a detector the same; it is the same wherever the folder lies.
+        Sets of one digest teach a detector the same. The folder's place does not change it.
         """
         images = zip(self.ids, self.pictures, self.boxes, self.ignore, strict=True)
         told = [
@@ -205,25 +204,25 @@ class Dataset:
         ]
         about = [self.gsd_m, self.renderer, self.rendering, told]
         if self.info is not None and self.info.camouflage:
-            # Digests of sets without it stay what they were.
+            # Digests of sets without it stay the same.
             about.append(self.info.camouflage)
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
     @property
     def origin(self) -> str:
-        """The set in a few words: its name, and who rendered it or which imagery it is cut from.
+        """A short description of the set: its name, and its renderer or source imagery.
 
-        Empty where the images are of several places or in memory.
+        It is empty if the images come from several folders or from memory.
 
         Raises:
-            StoredFileError: the index of the tiled folder that the set lies in is damaged.
+            StoredFileError: the index of the tiled folder around the set is damaged.
         """
         if self.folder is None or self.info is None:
             return ""
         name = self.folder.resolve().name
         above = self.folder.resolve().parent
         if self.info.renderer is None and (above / "index.json").exists():
-            # A split of a tiled folder.
+            # The set is a split of a tiled folder.
             tiles = BackgroundSet.open(above).tiles(name)
             sources = list(dict.fromkeys(tile.source for tile in tiles))
             if sources:
@@ -237,12 +236,12 @@ class Dataset:
 
 @cache
 def _decoders() -> ThreadPoolExecutor:
-    # Pillow lets go of the interpreter's lock while it decodes.
+    # Pillow releases the interpreter's lock while it decodes.
     return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="decoder")
 
 
 def _refuse_outside(folder: Path, image: ImageRow, rows: Sequence[AnnotationRow]) -> None:
-    """Refuses boxes that reach out of their image; those without area are of what is out of sight.
+    """Refuses boxes that reach out of their image; vehicles out of sight have boxes without area.
 
     Raises:
         StoredFileError: there is one.

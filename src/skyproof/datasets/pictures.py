@@ -1,4 +1,4 @@
-"""Single pictures that are decoded when somebody looks at them, whole or window by window."""
+"""Single pictures that are decoded on demand, whole or window by window."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Window(NamedTuple):
 
 @runtime_checkable
 class Picture(Protocol):
-    """One image of a dataset, wherever its pixels are kept."""
+    """One image of a dataset, in memory or in a file."""
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -46,11 +46,7 @@ class Picture(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PictureInMemory:
-    """A picture whose pixels are at hand.
-
-    Attributes:
-        image: `[3, H, W]` sRGB bytes.
-    """
+    """A picture in memory: `[3, H, W]` sRGB bytes."""
 
     image: UInt8[Tensor, "3 H W"]
 
@@ -60,7 +56,7 @@ class PictureInMemory:
         return self.image.shape[2], self.image.shape[1]
 
     def read(self) -> UInt8[Tensor, "3 H W"]:
-        """Gives the image as it is, not a copy."""
+        """Gives the image itself, not a copy."""
         return self.image
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
@@ -71,12 +67,7 @@ class PictureInMemory:
 
 @dataclass(frozen=True)
 class PictureFile:
-    """A picture of a dataset folder.
-
-    Attributes:
-        path: of the image file.
-        size_px: width and height, as the annotations say.
-    """
+    """A picture file of a dataset folder, with the width and height that its annotations state."""
 
     path: Path
     size_px: tuple[int, int]
@@ -85,7 +76,7 @@ class PictureFile:
         """Decodes the file.
 
         Raises:
-            StoredFileError: the file is missing, damaged or of another size than was stated.
+            StoredFileError: the file is missing, damaged or of another size than stated.
         """
         return tensor_of(read_pixels(self.path, REMEDY, size_px=self.size_px))
 
@@ -93,11 +84,11 @@ class PictureFile:
         """Decodes the file and yields its windows.
 
         Raises:
-            StoredFileError: the file is missing, damaged or of another size than was stated.
+            StoredFileError: as `read`.
         """
         return PictureInMemory(self.read()).windows(windows)
 
 
 def tensor_of(image: Image.Image | UInt8[np.ndarray, "H W 3"]) -> UInt8[Tensor, "3 H W"]:
-    """Turns a decoded RGB picture into a tensor of its bytes, channels first, by one copy."""
+    """Turns a decoded RGB picture into a tensor of its bytes, channels first, with one copy."""
     return torch.from_numpy(np.array(np.asarray(image).transpose(2, 0, 1), order="C"))

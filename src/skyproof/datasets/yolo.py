@@ -1,4 +1,4 @@
-"""Labels as YOLO text, as Ultralytics trains from."""
+"""Labels as YOLO text, the training format of Ultralytics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ names:
 def write_yolo(folder: Path) -> None:
     """Writes `labels/*.txt` and `data.yaml` beside a dataset's images.
 
-    Ignore regions cannot be said in this form and are left out, as are vehicles out of sight.
+    The format has no ignore regions, so they are left out, as are vehicles out of sight.
 
     Raises:
         StoredFileError: the dataset is missing or damaged.

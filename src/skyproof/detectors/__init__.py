@@ -1,5 +1,5 @@
-"""Detectors: RetinaNet, Faster R-CNN and YOLOv5, imported checkpoints, or an object of the user's.
+"""Detectors: RetinaNet, Faster R-CNN, YOLOv5, imported checkpoints, and the user's own objects.
 
-Here belong their losses and detections, how they are trained, stored and matched with vehicles,
-and the threshold that is frozen before any attack.
+This room holds their losses and detections, trains and stores them, matches their detections with
+vehicles, and freezes the score threshold before any attack.
 """

@@ -1,4 +1,4 @@
-"""The YOLOv5 of 2020, with anchors and objectness: ours to train, and imported."""
+"""The YOLOv5 of 2020, with anchors and objectness: trained here or imported."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from skyproof.detectors.detector import Candidates, TrainableDetector
 from skyproof.detectors.features import pool_finest
 from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
 
-# Of release 7.0, for three levels; chosen on COCO. A vehicle of 4 m at 12.5 cm per pixel is of like
-# size (up to four times, down to a fourth) with six of the nine.
+# Anchors of release 7.0 for three levels, chosen on COCO. Six of the nine match a vehicle of 4 m at
+# 12.5 cm per pixel (from a fourth to four times its size).
 _ANCHORS_PX = (
     (10, 13, 16, 30, 33, 23),
     (30, 61, 62, 45, 59, 119),
@@ -25,12 +25,12 @@ _ANCHORS_PX = (
 
 
 class AnchorDetector(TrainableDetector):
-    """Ultralytics' backbone and neck, the head and loss of the YOLOv5 of 2020 (section 5.3).
+    """Ultralytics' backbone and neck with the head and loss of the YOLOv5 of 2020 (section 5.3).
 
     Args:
-        architecture: as `check_layers` has passed it, with "anchors" per level.
-        vehicle_classes: whose best score is the vehicle's.
-        size: as tables show it.
+        architecture: checked by `check_layers`, with "anchors" per level.
+        vehicle_classes: classes that count as vehicles; a box gets the best score among them.
+        size: name of the size in tables.
 
     Raises:
         ConfigurationError: as `build_model`.
@@ -58,22 +58,22 @@ class AnchorDetector(TrainableDetector):
             torch.tensor(architecture["anchors"], dtype=torch.float32).unflatten(1, (-1, 2)),
             self.model.stride.tolist(),
         )
-        # What Ultralytics' model asks of every layer: where its input is from, and its number.
+        # Ultralytics' model requires of every layer the source of its input, and its number.
         head.f, head.i, head.type = replaced.f, replaced.i, "AnchorHead"
         self.model.model[-1] = head
 
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
     ) -> Float[Tensor, " B"]:
-        """YOLOv5's own loss, image by image (`anchor_loss`).
+        """YOLOv5's own loss per image (`anchor_loss`).
 
-        Against an empty truth nothing is to be an object, whatever class it shows.
+        Against an empty truth, no anchor should be an object of any class.
         """
         check_targets(images, targets)
         return anchor_loss(self._head, self._answers(images), targets)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every anchor's box; objectness times the score of its best vehicle class."""
+        """Every anchor's box, scored by objectness times the score of its best vehicle class."""
         answers = self._answers(images)
         classes = self._head.classes(answers)[..., self.vehicle_classes].amax(dim=-1)
         scores = self._head.objectness(answers).sigmoid() * classes.sigmoid()
@@ -84,7 +84,7 @@ class AnchorDetector(TrainableDetector):
     def features(
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; of what the head is given."""
+        """See `FeatureDetector.features`; the features are the inputs of the head."""
         return pool_finest(self._answers(images).features[0], self._head.strides_px[0], boxes)
 
     @property
@@ -102,7 +102,7 @@ class AnchorDetector(TrainableDetector):
 
 
 def trainable_architecture(size: str) -> dict[str, Any]:
-    """Gives the architecture of ours for one class: YOLOv5n ("slim") to YOLOv5s ("full").
+    """Gives the one-class architecture of a size: YOLOv5n ("slim") to YOLOv5s ("full").
 
     Raises:
         ConfigurationError: as `yolov5_architecture`.

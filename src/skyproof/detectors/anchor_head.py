@@ -1,6 +1,6 @@
-"""The head and the loss of the YOLOv5 of 2020: anchors and objectness. Plain torch.
+"""The head and the loss of the YOLOv5 of 2020: anchors and objectness, in plain torch.
 
-Source: the formulas of github.com/ultralytics/yolov5, release 7.0, whose own code is not used.
+Source: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is not used.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.ops import complete_box_iou_loss
 
-# Its settings for training from nothing, given for three levels and images of 640 px.
+# The source's settings for training from scratch, for three levels and images of 640 px.
 _BOX_GAIN = 0.05
 _USUAL_SIDE_PX = 640
 _USUAL_LEVELS = 3
-# A vehicle belongs to anchors of up to four times its width and height, and down to a fourth.
+# A vehicle matches anchors from a fourth to four times its width and height.
 _LARGEST_RATIO = 4.0
-# Weights of the levels' objectness: of three levels, and of any other number.
+# Weights of the levels' objectness, for three levels and for any other number.
 _LEVEL_WEIGHTS = {3: (4.0, 1.0, 0.4)}
 _MANY_LEVEL_WEIGHTS = (4.0, 1.0, 0.25, 0.06, 0.02)
-# A cell's own place, and the neighbours that a centre may belong to as well.
+# The offsets of a cell itself and of the neighbours that a centre may belong to.
 _NEIGHBOURS = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 @dataclass(frozen=True)
 class AnchorAnswers:
-    """What the head says of B images.
+    """The output of the head for B images.
 
     Attributes:
-        levels: per level the raw numbers `[B, A, h, w, 5 + classes]`: centre, size, objectness,
+        levels: raw numbers of each level, `[B, A, h, w, 5 + classes]`: centre, size, objectness,
             classes.
-        features: what the head was given, the finest level first.
+        features: inputs of the head, the finest level first.
     """
 
     levels: list[Float[Tensor, "B A _ _ N"]]
@@ -43,13 +43,13 @@ class AnchorAnswers:
 
 
 class AnchorHead(nn.Module):
-    """One 1x1 convolution per level; boxes relative to anchors.
+    """One 1x1 convolution per level; boxes are relative to anchors.
 
     Args:
-        channels: of the features of each level.
-        class_count: how many classes there are.
-        anchors: width and height of those of each level, pixels.
-        strides_px: of the levels, the finest first.
+        channels: feature channels of each level.
+        class_count: number of classes.
+        anchors: width and height of each level's anchors, pixels.
+        strides_px: strides of the levels, the finest first.
     """
 
     anchors_px: Tensor
@@ -64,17 +64,17 @@ class AnchorHead(nn.Module):
         super().__init__()
         self.numbers = 5 + class_count
         self.strides_px = [float(stride) for stride in strides_px]
-        # Stored beside the weights, as text, and therefore not among them.
+        # The anchors are stored as text beside the weights, so the state dict leaves them out.
         self.register_buffer("anchors_px", anchors, persistent=False)
         count = anchors.shape[1]
-        # Named as in the checkpoints of 2020.
+        # The checkpoints of 2020 use this name.
         convolutions = [nn.Conv2d(width, count * self.numbers, 1) for width in channels]
         self.m = nn.ModuleList(convolutions)
         for convolution, stride in zip(convolutions, self.strides_px, strict=True):
             assert convolution.bias is not None
             with torch.no_grad():
                 bias = convolution.bias.view(count, self.numbers)
-                # Some eight vehicles are expected on an image of 640 px.
+                # The source expects about eight objects on an image of 640 px.
                 bias[:, 4] += math.log(8 / (_USUAL_SIDE_PX / stride) ** 2)
                 bias[:, 5:] += math.log(0.6 / (class_count - 0.99999))
 
@@ -88,7 +88,7 @@ class AnchorHead(nn.Module):
         return AnchorAnswers(levels, list(features))
 
     def boxes(self, answers: AnchorAnswers) -> Float[Tensor, "B K 4"]:
-        """Decodes every anchor's box, pixel xyxy; level by level, as `objectness` and `classes`."""
+        """Decodes every anchor's box, pixel xyxy, in the order of `objectness` and `classes`."""
         found = []
         for number, raw in enumerate(answers.levels):
             centres, sizes = self._centred(raw, number)
@@ -101,15 +101,15 @@ class AnchorHead(nn.Module):
         return torch.cat(found, dim=1)
 
     def objectness(self, answers: AnchorAnswers) -> Float[Tensor, "B K"]:
-        """Gathers the logits of there being anything."""
+        """Gathers the logits that an anchor holds any object."""
         return torch.cat([raw[..., 4].flatten(1) for raw in answers.levels], dim=1)
 
     def classes(self, answers: AnchorAnswers) -> Float[Tensor, "B K N"]:
-        """Gathers the logits of each class, given that there is anything."""
+        """Gathers the logits of each class, given that there is an object."""
         return torch.cat([raw[..., 5:].flatten(1, 3) for raw in answers.levels], dim=1)
 
     def anchors_of(self, level: int) -> Float[Tensor, "A 2"]:
-        """Gives a level's anchors in its cells."""
+        """Gives a level's anchors in units of its cells."""
         return self.anchors_px[level] / self.strides_px[level]
 
     def _centred(self, raw: Tensor, level: int) -> tuple[Tensor, Tensor]:
@@ -122,23 +122,20 @@ class AnchorHead(nn.Module):
 def anchor_loss(
     head: AnchorHead, answers: AnchorAnswers, targets: Sequence[Float[Tensor, "_ 4"]]
 ) -> Float[Tensor, " B"]:
-    """YOLOv5's loss of boxes and objectness, image by image; every target is of the one class.
+    """YOLOv5's loss of boxes and objectness per image.
 
-    Args:
-        head: gave the answers.
-        answers: to the images.
-        targets: per image the true boxes, pixel xyxy.
+    `targets` holds the true boxes of each image, pixel xyxy, all of the one class.
 
-    Differences from the source: its mean over the positives of a batch is taken over those of each
-    image here, so that an image's loss depends on that image alone. Where two vehicles want one
-    anchor in one cell, the better box counts, not the one that comes last. There is no term of
-    classes, as in the source where there is one class.
+    Differences from the source: the source averages over the positives of a batch; this averages
+    over those of each image, so that an image's loss depends on that image alone. If two vehicles
+    claim one anchor in one cell, the better box counts, not the last one. There is no class term,
+    as in the source for a single class.
     """
     images = len(targets)
     level_count = len(answers.levels)
     weights = _LEVEL_WEIGHTS.get(level_count, _MANY_LEVEL_WEIGHTS)
     gain = _USUAL_LEVELS / level_count
-    # The padding's cells are negatives like others.
+    # Cells of the padding are negatives like all others.
     height_px, width_px = (side * head.strides_px[0] for side in answers.levels[0].shape[2:4])
     object_gain = gain * height_px * width_px / _USUAL_SIDE_PX**2
     whose = torch.cat(
@@ -153,7 +150,7 @@ def anchor_loss(
         if len(positive.box):
             image = whose[positive.box]
             place = (image, positive.anchor, positive.row, positive.column)
-            # Boxes, in cells.
+            # Boxes in units of cells.
             centres, sizes = head._centred(raw, number)
             found = torch.cat([centres[place], sizes[place]], dim=1)
             cell = torch.stack([positive.column, positive.row], dim=1)
@@ -163,7 +160,7 @@ def anchor_loss(
             count = truth.new_zeros(images).index_add(0, image, torch.ones_like(missing))
             summed = truth.new_zeros(images).index_add(0, image, missing)
             losses = losses + _BOX_GAIN * gain * summed / count.clamp(min=1)
-            # Objectness is to say how good the box is.
+            # Objectness should tell how good the box is.
             shape = raw.shape[:4]
             flat = torch.zeros(len(missing), dtype=torch.long, device=raw.device)
             for side, index in zip(shape, place, strict=True):
@@ -177,7 +174,7 @@ def anchor_loss(
 
 @dataclass(frozen=True)
 class _Positives:
-    """Which anchors in which cells of a level are to find which boxes."""
+    """The anchors, by cell, that should find each true box of a level."""
 
     box: Int[Tensor, " P"]
     anchor: Int[Tensor, " P"]
@@ -186,14 +183,14 @@ class _Positives:
 
 
 def _positives(head: AnchorHead, level: int, truth: Tensor, height: int, width: int) -> _Positives:
-    """Assigns boxes to the anchors of like size, in their cell and its two nearest neighbours."""
+    """Assigns boxes to anchors of similar size, in their cell and its two nearest neighbours."""
     own = truth / head.strides_px[level]
     sizes = own[:, 2:] - own[:, :2]
     ratio = sizes[None] / head.anchors_of(level)[:, None]
     alike = torch.maximum(ratio, 1 / ratio).amax(dim=2) < _LARGEST_RATIO
     anchor, box = alike.nonzero(as_tuple=True)
     centre = ((own[:, :2] + own[:, 2:]) / 2)[box]
-    # A neighbour counts where the centre lies in the half of its cell that is next to it.
+    # A neighbour counts if the centre lies in the half of its cell that borders on it.
     limit = centre.new_tensor([width, height])
     low = (centre % 1 < 0.5) & (centre > 1)
     high = ((limit - centre) % 1 < 0.5) & (limit - centre > 1)

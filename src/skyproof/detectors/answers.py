@@ -1,6 +1,6 @@
-"""A detector of which only the answers are known: they are checked before anything is made of them.
+"""Checks the answers of a black-box detector before anything uses them.
 
-Whatever runs behind it, a library, a program or a server, may stop, or answer in other coordinates.
+A black box may be a library, a program or a server; it may fail, or answer in other coordinates.
 """
 
 from __future__ import annotations
@@ -20,16 +20,10 @@ _GO_ON = "the same command goes on where it stopped"
 
 
 class CheckedAnswers:
-    """Asks a detector, and gives its answers as every other part of skyproof expects them.
+    """Runs a detector and returns its answers in the form that the rest of skyproof expects.
 
-    Boxes are sorted by falling score and cut at the image's border.
-
-    Args:
-        detector: a name, and `detect`.
-
-    Attributes:
-        name: the detector's.
-        images: how many images it was shown so far.
+    Boxes are sorted by falling score and clipped to the image. `images` counts the images shown so
+    far.
     """
 
     def __init__(self, detector: Detector) -> None:
@@ -41,14 +35,14 @@ class CheckedAnswers:
         """See `Detector.detect`.
 
         Raises:
-            DetectorAnswerError: the detector stopped with an error, or its answer cannot be one.
+            DetectorAnswerError: the detector failed, or its answer is impossible.
         """
         try:
             answers = self._detector.detect(images)
         except SkyproofError:
             raise
         except Exception as error:
-            # Somebody else's program: anything may come out of it.
+            # A foreign program may raise anything.
             raise DetectorAnswerError(
                 f"The detector {self.name} did not answer ({_in_short(error)}); see that it runs, "
                 f"and {_GO_ON}."
@@ -102,7 +96,7 @@ class CheckedAnswers:
 
 
 def checked(detector: Detector) -> Detector:
-    """Has the answers of whatever is no network of torch checked, if they are not yet."""
+    """Wraps a detector that is no torch network in `CheckedAnswers`, unless it already is."""
     if isinstance(detector, nn.Module | CheckedAnswers):
         return detector
     return CheckedAnswers(detector)

@@ -13,14 +13,7 @@ from torch.nn import functional
 def turn(
     image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, quarter_turns: int, mirror: bool
 ) -> tuple[Float[Tensor, "3 H2 W2"], Float[Tensor, "n 4"]]:
-    """Mirrors left to right, then turns counter-clockwise; boxes follow exactly.
-
-    Args:
-        image: of any values.
-        boxes: pixel xyxy.
-        quarter_turns: by 90 degrees each.
-        mirror: whether to mirror at all.
-    """
+    """Mirrors left to right, then turns counter-clockwise by quarters; boxes follow exactly."""
     if mirror:
         image = image.flip(2)
         width = image.shape[2]
@@ -39,17 +32,17 @@ def turn(
 def jitter(
     images: Float[Tensor, "B 3 H W"], strength: float, *, generator: torch.Generator
 ) -> Float[Tensor, "B 3 H W"]:
-    """Changes light and colour of each image, and blurs some of them and adds noise to some.
+    """Changes light and colour of each image, and blurs or adds noise to some.
 
-    Every image draws its own brightness, contrast, gamma and colour. Real imagery differs from
-    rendered imagery in all of these, so a detector should not lean on them.
+    Every image draws its own brightness, contrast, gamma and colour. Real and rendered imagery
+    differ in all of these, so a detector should not depend on them.
 
     Args:
         images: sRGB in [0, 1].
-        strength: 0 leaves the images as they are; 1 is mild (brightness ±0.1, contrast and gamma
-            ±25 %, colour ±10 %; a quarter blurred by up to 1.3 px, three in ten with noise of up to
+        strength: 0 leaves the images unchanged; 1 is mild (brightness ±0.1, contrast and gamma ±25
+            %, colour ±10 %; a quarter blurred by up to 1.3 px, three in ten with noise of up to
             0.03).
-        generator: on the CPU.
+        generator: a generator on the CPU.
     """
     if strength == 0:
         return images
@@ -75,7 +68,7 @@ def jitter(
     )
     noisy = torch.rand(count, generator=generator) < 0.3
     deviation = draw(0.0, 0.03)[noisy.to(images.device)]
-    # Drawn on the CPU, so that every device trains on the same images.
+    # The CPU draws, so that every device trains on the same images.
     noise = torch.randn((int(noisy.sum()), *images.shape[1:]), generator=generator).to(images)
     images[noisy.to(images.device)] += noise * deviation
     return images.clamp(0, 1)

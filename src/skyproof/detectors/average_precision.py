@@ -12,21 +12,21 @@ from skyproof.detectors.detector import LOWEST_SCORE
 from skyproof.detectors.matching import MatchTable
 
 FLAT_F1 = 0.01
-"""Thresholds whose F1 differs by no more are equally good, as far as validation images can tell."""
+"""Validation images cannot tell thresholds apart if their F1 differs by no more than this."""
 
 _LEVELS = torch.linspace(0, 1, 101, dtype=torch.float64).numpy()
-"""Torch's, not NumPy's: at a recall of just 0.6 the last bit decides."""
+"""Made by torch, not NumPy: at a recall of exactly 0.6 the last bit decides."""
 
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """Precision and recall when every detection down to each score counts.
+    """Precision and recall if every detection down to each score counts.
 
     Attributes:
-        scores: `[K]` falling; detections in ignore regions are left out.
+        scores: `[K]` falling; without detections in ignore regions.
         precision: `[K]`, 0 to 1.
         recall: `[K]`, 0 to 1.
-        vehicles: how many true vehicles there are in all images.
+        vehicles: number of true vehicles in all images.
     """
 
     scores: Float[np.ndarray, " K"]
@@ -38,11 +38,9 @@ class PrecisionRecall:
 def precision_recall(
     matches: MatchTable, image_weights: Int[np.ndarray, " images"] | None = None
 ) -> PrecisionRecall:
-    """The curve of precision and recall of one matched set of images.
+    """The precision-recall curve of one matched set of images.
 
-    Args:
-        matches: the set, from `match_images`.
-        image_weights: how often each image counts, as in a bootstrap replicate; once where None.
+    `image_weights` says how often each image counts, as in a bootstrap replicate; None is once.
     """
     if image_weights is None:
         image_weights = np.ones(matches.images, dtype=np.int64)
@@ -51,7 +49,7 @@ def precision_recall(
     true_positives = np.cumsum(occurrences * matches.hits)
     return PrecisionRecall(
         scores=matches.scores.astype(np.float64),
-        # Before the first detection that occurs there is nothing to be precise about.
+        # Precision is undefined before the first detection that occurs.
         precision=true_positives / np.maximum(np.cumsum(occurrences), 1),
         recall=true_positives / max(vehicles, 1),
         vehicles=vehicles,
@@ -61,15 +59,12 @@ def precision_recall(
 def average_precision(
     matches: MatchTable, image_weights: Int[np.ndarray, " images"] | None = None
 ) -> float:
-    """COCO's 101-point interpolated average precision, 0 to 1; nan where there is no vehicle.
+    """COCO's 101-point interpolated average precision, 0 to 1; nan if there is no vehicle.
 
-    The mean over recalls 0, 0.01 … 1 of the best precision at that recall or beyond, 0 where it is
-    not reached. With "iou_50" it equals COCO's AP at IoU 0.5 (one class, all areas, 100
-    detections) where there are no ignore regions; COCO has no centre criterion.
-
-    Args:
-        matches: a set of images, from `match_images`.
-        image_weights: how often each image counts, as in a bootstrap replicate; once where None.
+    It is the mean over recalls 0, 0.01 … 1 of the best precision at that recall or beyond, 0 for a
+    recall that is not reached. With "iou_50" and without ignore regions it equals COCO's AP at IoU
+    0.5 (one class, all areas, 100 detections); COCO has no centre criterion. `image_weights` is as
+    in `precision_recall`.
     """
     curve = precision_recall(matches, image_weights)
     if not curve.vehicles:
@@ -81,31 +76,31 @@ def average_precision(
 
 
 def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The score threshold of the largest F1, and that F1.
+    """The score threshold with the largest F1, and that F1.
 
-    Detections of equal score stand or fall together. The threshold lies midway to the next lower
-    score, so that rounding on another machine moves no detection across it; `score >= threshold`
-    counts as detected.
+    Detections of equal score count together. The threshold lies midway to the next lower score, so
+    that rounding on another machine moves no detection across it; `score >= threshold` counts as
+    detected.
 
     Returns:
-        (threshold, f1); (1.0, 0.0) when nothing was hit.
+        (threshold, f1); (1.0, 0.0) if no vehicle was found.
     """
     return _lowest_within(curve, 0.0)
 
 
 def frozen_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The threshold that is frozen: the lowest whose F1 is within a point of the largest.
+    """The threshold to freeze: the lowest whose F1 is within one point of the largest.
 
-    The F1 of a detector that finds nearly all of its validation vehicles is flat over a wide range
-    of scores, and which of them is the peak is chance: one vehicle more or less of 479 moved it
-    from 0.79 to 0.95. The high end of that range looks as good on the renders it was chosen on, and
-    loses vehicles everywhere else: 71 % instead of 87 % found on photographs
-    (docs/results/detectors). A point is about twice the standard error of F1 on as many vehicles.
+    If a detector finds nearly all of its validation vehicles, its F1 is flat over a wide range of
+    scores, and chance decides the peak: one vehicle more or less of 479 moved it from 0.79 to 0.95.
+    The high end of that range looks as good on the renders it was chosen on, but misses vehicles
+    everywhere else: it found 71 % instead of 87 % on photographs (docs/results/detectors). One
+    point is about twice the standard error of F1 on as many vehicles.
 
-    Difference from the paper: it does not tell how its thresholds were chosen.
+    Difference from the paper: the paper does not tell how it chose its thresholds.
 
     Returns:
-        (threshold, its F1); (1.0, 0.0) when nothing was hit.
+        (threshold, its F1); (1.0, 0.0) if no vehicle was found.
     """
     return _lowest_within(curve, FLAT_F1)
 
@@ -118,7 +113,7 @@ def _lowest_within(curve: PrecisionRecall, tolerance: float) -> tuple[float, flo
     total = np.maximum(curve.precision + curve.recall, 1e-12)
     f1 = 2 * curve.precision * curve.recall / total
     f1 = np.where(next_lower == scores, -1.0, f1)
-    # Of equals the highest is the largest F1's; with a tolerance the lowest counts.
+    # The highest of equals has the largest F1; with a tolerance the lowest counts.
     good = np.flatnonzero(f1 >= f1.max() - tolerance)
     chosen = int(good[-1] if tolerance else good[0])
     return float((scores[chosen] + next_lower[chosen]) / 2), float(f1[chosen])

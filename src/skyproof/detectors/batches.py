@@ -1,4 +1,4 @@
-"""The images of one training step: order, windows of large images, hidden regions, augmentation."""
+"""The images of one training step: order, windows of large images, masking, augmentation."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.common import PADDING_GREY
 
-# Larger images are trained on in windows of this size: the paper's tile (section 5.2).
+# Training cuts larger images into windows of this size, the paper's tile (section 5.2).
 WINDOW_PX = 384
 
 
 def training_batches(
     training: Dataset, steps: range, *, batch_size: int, jitter_strength: float, seed: int
 ) -> Iterator[tuple[Float[Tensor, "B 3 H W"], list[Tensor]]]:
-    """Yields `training_batch` of each step; the next one is made while the present one is used."""
+    """Yields `training_batch` of each step, and makes the next one in the background."""
     return made_ahead(
         lambda step: training_batch(
             training, step, batch_size=batch_size, jitter_strength=jitter_strength, seed=seed
@@ -35,24 +35,24 @@ def training_batch(
 ) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
     """Makes the images and boxes of one step.
 
-    They depend on seed and step alone, which is what makes resuming exact. Of an image that is
-    wider or higher than 384 px a window is shown, another one each time; smaller ones are padded
-    with grey to the largest of the batch.
+    They depend on seed and step alone, so that a resumed training is exact. An image wider or
+    higher than 384 px is shown as a window, another one each time; smaller ones are padded with
+    grey to the largest of the batch.
 
     Args:
         training: images of any sizes.
-        step: counted from 0.
-        batch_size: images a step.
-        jitter_strength: of the photometric augmentation; 0 is none, 1 is mild.
-        seed: of order and augmentation.
+        step: number of the step, counted from 0.
+        batch_size: images per step.
+        jitter_strength: strength of the photometric augmentation; 0 is none, 1 is mild.
+        seed: seed of order and augmentation.
 
     Returns:
-        sRGB images in [0, 1], and per image the boxes `[n, 4]` of its vehicles, pixel xyxy.
+        sRGB images in [0, 1], and the vehicle boxes `[n, 4]` of each image, pixel xyxy.
 
     Raises:
         StoredFileError: an image file is missing or damaged.
     """
-    # Which images: every epoch shuffles them anew.
+    # The choice of images: every epoch shuffles them anew.
     count = len(training)
     positions = range(step * batch_size, (step + 1) * batch_size)
     orders = {
@@ -63,12 +63,12 @@ def training_batch(
     }
     generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
     indices = [int(orders[position // count][position % count]) for position in positions]
-    # What is seen of each: a window, without the ignored regions, turned and mirrored.
+    # The view of each: a window, with ignore regions masked, turned and mirrored.
     images: list[Tensor] = []
     targets: list[Tensor] = []
     for index, decoded in zip(indices, training.images(indices), strict=True):
         vehicles = training.boxes[index].float()
-        # What is out of sight, or cut away by a border, has no area, and would give no finite loss.
+        # A box out of sight or beyond a border has no area, and its loss would not be finite.
         in_sight = (vehicles[:, 2:] > vehicles[:, :2]).all(dim=1)
         shown, boxes, ignore = window(
             decoded,
@@ -82,7 +82,7 @@ def training_batch(
         image, boxes = turn(image, boxes, quarter_turns=turns, mirror=mirror)
         images.append(image)
         targets.append(boxes)
-    # One tensor of all, with the light and the colours of each changed.
+    # All images in one tensor, each with its own change of light and colour.
     height = max(image.shape[1] for image in images)
     width = max(image.shape[2] for image in images)
     batch = torch.full((len(images), 3, height, width), PADDING_GREY)
@@ -94,18 +94,17 @@ def training_batch(
 def window(
     image: Tensor, boxes: Tensor, ignore: Tensor, *, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Shows a random window of at most 384 px a side.
+    """Cuts a random window of at most 384 px a side.
 
-    An image no larger comes back as it is, and nothing is drawn. Every second window is laid over a
-    vehicle where there is one, so that wide images with few vehicles do not teach ground alone. A
-    box that lies wholly in the window stays a vehicle; one that its edge cuts becomes an ignore
-    region.
+    A smaller image comes back unchanged, without a draw. Every second window is laid over a vehicle
+    if there is one, so that wide images with few vehicles do not show ground alone. A box inside
+    the window stays a vehicle; a box that its edge cuts becomes an ignore region.
 
     Args:
         image: `[3, H, W]`, of any type.
         boxes: `[n, 4]` vehicles, pixel xyxy.
         ignore: `[m, 4]` regions.
-        generator: on the CPU.
+        generator: a generator on the CPU.
 
     Returns:
         The window, and the boxes and ignore regions in its pixels.
@@ -118,14 +117,14 @@ def window(
     left = _draw(width - wide, generator)
     top = _draw(height - high, generator)
     if len(boxes) and _draw(1, generator):
-        # Where the vehicle lies in the window is drawn too: it must not be learnt.
+        # The vehicle's place in the window is random, so that the detector cannot learn it.
         x1, y1, x2, y2 = boxes[_draw(len(boxes) - 1, generator)].tolist()
         left = _over(x1, x2, wide, width, generator)
         top = _over(y1, y2, high, height, generator)
     shift = torch.tensor([left, top, left, top], dtype=boxes.dtype)
     moved, hidden = boxes - shift, ignore - shift
     limits = torch.tensor([wide, high, wide, high], dtype=boxes.dtype)
-    # Labels at the image's own edge may reach over it by a little.
+    # Labels may reach slightly over the image's own edge.
     edge = torch.tensor([left == 0, top == 0, left + wide == width, top + high == height])
     inside = torch.cat([moved[:, :2] >= 0, moved[:, 2:] <= limits[2:]], dim=1) | edge
     whole = inside.all(dim=1)
@@ -137,22 +136,19 @@ def window(
 
 
 def _draw(most: int, generator: torch.Generator) -> int:
-    """An integer from 0 to `most`."""
+    """Draws an integer from 0 to `most`."""
     return int(torch.randint(most + 1, (1,), generator=generator))
 
 
 def _over(low: float, high: float, side: int, length: int, generator: torch.Generator) -> int:
-    """Where a window of `side` may start to hold `low` to `high` whole, within `length`."""
+    """Draws the start of a window of `side` within `length` that holds `low` to `high` whole."""
     first = min(max(0, math.ceil(high) - side), length - side)
     last = max(first, min(math.floor(low), length - side))
     return first + _draw(last - first, generator)
 
 
 def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
-    """Paints ignore regions with the mean colour.
-
-    So their content is taught neither as vehicle nor as ground.
-    """
+    """Paints ignore regions with the mean colour, so that they are neither vehicle nor ground."""
     if not len(ignore):
         return image
     hidden = torch.zeros(image.shape[1:], dtype=torch.bool)

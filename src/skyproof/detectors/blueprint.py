@@ -1,8 +1,8 @@
-"""What builds an imported detector's network, but for the weights. Imports no torch.
+"""The plan of an imported detector's network, without its weights. Imports no torch.
 
-A blueprint is read from folders and checkpoints of others: it names plain layers only, and every
-number in it is bounded. How much memory its network takes is asked before it is built
-(`ultralytics_detectors`).
+A blueprint comes from folders and checkpoints of strangers, so it may name plain layers only, and
+every number in it is bounded. `ultralytics_detectors` checks the memory of a network before
+building it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ARCHITECTURES = (
     "retinanet_resnet50_fpn",
     "retinanet_resnet50_fpn_v2",
 )
-# Heads of Ultralytics whose answers are read here, and whether their boxes are turned.
+# The heads of Ultralytics that skyproof can read, and whether their boxes are turned.
 HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
 # Ultralytics looks a layer's name up among all it imports, functions that open files included, and
 # evaluates the text of an activation: only names of plain layers pass.
@@ -82,29 +82,28 @@ class _Architecture(msgspec.Struct):
     nc: Annotated[int, Meta(ge=1, le=5000)] = 80
     scales: Annotated[dict[str, tuple[_Scale, _Scale, _Limit]], Meta(max_length=100)] | None = None
     kpt_shape: _Few | None = None
-    # Of the YOLOv5 of 2020 alone: width, height, width, height, ... per level, pixels.
+    # Only in the YOLOv5 of 2020: width, height, width, height, ... per level, pixels.
     anchors: Annotated[list[_Anchors], Meta(min_length=1, max_length=5)] | None = None
 
 
 @dataclass(frozen=True)
 class Blueprint:
-    """What builds an imported detector's network, but for the weights; kept in `detector.json`.
+    """The plan of an imported detector's network, without its weights; kept in `detector.json`.
 
     Attributes:
         kind: "torchvision" or "ultralytics".
-        architecture: torchvision's name of it, or Ultralytics' YAML of it.
-        classes: all class names of the checkpoint in their order; of torchvision's, which has none,
-            "0", "1", ...
-        vehicle_classes: which of them are vehicles, by position.
-        image_scale: the network's pixels per pixel of the images it is given, 1 where they have its
-            resolution.
-        norm_eps: of torchvision's published weights, where their batch norm has another one; None
-            else.
-        checkpoint: name of the file it came from.
-        checkpoint_sha256: of that file.
+        architecture: torchvision's name of it, or the content of Ultralytics' YAML.
+        classes: class names of the checkpoint in their order; "0", "1", ... for torchvision, which
+            stores none.
+        vehicle_classes: positions of the classes that are vehicles.
+        image_scale: network pixels per image pixel; 1 if the network takes the images as they are.
+        norm_eps: epsilon of the batch norm, if torchvision's published weights use another one than
+            its layers; else None.
+        checkpoint: name of the source file.
+        checkpoint_sha256: digest of the source file.
 
     Raises:
-        ConfigurationError: a value that no network can be built from.
+        ConfigurationError: no network can be built from a value.
     """
 
     kind: str
@@ -137,12 +136,12 @@ def check_layers(architecture: Any) -> None:
     """Refuses an architecture that names anything but plain layers and a detection head.
 
     Args:
-        architecture: as in Ultralytics' YAML files: "backbone" and "head" with rows [from, count,
-            layer, arguments].
+        architecture: content of an Ultralytics YAML file: "backbone" and "head" with rows [from,
+            count, layer, arguments].
 
     Raises:
-        ConfigurationError: another layer or head, another activation, a number out of all bounds,
-            or images of other than three channels.
+        ConfigurationError: another layer, head or activation, a number out of bounds, or images
+            without exactly three channels.
     """
     try:
         read = msgspec.convert(architecture, _Architecture)
@@ -179,7 +178,7 @@ def check_layers(architecture: Any) -> None:
 
 
 def _check_words(nested: Any) -> None:
-    """Refuses texts among numbers and lists that are no names.
+    """Refuses texts that are no names among numbers and lists.
 
     Raises:
         ConfigurationError: there is one.
@@ -195,10 +194,10 @@ def _check_words(nested: Any) -> None:
 
 
 def _check_anchors(read: _Architecture, anchors: list[list[float]]) -> None:
-    """Refuses anchors that are no pairs, or not as many for every level of the head.
+    """Refuses anchors that are no pairs, or that differ in number between levels.
 
     Raises:
-        ConfigurationError: they are not.
+        ConfigurationError: they do.
     """
     sources, _, head, _ = read.head[-1]
     levels = len(sources) if isinstance(sources, list) else 1
@@ -216,7 +215,7 @@ def _check_anchors(read: _Architecture, anchors: list[list[float]]) -> None:
 
 
 def plain_architecture(stored: Any) -> dict[str, Any]:
-    """Copies of a stranger's architecture what can be checked: known fields and plain values.
+    """Copies the checkable part of a stranger's architecture: known fields and plain values.
 
     Raises:
         ConfigurationError: as `check_layers`.

@@ -11,12 +11,12 @@ DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 
 def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
-    """Builds an untrained detector on the CPU; its first weights depend on `generator` alone.
+    """Builds an untrained detector on the CPU; its initial weights depend on `generator` alone.
 
     Args:
         name: "retinanet", "faster_rcnn", "yolov5" (YOLOv5u) or "yolov5_anchors" (of 2020).
         size: "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
-        generator: one number is drawn from it.
+        generator: source of one number, the seed of the weights.
 
     Raises:
         ConfigurationError: another name or size, or the yolo extra is missing.
@@ -30,7 +30,7 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
 
 
 def _build(name: str, size: str) -> TrainableDetector:
-    # Imported here, so that matching and average precision do not pay for the networks.
+    # A late import, so that matching and average precision do not load the networks.
     if name == "yolov5":
         from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 

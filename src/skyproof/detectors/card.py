@@ -1,4 +1,4 @@
-"""What a detector folder says of itself in `detector.json`. Imports no torch."""
+"""The description of a detector in its folder, `detector.json`. Imports no torch."""
 
 from __future__ import annotations
 
@@ -32,31 +32,30 @@ _Side = Annotated[int, Meta(ge=0, le=16_384)]
 _Word = Annotated[str, Meta(max_length=100)]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-# What tables call the average of all detectors.
+# The name of the average of all detectors in tables.
 _TAKEN = ("mean",)
 
 
 @dataclass(frozen=True)
 class DetectorCard:
-    """What is known of a detector. A black box needs a name, a threshold and a resolution.
+    """The known facts about a detector. A black box needs a name, a threshold and a resolution.
 
     Attributes:
-        name: as tables show it: of ours one of `DETECTOR_NAMES`; of another detector the name it
-            was given.
-        size: "slim" or "full" of ours, "brought" of an imported one, empty of a black box.
-        threshold: frozen score threshold, chosen by F1 on clean validation images where
-            `threshold_from` says nothing else; see `frozen_threshold`.
-        gsd_m: metres per pixel of the images it takes.
+        name: name in tables: one of `DETECTOR_NAMES` for ours, the given name for another detector.
+        size: "slim" or "full" for ours, "brought" for an imported one, empty for a black box.
+        threshold: frozen score threshold, chosen by F1 on validation images unless `threshold_from`
+            says otherwise; see `frozen_threshold`.
+        gsd_m: metres per pixel of its input images.
         image_size_px: height and width of the first training image, at most those of a training
-            window; of an imported detector, of the first validation image.
-        parameters: number of trained numbers.
-        training: settings and what was reached, as written by `train`; empty of an imported one.
+            window; those of the first validation image for an imported detector.
+        parameters: number of trained parameters.
+        training: settings and progress, as `train` writes them; empty for an imported one.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
-        validation_vehicles: how many vehicles the validation images hold; None where not known.
-        skyproof_version: that wrote it.
-        trained_on: what its training images were, in a few words; empty where not known.
-        threshold_from: what the threshold was chosen on, where it was frozen anew.
-        brought: of an imported detector what builds its network; else None.
+        validation_vehicles: number of vehicles in the validation images; None if not known.
+        skyproof_version: version that wrote the card.
+        trained_on: short description of the training images; empty if not known.
+        threshold_from: source of the threshold, if it was frozen anew.
+        brought: blueprint of an imported detector; else None.
 
     Raises:
         ConfigurationError: a value out of its range, such as a threshold in percent.
@@ -70,7 +69,7 @@ class DetectorCard:
     parameters: Annotated[int, Meta(ge=0, le=10**12)] = 0
     training: dict[str, Any] = field(default_factory=dict)
     validation: dict[str, Fraction] = field(default_factory=dict)
-    # Cards written before they were counted have none.
+    # Older cards have no count.
     validation_vehicles: WholeNumber | None = None
     skyproof_version: _Word = ""
     trained_on: Annotated[str, Meta(max_length=10_000)] = ""
@@ -82,7 +81,7 @@ class DetectorCard:
 
     @property
     def doubts(self) -> list[str]:
-        """What speaks against attacking it at all, in a sentence each; see `find_doubts`."""
+        """The reasons not to attack the detector at all, one sentence each; see `find_doubts`."""
         return find_doubts(
             self.name,
             imported=self.brought is not None,
@@ -93,14 +92,14 @@ class DetectorCard:
 
 @dataclass(frozen=True)
 class _Stored(DetectorCard):
-    """What `detector.json` holds: the card, and what ties it to the weights."""
+    """The content of `detector.json`: the card, and the digest that ties it to the weights."""
 
     format: int = field(kw_only=True)
     weights_sha256: Annotated[str, Meta(max_length=64)] = field(kw_only=True)
 
 
 def write_card(path: Path, card: DetectorCard, weights_sha256: str) -> None:
-    """Writes `detector.json` with the digest of the weights that it belongs to.
+    """Writes `detector.json` with the digest of the weights it belongs to.
 
     Raises:
         RunFolderError: the disk is full or not writable.
@@ -121,11 +120,11 @@ def read_card(folder: Path) -> DetectorCard:
 
 
 def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:
-    """Reads `detector.json` with the digest of the weights that it belongs to.
+    """Reads `detector.json` with the digest of the weights it belongs to.
 
     Raises:
-        StoredFileError: the file is missing, damaged, or of another format, or what should be its
-            folder is a file.
+        StoredFileError: the file is missing, damaged, or of another format, or its folder is a
+            file.
     """
     if path.parent.is_file():
         raise StoredFileError(
@@ -138,7 +137,7 @@ def read_card_and_digest(path: Path) -> tuple[DetectorCard, str]:
 
 
 def installed_version() -> str:
-    """skyproof's version, or "unknown" when it runs from sources that were not installed."""
+    """skyproof's version, or "unknown" if it runs from sources that are not installed."""
     try:
         return version("skyproof")
     except PackageNotFoundError:
@@ -146,14 +145,10 @@ def installed_version() -> str:
 
 
 def require_detector_name(name: str, remedy: str) -> None:
-    """Refuses what tables and files cannot call a detector.
-
-    Args:
-        name: that it is to have.
-        remedy: what to do instead.
+    """Refuses a detector name that tables or files cannot use; `remedy` is the error's advice.
 
     Raises:
-        ConfigurationError: it is no such name, or taken.
+        ConfigurationError: the name is not valid, or taken.
     """
     if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
         raise ConfigurationError(

@@ -1,9 +1,9 @@
-"""Checkpoint files of other programs, opened without running anything that stands in them.
+"""Opens checkpoint files of other programs without running any code in them.
 
-NOTICE: a checkpoint as `torch.save` writes it is a pickle, and opening a pickle in the usual way
-runs whatever its author put into it. Here every class and function that a file names, but for
-tensors and plain containers, is replaced by an inert stand-in, and what is left is read as data:
-nothing of the file runs, and no library of its author is needed.
+NOTICE: `torch.save` writes a checkpoint as a pickle, and opening a pickle in the usual way runs any
+code its author put into it. Here an inert stand-in replaces every class and function that a file
+names, except tensors and plain containers, and the rest is read as data: nothing in the file runs,
+and its author's libraries are not needed.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 
-# An averaged network is the one that is used.
+# If there is an averaged network, it is the one in use.
 _WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
-# Of a network wrapped for several devices, or compiled.
+# Prefixes of networks that are compiled or wrapped for several devices.
 _PREFIXES = ("module.", "_orig_mod.")
 _MOST_MODULES = 100_000
 _LONGEST_NAME = 2000
-# Halves become twice as large, and layers may share weights.
+# Half precision doubles in size, and layers may share weights.
 _MOST_WIDENED = 8
 
 
 class StandIn:
-    """An object of a foreign class: its attributes, and no behaviour.
+    """An object of a foreign class: its attributes, without behaviour.
 
     Attributes:
         origin: dotted name of its class in the program that stored it.
@@ -50,13 +50,13 @@ class StandIn:
 
 
 def read_checkpoint(path: Path) -> Any:
-    """Reads what a `.safetensors` file or a file of `torch.save` holds.
+    """Reads the content of a `.safetensors` file or a file of `torch.save`.
 
     Tensors come on the CPU, foreign objects as `StandIn`.
 
     Raises:
-        StoredFileError: the file is missing, no checkpoint, damaged, or names what no checkpoint
-            needs.
+        StoredFileError: the file is missing, damaged, no checkpoint, or names anything that no
+            checkpoint needs.
     """
     path = Path(path)
     if not path.is_file():
@@ -72,7 +72,7 @@ def read_checkpoint(path: Path) -> Any:
         with torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
             return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        # Unpicklers meet damage with any exception there is, and advise to run the file.
+        # Damage makes unpicklers raise any exception, and advise to run the file.
         raise StoredFileError(
             f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file as "
             "torch.save or safetensors write it, with the weights in it."
@@ -80,9 +80,9 @@ def read_checkpoint(path: Path) -> Any:
 
 
 def network_of(content: Any) -> Any:
-    """Finds the state dict or stored network in what `read_checkpoint` gives.
+    """Finds the state dict or stored network in the result of `read_checkpoint`.
 
-    It is `content` itself where that wraps none.
+    It is `content` itself if that wraps none.
     """
     if isinstance(content, Mapping):
         wrapped = (content.get(key) for key in _WRAPPINGS)
@@ -91,13 +91,13 @@ def network_of(content: Any) -> Any:
 
 
 def state_of(network: Any) -> dict[str, Tensor]:
-    """Parameters and buffers by name, in float32: of a state dict or a whole stored network.
+    """Parameters and buffers by name, in float32, from a state dict or a whole stored network.
 
     Returns:
-        Names to tensors; empty where there are none.
+        Tensors by name; empty if there are none.
 
     Raises:
-        StoredFileError: tensors claim more numbers than are there, one is sparse, quantised or
+        StoredFileError: a tensor claims more numbers than the file holds, is sparse, quantised or
             without numbers, or the network has no end.
     """
     if isinstance(network, StandIn):
@@ -116,13 +116,13 @@ def state_of(network: Any) -> dict[str, Tensor]:
                 f"The checkpoint's tensor {name[:100]} is {what}, but plain dense tensors are "
                 "expected; give the weights as they were trained."
             )
-        # A few bytes can be shown as a tensor of any size.
+        # A few stored bytes can pose as a tensor of any size.
         if value.numel() * value.element_size() > value.untyped_storage().nbytes():
             raise StoredFileError(
                 f"The checkpoint's tensor {name[:100]} claims the shape {list(value.shape)[:8]}, "
                 "more than its file holds; give a file as torch.save writes it."
             )
-    # So can many names of the same bytes, each of which is widened to floats.
+    # Many names can claim the same bytes, and each would be widened to floats.
     storages = [value.untyped_storage() for value in found.values()]
     held = sum({each.data_ptr(): each.nbytes() for each in storages}.values())
     if sum(max(4, value.element_size()) * value.numel() for value in found.values()) > (
@@ -135,7 +135,7 @@ def state_of(network: Any) -> dict[str, Tensor]:
     for prefix in _PREFIXES:
         if found and all(name.startswith(prefix) for name in found):
             found = {name.removeprefix(prefix): value for name, value in found.items()}
-    # Ultralytics stores halves.
+    # Ultralytics stores half precision.
     return {
         name: value.detach().float() if value.is_floating_point() else value
         for name, value in found.items()
@@ -143,14 +143,14 @@ def state_of(network: Any) -> dict[str, Tensor]:
 
 
 def activations_of(network: StandIn) -> set[str]:
-    """Names the activations of torch that a whole stored network computes, such as "SiLU".
+    """Names the torch activations of a whole stored network, such as "SiLU".
 
     Raises:
         StoredFileError: the network has no end.
     """
     before = "torch.nn.modules.activation."
     origins = {part.origin for part, _ in parts_of(network)}
-    # Attention is filed there, too.
+    # That module holds attention, too.
     return {
         origin.removeprefix(before)
         for origin in origins
@@ -159,7 +159,7 @@ def activations_of(network: StandIn) -> set[str]:
 
 
 def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
-    """A stored network and all its parts, each with what the names of its tensors begin with."""
+    """Yields a stored network and all its parts, each with the prefix of its tensors' names."""
     waiting = [(network, "")]
     walked = 0
     while waiting:
@@ -176,14 +176,14 @@ def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
             for name, child in _named(module, "_modules")
             if isinstance(child, StandIn)
         ]
-        # As a state dict has them: a part with all below it, then the next.
+        # The order of a state dict: a part with everything below it, then the next.
         waiting += reversed(children)
 
 
 def _foreign_names(path: Path) -> list[str]:
     """Lists the dotted names that the unpickler would refuse.
 
-    None are listed in the form of before 2020, where it refuses them itself.
+    The list is empty for the form of before 2020, whose unpickler refuses them itself.
     """
     return (
         torch.serialization.get_unsafe_globals_in_checkpoint(str(path))
@@ -193,7 +193,7 @@ def _foreign_names(path: Path) -> list[str]:
 
 
 def _other_than_dense(tensor: Tensor) -> str:
-    """Says in a word or two what a tensor is that is none of plain numbers in memory."""
+    """Describes a tensor that does not hold plain numbers in memory."""
     if tensor.is_nested or tensor.layout is not torch.strided:
         return "nested" if tensor.is_nested else "sparse"
     if tensor.is_quantized:
@@ -202,7 +202,7 @@ def _other_than_dense(tensor: Tensor) -> str:
 
 
 def _walk(network: StandIn) -> Iterator[tuple[str, Tensor]]:
-    """A stored network's tensors under the names its state dict would give them."""
+    """Yields a stored network's tensors under their state-dict names."""
     for module, prefix in parts_of(network):
         fleeting = vars(module).get("_non_persistent_buffers_set") or ()
         for kind in ("_parameters", "_buffers"):
@@ -218,7 +218,7 @@ def _named(module: StandIn, kind: str) -> list[tuple[str, Any]]:
 
 
 def _refuse_packed(path: Path) -> None:
-    """Refuses an archive that unpacks to more than it is: torch.save packs nothing.
+    """Refuses an archive that unpacks to more than its own size: torch.save never compresses.
 
     Raises:
         ValueError: it is one.
@@ -230,14 +230,14 @@ def _refuse_packed(path: Path) -> None:
 
 
 def _what_came(path: Path) -> str:
-    """Says in a few words what a file is that is no checkpoint."""
+    """Describes a file that is no checkpoint in a few words."""
     if path.suffix == ".safetensors":
         return "it is no safetensors file, or damaged"
     try:
         with path.open("rb") as file:
             begin = file.read(2)
         if not zipfile.is_zipfile(path):
-            # Pickles of the second protocol and later begin so.
+            # Pickles of protocol 2 and later begin like this.
             pickled = begin[:1] == b"\x80"
             return (
                 "it is damaged, or a pickle that is more than tensors and plain values"

@@ -1,4 +1,4 @@
-"""What detectors share: checks of what they are given, padding to a stride, and targets."""
+"""Shared parts of all detectors: checks of their input, padding to a stride, and targets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PADDING_GREY = 0.45
 
 
 def check_images(images: Tensor) -> None:
-    """Refuses what no detector here can read.
+    """Refuses images that no detector here can read.
 
     Raises:
         ConfigurationError: not `[B, 3, H, W]` with H and W at least 96 px.
@@ -29,10 +29,10 @@ def check_images(images: Tensor) -> None:
 
 
 def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
-    """Refuses a loss whose truth does not belong to its images.
+    """Refuses targets that do not belong to their images.
 
     Raises:
-        ConfigurationError: one box tensor per image is expected.
+        ConfigurationError: there is not one box tensor per image.
     """
     if len(targets) != len(images):
         raise ConfigurationError(
@@ -50,7 +50,7 @@ def pad_to_stride(
 
 
 def as_targets(boxes: Tensor) -> dict[str, Tensor]:
-    """Boxes as torchvision wants a target: class 1 is the vehicle where 0 is background."""
+    """Boxes as a torchvision target: class 1 is the vehicle, 0 the background."""
     return {
         "boxes": boxes,
         "labels": torch.ones(len(boxes), dtype=torch.int64, device=boxes.device),

@@ -1,4 +1,4 @@
-"""What a detector is to skyproof."""
+"""The interface of a detector."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from torchvision import ops
 LOWEST_SCORE = 0.01
 _MOST_DETECTIONS = 100
 SUPPRESSION_IOU = 0.5
-# As in torchvision: an attacked image may have many thousand candidates above the lowest score.
+# As in torchvision: an attacked image may have thousands of candidates above the lowest score.
 _MOST_CANDIDATES = 1000
 
 
 @dataclass(frozen=True)
 class Detections:
-    """What a detector found in one image.
+    """The detections in one image.
 
     Attributes:
         boxes: `[K, 4]` pixel xyxy, half-open, origin at the top-left corner; sorted by falling
@@ -34,12 +34,12 @@ class Detections:
 
 @dataclass(frozen=True)
 class Candidates:
-    """What a detector considered, before threshold and non-maximum suppression; differentiable.
+    """A detector's boxes before threshold and non-maximum suppression; differentiable.
 
     Attributes:
         boxes: `[B, K, 4]` pixel xyxy.
         scores: `[B, K]` in [0, 1].
-        valid: `[B, K]` False where a row is padding.
+        valid: `[B, K]` False for rows of padding.
     """
 
     boxes: Float[Tensor, "B K 4"]
@@ -49,9 +49,9 @@ class Candidates:
 
 @runtime_checkable
 class Detector(Protocol):
-    """Enough for a black box: a name, and boxes with scores.
+    """A black box is enough: a name, and boxes with scores.
 
-    Scaling and normalising are the detector's own affair.
+    The detector scales and normalises images itself.
     """
 
     name: str
@@ -60,18 +60,13 @@ class Detector(Protocol):
         """Finds vehicles in sRGB images in [0, 1].
 
         Returns:
-            Per image every detection with score >= 0.01, after suppression.
+            Every detection of each image with score >= 0.01, after suppression.
         """
         ...
 
 
 class TrainableDetector(nn.Module):
-    """A detector that can be trained and attacked: it knows its own loss.
-
-    Attributes:
-        name: "retinanet", "faster_rcnn", "yolov5", "yolov5_anchors".
-        size: "slim" (CPU) or "full" (GPU).
-    """
+    """A detector with its own loss, which can be trained and attacked."""
 
     name: str
     size: str
@@ -81,12 +76,12 @@ class TrainableDetector(nn.Module):
     ) -> Float[Tensor, " B"]:
         """The detector's own training loss per image, normalised (section 3.2).
 
-        Each image's value depends on that image alone; all negatives count; with an empty truth it
-        is finite, positive and of order 1 or below. Differentiable in `images` and in the weights.
+        Each value depends on its image alone; all negatives count; with an empty truth it is
+        finite, positive and of order 1 or below. Differentiable in `images` and in the weights.
 
         Args:
             images: sRGB in [0, 1].
-            targets: per image the true boxes, pixel xyxy; `[0, 4]` for none.
+            targets: true boxes of each image, pixel xyxy; `[0, 4]` for none.
         """
         raise NotImplementedError
 
@@ -101,14 +96,10 @@ class TrainableDetector(nn.Module):
 
 
 def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Makes detections of candidates.
+    """Turns candidates into detections on images of a size before padding.
 
-    Those of a score >= 0.01 are clipped to the image, of the best 1000 duplicates are suppressed at
-    an IoU of 0.5, and at most 100 are left, sorted by falling score.
-
-    Args:
-        candidates: before threshold and suppression.
-        height_px, width_px: size of the images before padding.
+    Candidates with a score >= 0.01 are clipped to the image; duplicates among the best 1000 are
+    suppressed at an IoU of 0.5; at most 100 remain, sorted by falling score.
     """
     found = []
     for boxes, scores, valid in zip(

@@ -1,31 +1,27 @@
-"""What a detector's validation says against trusting any attack on it. Imports no torch."""
+"""Reasons in a detector's validation not to trust any attack on it. Imports no torch."""
 
 from __future__ import annotations
 
 LEAST_AP = 0.2
-"""Average precision (centre within 1 m) below which a detector is worth nothing.
+"""Average precision (centre within 1 m) below which a detector is useless.
 
-Networks that were never trained reach 0.04 to 0.12 on images crowded with vehicles (one to four on
-12 x 12 m), and boxes thrown at random 0.04 to 0.07. A detector worth attacking reaches 0.9.
+Untrained networks reach 0.04 to 0.12 on images crowded with vehicles (one to four on 12 x 12 m),
+and random boxes 0.04 to 0.07. A detector that passes the precheck reaches 0.9.
 """
 
 LEAST_VEHICLES = 50
-"""Validation vehicles below which a threshold, and the recall it promises, are left to chance.
+"""Number of validation vehicles below which chance decides a threshold and its recall.
 
-Of 50 vehicles a recall of 90 % is known to 8 points either way (95 %), of 5 to 26.
+The 95 % interval of a recall of 90 % is 8 points either way for 50 vehicles, and 26 for 5.
 """
 
 
 def find_doubts(
     name: str, *, imported: bool, ap_centre_1m: float | None, vehicles: int | None
 ) -> list[str]:
-    """Says in a sentence each what makes a frozen detector worth nothing; mostly nothing does.
+    """Lists the reasons that make a frozen detector useless, one sentence each; usually none.
 
-    Args:
-        name: of the detector.
-        imported: whether it was trained elsewhere.
-        ap_centre_1m: its average precision on its validation images, 0 to 1; None where not known.
-        vehicles: how many there are in them; None where not known.
+    AP (0 to 1) and number of vehicles are those of its validation images; None if not known.
     """
     found = []
     if ap_centre_1m is not None and ap_centre_1m < LEAST_AP:

@@ -1,4 +1,4 @@
-"""What a detector's feature pyramid holds at a box: one vector, before any head reads it."""
+"""The features of a box: one vector of the detector's feature pyramid, before any head reads it."""
 
 from __future__ import annotations
 
@@ -18,24 +18,19 @@ _CANONICAL_SIDE_PX = 224
 _CANONICAL_STRIDE_PX = 16
 
 Levels = Callable[[Float[Tensor, "K 4"]], Int[Tensor, " K"]]
-"""Says of each box, pixel xyxy, on which level of the pyramid it is looked for, from 0."""
+"""Gives the pyramid level, from 0, of each box, pixel xyxy."""
 
 
 @runtime_checkable
 class FeatureDetector(Protocol):
-    """A detector that shows its feature pyramid; a black box with `detect` alone does not."""
+    """A detector that gives its pyramid features; a black box with `detect` alone does not."""
 
     def features(
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
-        """Gives the pyramid's features in boxes, each at the level that the detector gives its box.
+        """Gives one vector per box, the mean over the box, at the pyramid level of the box.
 
-        Args:
-            images: sRGB in [0, 1].
-            boxes: per image, pixel xyxy.
-
-        Returns:
-            Per image one vector for each box, the mean over the box.
+        Images are sRGB in [0, 1], boxes pixel xyxy. The detector assigns the level.
         """
         ...
 
@@ -50,9 +45,9 @@ def pool_boxes(
 
     Args:
         pyramid: features of B images, the finest level first.
-        width_px: of the images that the pyramid was made of, with their padding.
-        boxes: per image, pixel xyxy.
-        level_of: which level each box belongs to.
+        width_px: width of the pyramid's input images, padding included.
+        boxes: boxes of each image, pixel xyxy.
+        level_of: chooses the level of each box.
     """
     places = torch.cat(
         [
@@ -74,8 +69,7 @@ def pool_boxes(
 def area_levels(strides_px: Sequence[float]) -> Levels:
     """Chooses levels by the square root of a box's area, as Faster R-CNN does for its regions.
 
-    Args:
-        strides_px: of the levels, each twice the one before.
+    The stride of each level is twice the one before.
     """
 
     def level_of(boxes: Tensor) -> Tensor:
@@ -89,10 +83,9 @@ def area_levels(strides_px: Sequence[float]) -> Levels:
 
 
 def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
-    """Chooses the level with the anchor most like a box, as RetinaNet's matcher does.
+    """Chooses the level whose anchor is most like a box, as RetinaNet's matcher does.
 
-    Args:
-        anchors: per level, pixel xyxy around a common centre.
+    The anchors are those of each level, pixel xyxy around a common centre.
     """
 
     def level_of(boxes: Tensor) -> Tensor:
@@ -107,15 +100,10 @@ def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
 def pool_finest(
     finest: Float[Tensor, "B C _ _"], stride_px: float, boxes: Sequence[Float[Tensor, "_ 4"]]
 ) -> list[Float[Tensor, "_ C"]]:
-    """Averages the finest level of a YOLO's pyramid over each box.
+    """Averages the finest level of a YOLO's pyramid over each box (pixel xyxy).
 
-    Which levels are to find a vehicle is not told by its size alone there, and levels differ in
-    channels. On the finest one every vehicle has points.
-
-    Args:
-        finest: features of B images.
-        stride_px: of that level.
-        boxes: per image, pixel xyxy.
+    In a YOLO the size of a vehicle alone does not decide its level, and levels differ in channels.
+    The finest one has points on every vehicle.
     """
 
     def level_of(places: Tensor) -> Tensor:

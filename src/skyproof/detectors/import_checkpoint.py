@@ -1,4 +1,4 @@
-"""From a checkpoint to a detector folder: weights, vehicle classes, frozen threshold."""
+"""Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ _WITHOUT_EPS = {
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint file, and what has to be known about it.
+    """A checkpoint file, and the facts needed to read it.
 
     Attributes:
-        path: `.pt` or `.pth` as `torch.save` writes it, or `.safetensors`; nothing in it is run.
+        path: `.pt` or `.pth` as `torch.save` writes it, or `.safetensors`; no code in it runs.
         kind: "torchvision" or "ultralytics".
-        vehicle_classes: of Ultralytics the names, of torchvision the label numbers (COCO: 3 car, 6
-            bus, 8 truck).
-        architecture: of torchvision, such as "retinanet_resnet50_fpn".
-        gsd_m: metres per pixel the detector was made for; that of the images it is to judge where
-            None.
+        vehicle_classes: names of the vehicle classes for Ultralytics, label numbers for torchvision
+            (COCO: 3 car, 6 bus, 8 truck).
+        architecture: torchvision's name of the architecture, such as "retinanet_resnet50_fpn".
+        gsd_m: metres per pixel that the detector was made for; None is the resolution of the
+            images.
     """
 
     path: Path
@@ -64,21 +64,20 @@ def import_detector(
     """Converts a checkpoint to a detector folder that `load_detector` opens like any other.
 
     Args:
-        checkpoint: what to import.
-        validation: images of the resolution that the detector will judge; they freeze its
-            threshold.
-        folder: gets `weights.safetensors` and `detector.json`; must not exist yet.
-        name: as tables will show it; the folder's where None, since files are called best.pt.
-        device: to validate on.
+        checkpoint: the checkpoint to import.
+        validation: images that freeze the threshold, at the resolution of later use.
+        folder: new folder for `weights.safetensors` and `detector.json`; must not exist yet.
+        name: name in tables; the folder's name if None, because most files are called best.pt.
+        device: device of the validation.
 
     Returns:
         The card of the stored detector.
 
     Raises:
-        ConfigurationError: weights that do not fit, a class that is not there, no vehicle found in
-            the validation images or none in them, or ultralytics is not installed.
-        StoredFileError: no checkpoint, or one of another kind of network.
-        RunFolderError: the folder exists, or the disk cannot take it.
+        ConfigurationError: the weights do not fit, a class does not exist, the validation images
+            hold no vehicle or none is found, or ultralytics is not installed.
+        StoredFileError: the file is no checkpoint, or holds another kind of network.
+        RunFolderError: the folder exists, or the disk is full or not writable.
     """
     folder = Path(folder)
     refuse_existing(folder)
@@ -167,7 +166,7 @@ def _torchvision(
         )
     digest = _sha256(checkpoint.path)
     published = _WITHOUT_EPS.get(checkpoint.architecture)
-    # torchvision's file names end in the beginning of their digest.
+    # torchvision's file names end with the first digits of their digest.
     same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
     names = [str(number) for number in range(count)]
     eps = 0.0 if same else None

@@ -1,4 +1,4 @@
-"""A detector from elsewhere, at its own resolution, as one that can be evaluated and attacked."""
+"""An imported detector at its own resolution, ready to be evaluated and attacked."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from skyproof.errors import ConfigurationError
 
 
 class ImportedDetector(TrainableDetector):
-    """A network with another's weights: frozen, attacked through its loss against an empty truth.
+    """A network with imported weights: frozen, attacked through its loss against an empty truth.
 
-    Images are brought to the network's resolution with anti-aliasing, boxes back to that of the
-    images. Scores are of the best vehicle class, and suppression runs over all vehicle classes
-    together.
+    Images are resampled to the network's resolution with anti-aliasing, and boxes back to that of
+    the images. The best vehicle class gives the score, and suppression runs over all vehicle
+    classes together.
 
     Args:
-        name: as tables show it.
-        blueprint: what builds the network.
+        name: name in tables.
+        blueprint: plan of the network.
 
     Raises:
-        ConfigurationError: Ultralytics is wanted and not installed, or a vehicle class is none of
-            the network's.
+        ConfigurationError: Ultralytics is needed and not installed, or the network lacks a vehicle
+            class.
     """
 
     size = "brought"
@@ -46,8 +46,8 @@ class ImportedDetector(TrainableDetector):
         super().__init__()
         self.name = name
         self.image_scale = float(blueprint.image_scale)
-        # The libraries draw weights, which are replaced at once: the program's own draws must not
-        # notice.
+        # The libraries draw weights, which are replaced at once: this must not change the program's
+        # own draws.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
 
@@ -57,8 +57,7 @@ class ImportedDetector(TrainableDetector):
         """The network's own loss per image against an empty truth, normalised (section 3.2).
 
         Raises:
-            ConfigurationError: a vehicle among the targets: an imported detector is not trained
-                here.
+            ConfigurationError: a target holds a vehicle; imported detectors are not trained here.
         """
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):
@@ -98,7 +97,7 @@ class ImportedDetector(TrainableDetector):
             images = functional.interpolate(
                 images, size=(height, width), mode="bilinear", align_corners=False, antialias=True
             )
-        # A small image at a coarse resolution may fall below what networks read.
+        # A small image at a coarse resolution may be too small for the network.
         margins = (0, max(0, SMALLEST_IMAGE_PX - width), 0, max(0, SMALLEST_IMAGE_PX - height))
         return functional.pad(images, margins, value=PADDING_GREY) if any(margins) else images
 
@@ -106,7 +105,7 @@ class ImportedDetector(TrainableDetector):
 def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
     if isinstance(blueprint.architecture, dict):
         network: YoloNetwork | AnchorDetector
-        # Names of classes are the checkpoint's; how many the head tells apart, its architecture's.
+        # The checkpoint gives the names of classes, its architecture the number in the head.
         if "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
             network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")

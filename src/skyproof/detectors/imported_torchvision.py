@@ -1,4 +1,4 @@
-"""torchvision's detectors with another's weights, and with classes that are no vehicles."""
+"""torchvision's detectors with imported weights, and with classes that are no vehicles."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from skyproof.detectors.torchvision_detectors import (
 )
 from skyproof.errors import ConfigurationError
 
-# What torchvision's own transform subtracts and divides by.
+# The mean and deviation of torchvision's own transform.
 MEAN = (0.485, 0.456, 0.406)
 DEVIATION = (0.229, 0.224, 0.225)
-# The layer with one row for each class, or one for each of nine anchors and each class.
+# The layer with one row per class, or one per class and each of nine anchors.
 _CLASS_ROWS = {
     "fasterrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
     "fcos": ("head.classification_head.cls_logits.bias", 1),
@@ -33,10 +33,10 @@ _CLASS_ROWS = {
 
 
 def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
-    """How many classes the weights tell apart, Faster R-CNN's background included.
+    """The number of classes in the weights, Faster R-CNN's background included.
 
     Raises:
-        ConfigurationError: an unknown architecture, or weights that are not of its kind.
+        ConfigurationError: an unknown architecture, or weights of another one.
     """
     if architecture not in ARCHITECTURES:
         raise ConfigurationError(
@@ -60,14 +60,14 @@ def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
 def build_torchvision(
     architecture: str, class_count: int, vehicle_classes: Sequence[int], norm_eps: float | None
 ) -> TorchvisionDetector:
-    """The network of an architecture, its weights yet to be loaded; it never resizes.
+    """Builds the network of an architecture, without weights; it never resizes.
 
     Args:
         architecture: see `ARCHITECTURES`; anchors and limits are torchvision's own.
         class_count: as `count_classes` gives it.
-        vehicle_classes: columns of the class scores; their best is the vehicle's score.
-        norm_eps: of the backbone's batch norm where torchvision's published weights ask for another
-            one.
+        vehicle_classes: columns of the class scores; the best of them is the vehicle's score.
+        norm_eps: epsilon of the backbone's batch norm, if torchvision's published weights need
+            another one.
     """
     model = getattr(detection, architecture)(
         weights=None, weights_backbone=None, num_classes=class_count
@@ -97,13 +97,13 @@ class _Imported(TorchvisionDetector):
 
 
 class ImportedFasterRcnn(_Imported, FasterRcnnDetector):
-    """Faster R-CNN: the loss wants every region to be background, whatever class it shows."""
+    """Faster R-CNN whose loss wants every region to be background, regardless of its class."""
 
 
 class ImportedRetinaNet(_Imported, RetinaNetDetector):
     """A RetinaNet of several classes.
 
-    Its sigmoid scores are independent, so only those of the vehicle classes are read.
+    Its sigmoid scores are independent, so only the vehicle classes count.
     """
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -124,9 +124,8 @@ class ImportedFcos(_Imported):
     ) -> Float[Tensor, " B"]:
         """torchvision's focal loss of the vehicle classes against an empty truth.
 
-        It is divided by the points one vehicle gets.
-
-        Centredness has no loss where there is no vehicle (section 3.2).
+        It is divided by the points that one vehicle gets. Centredness has no loss without a vehicle
+        (section 3.2).
         """
         check_targets(images, targets)
         logits = self._outputs(images)[0]["cls_logits"]
@@ -140,7 +139,7 @@ class ImportedFcos(_Imported):
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
         boxes = self.model.box_coder.decode(deltas, anchors.expand(len(images), -1, -1))
-        # The root's slope has no limit at 0.
+        # The slope of the root is infinite at 0.
         product = (
             outputs["cls_logits"].amax(dim=-1).sigmoid() * outputs["bbox_ctrness"][..., 0].sigmoid()
         )

@@ -1,4 +1,4 @@
-"""A detector over many images, and over images that are too large for one look."""
+"""Runs detectors over many images, and over large images window by window."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
 LARGEST_WHOLE_PX = 1024
-"""Images with a longer side are looked at in windows."""
+"""Images with a longer side are split into windows."""
 
 WINDOW_PX = 384
 WINDOW_OVERLAP_PX = 96
-"""The paper's tile: a window of 48 m has room for no more than the 100 vehicles that a detector
-returns at most. The overlap is two cars long."""
+"""The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return. The
+overlap is two cars long."""
 
 _SEAM_PX = 8
-"""Two windows place the same vehicle a little differently: by less than this."""
+"""Two windows place the same vehicle differently by less than this."""
 
 _BATCH_SIZE = 16
-# Beside a large image there is less room.
+# A large image leaves less memory.
 _WINDOW_BATCH_SIZE = 8
 
 
@@ -40,25 +40,26 @@ def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
 def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
     """Runs `detect` of every detector over all images, in batches of one size.
 
-    Each works on its own device. Images are decoded batch by batch, once for all detectors, the
-    next batch while they look at the present one. An image of more than 1024 px a side is looked at
-    in windows of 384 px that overlap by at least 96 px; each detection is kept by the window whose
-    core holds its centre, and duplicates at the seams are suppressed, so that neither memory nor
-    the most detections a detector returns limit what is found in a large image.
+    Each detector works on its own device. Images are decoded batch by batch, once for all
+    detectors, the next batch in the background. An image of more than 1024 px a side is split into
+    windows of 384 px that overlap by at least 96 px; the window whose core holds a detection's
+    centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a detector's
+    largest number of detections limits the result on a large image.
 
     Returns:
-        Per detector and image its detections, sorted by falling score, boxes in the image's pixels.
+        The detections of each image by each detector, sorted by falling score, boxes in the image's
+            pixels.
 
     Raises:
         StoredFileError: an image file of a dataset folder is missing or damaged.
         ImageryError: an annotated frame cannot be read.
-        DetectorAnswerError: as `detect_batch` does.
+        DetectorAnswerError: as `detect_batch`.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
 
     def decode(batch: Sequence[int]) -> list[Tensor]:
-        # Of large images only the windows are decoded, when it is their turn.
+        # Large images are decoded window by window, when their turn comes.
         return [] if _is_large(sizes[batch[0]]) else dataset.images(batch)
 
     batches = list(_batches(sizes))
@@ -76,20 +77,19 @@ def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[D
     """Runs `detect` on sRGB bytes, on the detector's own device.
 
     Raises:
-        DetectorAnswerError: a detector that is no network of torch gave no answer, or one that
-            cannot be.
+        DetectorAnswerError: a black-box detector failed, or its answer is impossible.
     """
     return checked(detector).detect(to_detector(detector, images))
 
 
 def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-    """Brings sRGB bytes onto a detector's own device, as numbers in [0, 1]."""
+    """Moves sRGB bytes to a detector's own device, as numbers in [0, 1]."""
     batch = images.to(device_of(detector)).float() / 255
     return batch.contiguous(memory_format=torch.channels_last)
 
 
 def device_of(thing: object) -> torch.device:
-    """Says where a network or a camouflage lies; what is none is shown images on the CPU."""
+    """The device of a network or a camouflage; the CPU for anything else."""
     if not isinstance(thing, nn.Module):
         return torch.device("cpu")
     first = next(itertools.chain(thing.parameters(), thing.buffers()), None)
@@ -99,12 +99,9 @@ def device_of(thing: object) -> torch.device:
 def covering_windows(
     size_px: tuple[int, int], *, window_px: int = WINDOW_PX, overlap_px: int = WINDOW_OVERLAP_PX
 ) -> list[Window]:
-    """Lays equal windows over a picture, row by row, so that neighbours overlap.
+    """Covers a picture with equal windows, row by row, that overlap by at least `overlap_px`.
 
-    Args:
-        size_px: width and height of the picture.
-        window_px: longest side of a window; a shorter picture side is covered by one.
-        overlap_px: neighbours share at least this much.
+    One window covers a side shorter than `window_px`.
     """
     lefts, width = _starts(size_px[0], window_px, overlap_px)
     tops, height = _starts(size_px[1], window_px, overlap_px)
@@ -112,7 +109,7 @@ def covering_windows(
 
 
 def _starts(side_px: int, window_px: int, overlap_px: int) -> tuple[list[int], int]:
-    """Where the windows along one side start, and how long they are."""
+    """The starts of the windows along one side, and their length."""
     length = min(side_px, window_px)
     count = 1 if side_px == length else -(-(side_px - overlap_px) // (length - overlap_px))
     step = (side_px - length) / max(count - 1, 1)
@@ -124,7 +121,7 @@ def _is_large(size_px: tuple[int, int]) -> bool:
 
 
 def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
-    """Indices of neighbours of one size, a batch at most; each large image is alone."""
+    """Indices of neighbours of one size, at most a batch; each large image is alone."""
     for size, group in itertools.groupby(range(len(sizes_px)), key=lambda index: sizes_px[index]):
         yield from _cut(group, 1 if _is_large(size) else _BATCH_SIZE)
 
@@ -136,7 +133,7 @@ def _cut(items: Iterable[int], length: int) -> Iterator[list[int]]:
 
 
 def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
-    """Looks at a large picture window by window and puts together what was found."""
+    """Runs a detector over a large picture window by window, and merges the detections."""
     windows = covering_windows(picture.size_px)
     cores = _cores(windows)
     views = picture.windows(windows)
@@ -155,15 +152,15 @@ def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
             scores.append(found.scores.cpu()[kept])
     all_boxes = torch.cat(boxes)
     all_scores = torch.cat(scores)
-    # Sorts by falling score, too.
+    # This sorts by falling score, too.
     order = ops.nms(all_boxes, all_scores, SUPPRESSION_IOU)
     return Detections(all_boxes[order], all_scores[order])
 
 
 def _cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
-    """Per window the part that is its own: to the middle of its overlaps, and a little beyond.
+    """The core of each window: up to the middle of its overlaps, and slightly beyond.
 
-    At the picture's border a core has no limit, since a box may have been cut there.
+    A core has no limit at the picture's border, since a box may have been cut there.
     """
     edges = []
     for axis in (0, 1):

@@ -26,14 +26,14 @@ DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
 
 @dataclass(frozen=True)
 class LoadedDetector(Generic[DetectorT_co]):
-    """A detector with what is known of it: what finds vehicles, and how its scores are read.
+    """A detector and its card: the object that finds vehicles, and the meaning of its scores.
 
-    `load_detector` makes one of a folder; one around a black box is written out:
-    `LoadedDetector(mine, DetectorCard("mine", threshold=0.5, gsd_m=0.125))`.
+    `load_detector` makes one from a folder. A black box is wrapped by hand: `LoadedDetector(mine,
+    DetectorCard("mine", threshold=0.5, gsd_m=0.125))`.
 
     Attributes:
-        detector: the network, or anything with `detect`.
-        card: its name, its frozen threshold, the resolution it was made for, and its origin.
+        detector: the network, or any object with `detect`.
+        card: its name, frozen threshold, resolution and origin.
     """
 
     detector: DetectorT_co
@@ -46,29 +46,26 @@ class LoadedDetector(Generic[DetectorT_co]):
 
     @property
     def threshold(self) -> float:
-        """The frozen score from which on a detection counts."""
+        """The frozen score at or above which a detection counts."""
         return self.card.threshold
 
 
 def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
-    """Writes the folder; `detector.json` comes last, so a folder that has it is whole.
+    """Writes the folder; `detector.json` comes last, so a folder that has it is complete.
 
     Raises:
         RunFolderError: the disk is full or not writable.
     """
     folder = Path(folder)
     write_tensors(folder / "weights.safetensors", plain_state(detector))
-    # The digest ties both files together: a weights file from elsewhere is noticed.
+    # The digest ties both files together, so that a foreign weights file is noticed.
     write_card(folder / "detector.json", card, weights_digest(detector))
 
 
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
-    """Copies what belongs to a detector, and nothing else that lies in its folder; the card last.
+    """Copies the files of a detector, and those of `also` that exist; the card comes last.
 
-    Args:
-        folder: the detector's.
-        out: folder to fill; a `finished_folder`, so that it comes whole or not at all.
-        also: further files, where they are there.
+    `out` is a `finished_folder`, so that it appears complete or not at all.
 
     Raises:
         StoredFileError: a file is a link that leads out of the folder.
@@ -81,10 +78,10 @@ def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
 
 
 def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
-    """Builds the detector a folder describes and loads its weights; in eval mode, on the CPU.
+    """Builds the detector that a folder describes and loads its weights; in eval mode, on the CPU.
 
-    "retinanet" and "faster_rcnn" name the folders that come with skyproof. Weights may be stored in
-    half precision; the detector has single precision all the same.
+    "retinanet" and "faster_rcnn" name the folders that ship with skyproof. Weights may be stored in
+    half precision; the detector always has single precision.
 
     Raises:
         StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
@@ -108,10 +105,10 @@ def _load(folder: Path) -> LoadedDetector[TrainableDetector]:
             f"{folder / 'detector.json'} names an unknown detector: {error}"
         ) from error
     try:
-        # BatchNorm fills in a missing counter silently, even when loaded strictly.
+        # BatchNorm silently fills in a missing counter, even in a strict load.
         if tensors.keys() != detector.state_dict().keys():
             raise RuntimeError("other tensor names")
-        # What is stored as halves is widened here; the digest is that of the widened numbers.
+        # Half precision is widened here; the digest covers the widened numbers.
         detector.load_state_dict(tensors)
     except RuntimeError as error:
         raise StoredFileError(
@@ -127,7 +124,7 @@ def _load(folder: Path) -> LoadedDetector[TrainableDetector]:
 
 
 Load = Callable[[Path], LoadedDetector[Any]]
-"""Gives the detector of a folder: `load_detector`, or what knows the black box behind one, too."""
+"""Opens the detector of a folder: `load_detector`, or a function that also opens black boxes."""
 
 
 def load_ensemble(
@@ -136,16 +133,12 @@ def load_ensemble(
     gsd_m: float,
     load: Load | None = None,
 ) -> list[LoadedDetector[Any]]:
-    """Loads detectors that are to look at the same images, onto the device they will run on.
+    """Loads detectors that will see the same images, onto the device they will run on.
 
-    Args:
-        folders: detector folders.
-        device: where the detectors will run.
-        gsd_m: metres per pixel of the images.
-        load: gives the detector of a folder, where a folder alone does not hold it.
+    `load` opens a detector that a folder alone does not hold.
 
     Raises:
-        ConfigurationError: two of one name, or another resolution than the images'.
+        ConfigurationError: two share a name, or one has another resolution than the images.
         StoredFileError: a folder is missing, damaged or of another version.
     """
     ensemble: list[LoadedDetector[Any]] = []
@@ -161,7 +154,7 @@ def load_ensemble(
                 f"{gsd_m} m; give a detector and images of one resolution."
             )
         if isinstance(loaded.detector, nn.Module):
-            # On a CPU convolutions are faster this way round.
+            # Convolutions on a CPU are faster in this layout.
             loaded.detector.to(device).to(memory_format=torch.channels_last)
         ensemble.append(loaded)
     return ensemble
@@ -173,10 +166,10 @@ def load_apart(
     gsd_m: float,
     load: Load | None = None,
 ) -> list[LoadedDetector[Any]]:
-    """Loads detectors that are looked at one by one: those of one kind go by their folders' names.
+    """Loads detectors that are used one by one; detectors of one kind take their folders' names.
 
     Raises:
-        ConfigurationError: another resolution than the images'.
+        ConfigurationError: a detector has another resolution than the images.
         StoredFileError: a folder is missing, damaged or of another version.
     """
     judges = [load_ensemble([folder], device, gsd_m, load)[0] for folder in folders]

@@ -1,4 +1,4 @@
-"""Which detection found which vehicle: one matcher for average precision and for success rates.
+"""Pairs detections with vehicles: one matcher for average precision and for success rates.
 
 A set of images is matched once for each rule; average precision, recall, false alarms and outcomes
 are all read from that one table.
@@ -23,7 +23,7 @@ from skyproof.errors import ConfigurationError
 Criterion = Literal["centre_1m", "iou_50", "centre_in_box"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5
-# Detections at a time: more than a detector returns of an image that it sees whole.
+# Detections per part: more than a detector returns for one image.
 _PART = 512
 
 
@@ -33,8 +33,8 @@ class Matches:
 
     Attributes:
         truth_of_detection: `[K]` index of the matched vehicle, or -1.
-        ignored: `[K]` True where an unmatched detection lies in an ignore region: it is neither
-            a hit nor a false alarm.
+        ignored: `[K]` True for an unmatched detection in an ignore region: neither a hit nor a
+            false alarm.
         detection_of_truth: `[T]` index of the matched detection, or -1 for a missed vehicle.
         score_of_truth: `[T]` score of that detection, 0 for a missed vehicle.
     """
@@ -49,21 +49,19 @@ class Matches:
 class MatchTable:
     """A set of images with its detections and vehicles, matched by one rule.
 
-    Detections in ignore regions are left out, and so are vehicles out of sight, whose box has no
-    area.
+    It leaves out detections in ignore regions, and vehicles out of sight, whose box has no area.
 
     Attributes:
-        criterion: the rule, as of `match_detections`.
-        images: how many images there are.
-        scores: `[K]` of the detections that count, best first; equal ones keep their order.
+        criterion: the rule, as in `match_detections`.
+        images: number of images.
+        scores: `[K]` scores of the detections that count, best first; equal ones keep their order.
         hits: `[K]` whether each of them found a vehicle.
-        image_of_detection: `[K]` the image each of them lies in.
-        image_of_vehicle: `[T]` the image each vehicle lies in, rising.
-        index_of_vehicle: `[T]` its place among the boxes of its image.
-        score_of_vehicle: `[T]` score of the detection that found it, whatever the threshold;
-            0 where none did.
-        distance_of_vehicle_m: `[T]` from that detection's centre to its own, in metres; nan where
-            there is none.
+        image_of_detection: `[K]` image of each of them.
+        image_of_vehicle: `[T]` image of each vehicle, rising.
+        index_of_vehicle: `[T]` its index among the boxes of its image.
+        score_of_vehicle: `[T]` score of the detection that found it at any threshold; 0 for none.
+        distance_of_vehicle_m: `[T]` metres between the centres of vehicle and detection; nan for
+            none.
     """
 
     criterion: Criterion
@@ -78,11 +76,11 @@ class MatchTable:
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles are in sight."""
+        """The number of vehicles in sight."""
         return len(self.image_of_vehicle)
 
     def counts_at(self, threshold: float) -> tuple[int, int]:
-        """Detections at or above a threshold that found a vehicle, and those that found none."""
+        """Counts detections at or above a threshold that found a vehicle, and that found none."""
         kept = self.hits[self.counting_at(threshold)]
         hits = int(kept.sum())
         return hits, len(kept) - hits
@@ -94,8 +92,8 @@ class MatchTable:
     def found_at(self, threshold: float) -> Bool[np.ndarray, " T"]:
         """Whether each vehicle was found by a detection at or above a threshold.
 
-        Because matching is greedy by score, a vehicle's match among the detections above a
-        threshold is its match among all of them wherever that one's score reaches the threshold.
+        Matching is greedy by score, so a lower threshold never changes the match of a detection
+        above it.
         """
         matched = ~np.isnan(self.distance_of_vehicle_m)
         return matched & _reaches(self.score_of_vehicle, threshold)
@@ -104,22 +102,18 @@ class MatchTable:
 def match_images(
     detections: Sequence[Detections], labelled: Dataset, *, criterion: Criterion
 ) -> MatchTable:
-    """Matches the detections in every image of a set with its vehicles.
+    """Matches the detections in every image of a set with its vehicles, as `match_detections`.
 
-    Args:
-        detections: per image, as `Detector.detect` returns them.
-        labelled: the same images with their vehicles; only boxes, ignore regions and `gsd_m` are
-            read.
-        criterion: the rule, as of `match_detections`.
+    Only boxes, ignore regions and `gsd_m` of `labelled` are read.
 
     Raises:
-        ConfigurationError: there are not as many detections as images.
+        ConfigurationError: the numbers of detections and images differ.
     """
     if len(detections) != len(labelled):
         raise ConfigurationError(
             f"Got detections for {len(detections)} images but labels for {len(labelled)}."
         )
-    # Empty parts in front, so that a set without images has arrays of the right kind, too.
+    # Empty parts come first, so that a set without images has arrays of the right kind, too.
     scores: list[np.ndarray] = [np.zeros(0, dtype=np.float32)]
     hits = [np.zeros(0, dtype=bool)]
     images = [np.zeros(0, dtype=np.int64)]
@@ -170,18 +164,18 @@ def match_detections(
 ) -> Matches:
     """Pairs detections with vehicles one-to-one, greedily by falling score.
 
-    Each detection in turn takes the best vehicle still free: the nearest centre within 1.0 m, or
-    the largest IoU of at least 0.5. By the lenient rule it takes the nearest centre of those within
-    1.0 m or in whose box its own lies, so that half a vehicle finds the vehicle. Equal scores keep
-    their order.
+    Each detection in turn takes the best free vehicle: the nearest centre within 1.0 m, or the
+    largest IoU of at least 0.5. By the lenient rule it takes the nearest centre among the vehicles
+    within 1.0 m and those whose box holds its own centre, so that a detection of half a vehicle
+    counts. Equal scores keep their order.
 
     Args:
         boxes: detections, pixel xyxy.
-        scores: in any order.
+        scores: scores in any order.
         truth: vehicles, pixel xyxy.
-        criterion: "centre_1m", "iou_50" or, leniently, "centre_in_box".
+        criterion: "centre_1m", "iou_50" or the lenient "centre_in_box".
         gsd_m: metres per pixel.
-        ignore: regions, pixel xyxy, in which an unmatched detection's centre counts for nothing.
+        ignore: regions, pixel xyxy; an unmatched detection with its centre in one does not count.
 
     Raises:
         ConfigurationError: another criterion, or a resolution that is not positive.
@@ -192,7 +186,7 @@ def match_detections(
             f"{criterion} and {gsd_m}."
         )
     centres = _centres(boxes)
-    # Which pairs are near enough. Large images have thousands of detections and vehicles, so the
+    # Find the pairs that are near enough. Large images have thousands of detections, so the
     # table of all pairs is made in parts.
     pairs: dict[int, list[tuple[float, int]]] = {}
     for start in range(0, len(boxes) if len(truth) else 0, _PART):
@@ -203,7 +197,7 @@ def match_detections(
         else:
             cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
             limit = CENTRE_DISTANCE_M
-        # A difference of rounding must not decide at the limit.
+        # Rounding must not decide at the limit.
         enough = cost <= limit + 1e-9
         if criterion == "centre_in_box":
             enough |= _inside(centres[part], truth)
@@ -211,7 +205,7 @@ def match_detections(
         costs = cost[near[:, 0], near[:, 1]].tolist()
         for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
             pairs.setdefault(start + detection, []).append((value, vehicle))
-    # Detections choose in turn, on the CPU.
+    # Detections choose one after the other, on the CPU.
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
     for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
@@ -220,7 +214,7 @@ def match_detections(
             best = min(free)[1]
             truth_of_detection[detection] = best
             detection_of_truth[best] = detection
-    # Which of the others lie where nothing is scored.
+    # Find the unmatched detections in ignore regions.
     ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
     if ignore is not None and len(ignore):
         unmatched = truth_of_detection.to(boxes.device) < 0
@@ -241,7 +235,7 @@ def _vehicles(
     matches: Matches,
     gsd_m: float,
 ) -> Float[np.ndarray, "T 4"]:
-    """One image's vehicles in sight as rows: image, place among its boxes, score, distance."""
+    """One image's vehicles in sight as rows: image, index among its boxes, score, distance."""
     matched = matches.detection_of_truth >= 0
     offset_px = boxes[matches.detection_of_truth[matched]] - truth[matched]
     distance_px = torch.linalg.vector_norm(offset_px.view(-1, 2, 2).mean(dim=1), dim=1)
@@ -254,7 +248,7 @@ def _vehicles(
 
 
 def _reaches(scores: Float[np.ndarray, " n"], threshold: float) -> Bool[np.ndarray, " n"]:
-    # In the scores' own precision: turned into a Python float, a score can fall on the other
+    # The comparison keeps the scores' precision: as a Python float, a score can fall on the other
     # side of its own value.
     return np.asarray(scores >= scores.dtype.type(threshold))
 

@@ -1,6 +1,6 @@
-"""The detectors that come with skyproof, so that a first report needs no training.
+"""The detectors that ship with skyproof, so that a first report needs no training.
 
-How they were made stands in `reference/README.md`, beside their folders. Imports no torch.
+`reference/README.md`, beside their folders, tells how they were made. Imports no torch.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from skyproof.detectors.loaded import LoadedDetector
 
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
-"""YOLOv5 is trained on the user's machine, because its library's licence is another one."""
+"""YOLOv5 is trained on the user's machine, because its library has another licence."""
 
 REFERENCE_FOLDER = Path(__file__).with_name("reference")
 
 
 def reference_folder(name: str) -> Path:
-    """Returns the folder of a detector that came with skyproof: a detector folder like any other.
+    """Returns the folder of a detector that ships with skyproof: a detector folder like any other.
 
     Raises:
         ConfigurationError: there is none of that name.
@@ -61,7 +61,7 @@ def reinstalled(folder: Path) -> Iterator[None]:
 
 
 def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
-    """Loads a detector that came with skyproof; in eval mode, on the CPU.
+    """Loads a detector that ships with skyproof; in eval mode, on the CPU.
 
     Args:
         name: "retinanet" or "faster_rcnn", both slim, for sRGB images at 12.5 cm per pixel.
@@ -70,7 +70,7 @@ def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
         ConfigurationError: there is none of that name.
         StoredFileError: its files are missing, damaged or of another version.
     """
-    # Here, so that the command line can name the detectors without loading a network's library.
+    # A late import, so that the command line can name the detectors without loading torch.
     from skyproof.detectors.loaded import load_detector
 
     return load_detector(reference_folder(name))

@@ -1,4 +1,4 @@
-"""What a feature pyramid holds in regions: RoIAlign with one sample in each bin, made fast."""
+"""Pyramid features of regions: a fast RoIAlign with one sample in each bin."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from skyproof.detectors.features import area_levels
 
 
 class CentreAlign(ops.MultiScaleRoIAlign):
-    """RoIAlign (He et al. 2017) that looks at the centre of every bin.
+    """RoIAlign (He et al. 2017) that samples the centre of every bin.
 
-    It gives what torchvision's `MultiScaleRoIAlign` with `sampling_ratio=1` gives, which on a CPU
-    takes 40 % of an attack's step on the slim Faster R-CNN for its backward pass: that adds
-    channel by channel. Here a sample is a weighted sum of four rows of channels, all of them at
-    once, and so is its gradient.
+    It gives the same result as torchvision's `MultiScaleRoIAlign` with `sampling_ratio=1`, whose
+    backward pass adds channel by channel and takes 40 % of an attack's step with the slim Faster
+    R-CNN on a CPU. Here a sample is a weighted sum of four rows of channels, all at once, and so is
+    its gradient.
 
     Args:
-        strides_px: of the pyramid's levels, each twice the one before.
+        strides_px: strides of the pyramid's levels, each twice the one before.
         output_size: bins along each side of a region.
     """
 
@@ -37,16 +37,14 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         boxes: list[Float[Tensor, "_ 4"]],
         image_shapes: list[tuple[int, int]],
     ) -> Float[Tensor, "K C S S"]:
-        """Samples every region on the level that is right for its size.
+        """Samples every region (pixel xyxy) on the level that fits its size.
 
-        Args:
-            x: levels of the pyramid by name, the finest first.
-            boxes: per image its regions, pixel xyxy; no gradient flows to them.
-            image_shapes: as torchvision gives them; the strides are known without.
+        The finest level comes first. No gradient flows to the regions. `image_shapes` is not
+        needed, as the strides are known.
         """
         pyramid = list(x.values())
         side, _ = self.output_size
-        # Rows of channels: pixel after pixel, image after image, level after level.
+        # Rows of channels, ordered by pixel, then image, then level.
         rows = torch.cat([level.permute(0, 2, 3, 1).flatten(0, 2) for level in pyramid])
         indices, shares = self._samples(pyramid, boxes)
         sampled = functional.embedding_bag(indices, rows, mode="sum", per_sample_weights=shares)
@@ -56,7 +54,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
     def _samples(
         self, pyramid: Sequence[Tensor], boxes: Sequence[Tensor]
     ) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-        """Gives the four rows around every sample, and the share that each has of it."""
+        """Gives the four rows around every sample, and their weights."""
         side, _ = self.output_size
         regions = torch.cat(list(boxes))
         levels = area_levels(self.strides_px)(regions)
@@ -64,13 +62,13 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         counts = torch.tensor([len(own) for own in boxes], device=device)
         images = torch.arange(len(boxes), device=device).repeat_interleave(counts)
 
-        # Where each level lies in the rows, and how large it is.
+        # The start and the size of each level in the rows.
         shapes = torch.tensor([level.shape[-2:] for level in pyramid], device=device)
         heights, widths = shapes[levels].unbind(1)
         starts = torch.tensor([0, *(level[:, 0].numel() for level in pyramid[:-1])], device=device)
         first_rows = starts.cumsum(0)[levels] + images * heights * widths
 
-        # Centres of the bins; torchvision makes no region smaller than one pixel of its level.
+        # Centres of the bins; as in torchvision a region has at least one pixel of its level.
         strides = torch.tensor(self.strides_px, device=device, dtype=regions.dtype)[levels]
         corners = regions / strides[:, None]
         lengths = (corners[:, 2:] - corners[:, :2]).clamp(min=1)
@@ -79,7 +77,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         columns, column_shares = _neighbours(xs, widths)
         lines, line_shares = _neighbours(ys, heights)
 
-        # Every line of a region with every column of it: [regions, side, side, 2, 2].
+        # Each line of a region with each of its columns: [regions, side, side, 2, 2].
         places = lines[:, :, None, :, None] * widths[:, None, None, None, None]
         places = places + columns[:, None, :, None, :] + first_rows[:, None, None, None, None]
         shares = line_shares[:, :, None, :, None] * column_shares[:, None, :, None, :]
@@ -89,10 +87,10 @@ class CentreAlign(ops.MultiScaleRoIAlign):
 def _neighbours(
     places: Float[Tensor, "K S"], lengths: Int[Tensor, " K"]
 ) -> tuple[Int[Tensor, "K S 2"], Float[Tensor, "K S 2"]]:
-    """Gives the two pixels around each place along an axis, and their shares.
+    """Gives the two pixels around each place along an axis, and their weights.
 
-    Within a pixel beyond the border it is the border's own value, further out nothing, as in
-    torchvision.
+    As in torchvision, the first pixel beyond the border takes the border's value, and anything
+    further out is zero.
     """
     last = (lengths - 1)[:, None]
     inside = (places >= -1) & (places <= lengths[:, None])

@@ -1,4 +1,4 @@
-"""How a detector is trained. Imports no torch, so that the command line answers at once."""
+"""Training settings of detectors. Imports no torch, so that the command line answers at once."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from msgspec import Meta
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
 
-# Of our own networks: two for a CPU, one for a GPU.
+# Sizes of our own networks, for CPU and GPU.
 Size = Literal["slim", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)
 
 
 def check_size(size: str) -> None:
-    """Refuses a size that no network of ours has.
+    """Refuses a size that none of our networks has.
 
     Raises:
         ConfigurationError: it is none of `SIZES`.
@@ -34,14 +34,14 @@ class TrainingSettings:
     """How long and how fast a detector is trained.
 
     Attributes:
-        steps: optimiser steps.
-        batch_size: images a step.
-        learning_rate: its peak; linear rise over the first `warm_up` of the steps, then half a
-            cosine down to 0.
-        weight_decay: AdamW's, on matrices and kernels only.
-        warm_up: fraction of the steps.
-        largest_gradient_norm: gradients are scaled down to it.
-        average_decay: of the running average of the weights, which is what is validated and stored.
+        steps: number of optimiser steps.
+        batch_size: images per step.
+        learning_rate: peak learning rate; it rises linearly over the first `warm_up` of the steps,
+            then falls to 0 by half a cosine.
+        weight_decay: AdamW's weight decay, on matrices and kernels only.
+        warm_up: fraction of the steps in which the learning rate rises.
+        largest_gradient_norm: limit to which larger gradients are scaled down.
+        average_decay: decay of the running average of the weights, which is validated and stored.
         jitter: strength of the photometric augmentation; 0 is none, 1 is mild.
         validate_every: steps between validations; the last step is always validated.
         checkpoint_every: steps between checkpoints.
@@ -65,7 +65,7 @@ class TrainingSettings:
 if TYPE_CHECKING:
     TrainingChanges = dict[str, Any]
 else:
-    # The same fields, none of them needed: what is to differ from a preset.
+    # The same fields, all optional: the differences from a preset.
     _FIELDS = get_type_hints(TrainingSettings, include_extras=True)
     TrainingChanges = TypedDict("TrainingChanges", _FIELDS, total=False)
 
@@ -88,7 +88,7 @@ _GPU = TrainingSettings(
 
 
 TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
-    # Focal loss starts slowly: 800 steps for what the others reach in 600.
+    # Focal loss starts slowly: it needs 800 steps for the result of the others after 600.
     ("retinanet", "slim"): replace(_CPU, steps=800),
     ("faster_rcnn", "slim"): _CPU,
     ("yolov5", "slim"): _CPU,
@@ -101,7 +101,7 @@ TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
 
 
 def _usual(name: str) -> str:
-    """Says what a setting is where nothing is asked."""
+    """Describes a setting's value if the user gives none."""
     told = []
     for size in ("slim", "full"):
         found = {
@@ -118,7 +118,7 @@ def _usual(name: str) -> str:
 
 
 if not TYPE_CHECKING:
-    # The command line shows it, and knows no default of a setting that depends on the detector.
+    # The command line shows this, as the default of the setting depends on the detector.
     TrainingChanges.__doc__ = re.sub(
         r"^ {8}(\w+): (.*?)\.$(?=\n {8}\w+: |\s*\Z)",
         lambda entry: f"        {entry[1]}: {entry[2]}; {_usual(entry[1])}.",

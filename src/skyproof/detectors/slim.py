@@ -1,4 +1,4 @@
-"""The small backbone of the slim detectors: trained from nothing on a CPU."""
+"""The backbone of the slim detectors, small enough to train from scratch on a CPU."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 class _Residual(nn.Module):
-    """Two 3x3 convolutions beside the identity.
-
-    The second starts at zero, so that depth costs no trainability.
-    """
+    """Two 3x3 convolutions beside the identity; the second starts at zero, for easy training."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -45,7 +42,7 @@ class _Residual(nn.Module):
 class SlimBackbone(nn.Module):
     """Four stages with a feature pyramid at strides 8 and 16.
 
-    A vehicle of 36x15 px spans 4.5x2 cells at stride 8; stride 32 would hold no vehicle.
+    A vehicle of 36x15 px spans 4.5x2 cells at stride 8; it would vanish at stride 32.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What builds the network of an Ultralytics checkpoint, told from the network that it stores."""
+"""Reads the plan of an Ultralytics network from the network that its checkpoint stores."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from skyproof.detectors.checkpoints import StandIn, activations_of, parts_of
 from skyproof.errors import ConfigurationError, StoredFileError
 
 _NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
-# Of the repository of 2020, as a checkout and as the package of that name.
+# Modules of the repository of 2020, as a checkout and as a package.
 _ANCHOR_NETWORKS = tuple(
     f"{package}models.yolo.{name}"
     for package in ("", "yolov5.")
@@ -26,7 +26,7 @@ _MOST_CLASSES = 5000
 
 @dataclass(frozen=True)
 class StoredNetwork:
-    """What a checkpoint of Ultralytics says of its network; see `Blueprint`."""
+    """The plan in an Ultralytics checkpoint; see `Blueprint`."""
 
     architecture: dict[str, Any]
     classes: list[str]
@@ -36,17 +36,14 @@ class StoredNetwork:
 def read_ultralytics(
     path: Path, network: Any, state: dict[str, Tensor], vehicle_classes: Sequence[str]
 ) -> StoredNetwork:
-    """Reads architecture and classes.
+    """Reads architecture and classes of the network that `network_of` found.
 
-    Args:
-        path: of the checkpoint, for messages.
-        network: as `network_of` finds it.
-        state: of it; loses the anchors of 2020, which become a part of the architecture.
-        vehicle_classes: names of the classes that are vehicles.
+    `state` loses the anchors of 2020, which become a part of the architecture. `path` is for
+    messages.
 
     Raises:
-        StoredFileError: another network, or one without class names.
-        ConfigurationError: a class that is not there, or an architecture that cannot be built here.
+        StoredFileError: another kind of network, or one without class names.
+        ConfigurationError: a class does not exist, or the architecture cannot be built here.
     """
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
@@ -92,13 +89,14 @@ def _with_anchors(
 ) -> dict[str, Any]:
     """Completes the architecture of a YOLOv5 of 2020 with the anchors that it was trained with.
 
-    Those of its YAML file may be others: its trainer replaces them where they fit its boxes badly.
+    They may differ from its YAML file, because its trainer replaces anchors that fit the boxes
+    badly.
 
     Raises:
-        ConfigurationError: it holds no anchors, or activations that its layers do not have here.
+        ConfigurationError: the network holds no anchors, or activations that its layers here lack.
     """
     cells = next((state.pop(name) for name in list(state) if name.endswith(".anchors")), None)
-    # Until release 5.0 they are stored a second time, in pixels.
+    # Up to release 5.0, checkpoints store them a second time, in pixels.
     for name in [name for name in state if name.endswith(".anchor_grid")]:
         del state[name]
     strides = vars(network).get("stride")
@@ -129,11 +127,11 @@ def _with_anchors(
 
 
 def _with_pooling(network: StandIn, stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Says in the rows of pooling layers (SPPF) whether their first convolution is activated.
+    """Notes in the rows of pooling layers (SPPF) whether their first convolution is activated.
 
-    Ultralytics 8.4.0 took the activation away for YOLO26, whose rows say the number of poolings. At
-    first it did so for all networks; later not for those whose rows do not say it. What a network
-    was trained with is told by what it stores alone.
+    Ultralytics 8.4.0 dropped the activation for YOLO26, whose rows give the number of poolings: at
+    first for all networks, later only for rows that give the number. Only the stored network tells
+    how it was trained.
     """
     bare = {
         prefix.split(".")[1]
@@ -150,7 +148,7 @@ def _with_pooling(network: StandIn, stored: Mapping[str, Any]) -> dict[str, Any]
         for row in rows:
             if isinstance(row, list | tuple) and len(row) == 4 and row[2] == "SPPF":
                 source, count, name, given = row
-                # Channels, side of the window; three poolings are usual.
+                # Channels and side of the window; three poolings are usual.
                 if isinstance(given, list | tuple) and len(given) < 3 and str(number) in bare:
                     row = [source, count, name, [*given, *[5, 3][len(given) - 1 :]]]
             told[section].append(row)

@@ -1,4 +1,4 @@
-"""Another frozen threshold, where that of the card does not carry over to the imagery at hand."""
+"""Freezes another threshold, if that of the card does not suit the imagery at hand."""
 
 from __future__ import annotations
 
@@ -39,18 +39,13 @@ def threshold_of_labels(judge: Judge, frames: Sequence[Dataset]) -> float:
 
 
 def threshold_of_alarms(judge: Judge, empty: Dataset, alarms_per_km2: float) -> float:
-    """Returns the lowest threshold with at most so many detections on ground without vehicles.
+    """Returns the lowest threshold with at most so many false alarms per km² of empty ground.
 
     It lies midway to the next higher score, so that rounding moves no detection across it.
 
-    Args:
-        judge: the detector.
-        empty: images that show no vehicle.
-        alarms_per_km2: how many detections a square kilometre may have.
-
     Raises:
-        ConfigurationError: there is so little ground that not one detection is allowed, or the
-            detector is too sure of what is none.
+        ConfigurationError: the ground is too small to allow a single detection, or the detector is
+            too sure of its false alarms.
     """
     pixels = sum(width * height for width, height in empty.sizes_px)
     area_km2 = pixels * empty.gsd_m**2 / 1e6

@@ -46,9 +46,9 @@ SLIM_RATIOS = (0.45, 1.0, 2.2)
 FULL_SIDES_PX = (16.0, 32.0, 64.0, 128.0, 256.0)
 FULL_RATIOS = (0.5, 1.0, 2.0)
 # Measured: anchors a vehicle makes positive in RetinaNet (slim 8.8, full 7.8). With an empty truth
-# the focal sum is divided by it, so that a seen vehicle costs about one.
+# the focal sum is divided by it, so that a detected vehicle costs about one.
 POSITIVES_PER_VEHICLE = 8.0
-# Faster R-CNN's proposal network answers a seen vehicle from more anchors, and cross-entropy does
+# In Faster R-CNN's proposal network more anchors find a vehicle, and cross-entropy does
 # not saturate: the sum is about 60 per vehicle for the trained slim detector.
 EMPTY_PROPOSAL_DIVISOR = 64.0
 PRIOR_PROBABILITY = 0.01
@@ -56,10 +56,7 @@ PROPOSALS = {"slim": 100, "full": 300}
 
 
 class TorchvisionDetector(TrainableDetector):
-    """Normalising, padding and anchors without torchvision's transform.
-
-    That one would resize the images silently.
-    """
+    """Normalises, pads and makes anchors without torchvision's silently resizing transform."""
 
     def __init__(self, size: str, model: RetinaNet | FasterRCNN | FCOS) -> None:
         super().__init__()
@@ -71,7 +68,7 @@ class TorchvisionDetector(TrainableDetector):
 
     def _features(self, images: Tensor) -> tuple[dict[str, Tensor], ImageList]:
         check_images(images)
-        # Zero is the mean grey after normalising, so padding by zero adds no edge brighter than the
+        # Zero is the mean grey after normalising, so zero padding adds no edge brighter than the
         # image.
         padded = pad_to_stride(self._normalise(images), value=0.0)
         sizes = [(images.shape[-2], images.shape[-1])] * len(images)
@@ -99,8 +96,8 @@ class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2,
-            from scratch).
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
+            scratch).
     """
 
     name = "retinanet"
@@ -113,9 +110,9 @@ class RetinaNetDetector(TorchvisionDetector):
     ) -> Float[Tensor, " B"]:
         """torchvision's focal and box losses per image.
 
-        Each is divided by its image's positive anchors. With an empty truth torchvision leaves the
-        focal sum undivided; here it is divided by the positives one vehicle would have, so that one
-        seen vehicle costs about one. Anchors without a vehicle all count.
+        Each is divided by its image's positive anchors. With an empty truth torchvision does not
+        divide the focal sum; here it is divided by the positives of a single vehicle, so that one
+        detected vehicle costs about one. All anchors without a vehicle count.
         """
         check_targets(images, targets)
         outputs, anchors = self._outputs(images)
@@ -136,7 +133,7 @@ class RetinaNetDetector(TorchvisionDetector):
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every anchor's decoded box and sigmoid score, the best of its classes."""
+        """Every anchor's decoded box, with the best sigmoid score among its classes."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
         boxes = self.model.box_coder.decode_single(
@@ -151,23 +148,21 @@ class RetinaNetDetector(TorchvisionDetector):
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         named, image_list = self._features(images)
         features = list(named.values())
-        # Images of one batch share their size and so their anchors.
+        # Images of one batch share their size and therefore their anchors.
         return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
 
 
 class FasterRcnnDetector(TorchvisionDetector):
-    """torchvision's Faster R-CNN for one class (section 5.3).
+    """torchvision's Faster R-CNN for one class, never resizing, without random draws (section 5.3).
 
-    It never resizes, and nothing is drawn at random.
-
-    Differences from torchvision: instead of a random sample of anchors and regions all of them
-    count. The proposal network's sums are divided by its positive anchors (as RetinaNet's are; by
-    a constant with an empty truth), because a mean over all anchors would drown the vehicles; the
-    regions' cross-entropy is the mean over all proposals.
+    Differences from torchvision: all anchors and regions count instead of a random sample. The
+    proposal network's sums are divided by its positive anchors (as RetinaNet's are; by a constant
+    with an empty truth), because a mean over all anchors would drown the vehicles; the regions'
+    cross-entropy is the mean over all proposals.
 
     Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2,
-            from scratch).
+        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
+            scratch).
     """
 
     name = "faster_rcnn"
@@ -198,25 +193,22 @@ class FasterRcnnDetector(TorchvisionDetector):
             region_loss = self._region_loss(image_logits, image_deltas, regions[index], truth)
             total = proposal_loss + region_loss
             if not len(truth):
-                # The library subtracts numbers as large as a logit: what an image without any
-                # doubt costs is lost in their rounding, and would be exactly 0.
+                # The library subtracts numbers as large as a logit: the tiny cost of a safely empty
+                # image is lost in their rounding, and would be exactly 0.
                 sure = _cost_of_the_sure(objectness[index], image_logits)
                 total = torch.where(total > 0, total, sure)
             losses.append(total)
         return torch.stack(losses)
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every proposal's box and score, both of its best vehicle class.
-
-        Rows beyond those of an image are not valid.
-        """
+        """Every proposal's box and score of its best vehicle class; padding rows are not valid."""
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
         counts = [len(own) for own in proposals]
         scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
         columns = torch.tensor(self.vehicle_classes, device=best.device)[best]
-        # Of no region at all torchvision leaves the classes' boxes in one row.
+        # Without any region torchvision leaves the classes' boxes in one row.
         decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(
             len(best), logits.shape[1], 4
         )
@@ -237,7 +229,7 @@ class FasterRcnnDetector(TorchvisionDetector):
 
         Returns:
             Objectness `[B, A]`, box deltas `[B, A, 4]`, the anchors `[A, 4]` that all images share,
-            and per image its proposals.
+                and the proposals of each image.
         """
         network = self.model.rpn
         features = list(named.values())
@@ -248,7 +240,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         batch = len(image_list.image_sizes)
         objectness = objectness.view(batch, -1)
         deltas = deltas.view(batch, -1, 4)
-        # As in torchvision no gradient flows through where the proposals lie.
+        # As in torchvision no gradient flows through the places of the proposals.
         boxes = network.box_coder.decode_single(
             deltas.detach().flatten(0, 1), anchors.repeat(batch, 1)
         )
@@ -260,7 +252,7 @@ class FasterRcnnDetector(TorchvisionDetector):
     def _region_outputs(
         self, named: dict[str, Tensor], regions: list[Tensor], image_list: ImageList
     ) -> tuple[Tensor, Tensor]:
-        # By their names the head knows which levels it reads: not the proposals' coarsest one.
+        # The names tell the head which levels to read: all but the proposals' coarsest.
         heads = self.model.roi_heads
         return heads.box_predictor(
             heads.box_head(heads.box_roi_pool(named, regions, image_list.image_sizes))
@@ -288,7 +280,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor
     ) -> Tensor:
         if not len(regions):
-            # Nothing was proposed: a mean over no region would not be finite.
+            # There is no proposal: a mean over no region would not be finite.
             return logits.sum()
         heads = self.model.roi_heads
         target = as_targets(truth)
@@ -303,14 +295,11 @@ class FasterRcnnDetector(TorchvisionDetector):
 
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
-    """The loss with an empty truth, where every anchor and every region is surely background.
+    """The loss with an empty truth, whose anchors and regions are all surely background.
 
-    It is the same sum of cross-entropies, written so that it stays exact, and so above 0, for
-    scores near 0; for scores near 1 torch's own form is as good.
-
-    Args:
-        objectness: `[A]` logits of the anchors.
-        logits: `[R, C]` of the regions; column 0 is the background.
+    It is the same sum of cross-entropies, in a form that stays exact, and so above 0, for scores
+    near 0; for scores near 1 torch's own form is as good. Column 0 of the regions' logits is the
+    background.
     """
     cost = functional.softplus(objectness).sum() / EMPTY_PROPOSAL_DIVISOR
     if len(logits):
@@ -327,7 +316,7 @@ def _build_retinanet(size: str) -> RetinaNet:
         model.anchor_generator = AnchorGenerator(thirds, (FULL_RATIOS,) * len(thirds))
         return model
     anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
-    # Before the backbone: the order decides which initial weights a seed gives.
+    # This comes before the backbone: the order decides the initial weights of a seed.
     head = RetinaNetHead(
         PYRAMID_CHANNELS,
         anchors.num_anchors_per_location()[0],
@@ -371,7 +360,7 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
         for layer in model.rpn.head.conv.modules():
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-    # All negatives count from the first step on, so they must start as improbable as in RetinaNet.
+    # All negatives count from the first step, so they must start as improbable as in RetinaNet.
     nn.init.constant_(
         model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY)
     )

@@ -1,4 +1,4 @@
-"""Training a detector from nothing, in a loop that survives a kill (section S1.1)."""
+"""Trains a detector from scratch, in a loop that survives a kill (section S1.1)."""
 
 from __future__ import annotations
 
@@ -47,22 +47,23 @@ def train(
     generator: torch.Generator,
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> DetectorCard:
-    """Trains `detector` where it lies, and leaves the best averaged weights in it and in `folder`.
+    """Trains `detector` in place; its best averaged weights end in it and in `folder`.
 
-    A finished folder is loaded and not trained again. An unfinished one goes on from its checkpoint
-    with the same order of images and the same augmentation; on a CPU with the same number of
-    threads the result is the same bit for bit as without the interruption.
+    A finished folder is loaded and not trained again. An unfinished one continues from its
+    checkpoint with the same order of images and the same augmentation; on a CPU with the same
+    number of threads the result equals that of an uninterrupted training bit for bit.
 
     Args:
         detector: fresh from `build_detector`, on the device to train on.
         training: images of any sizes, with or without vehicles; ignore regions are painted over
-            with the mean colour, and of images larger than 384 px random windows are shown (see
+            with the mean colour, and images larger than 384 px are shown in random windows (see
             `batches.window`).
-        validation: chooses the best weights (centre AP, then F1) and freezes the threshold.
+        validation: images that choose the best weights (centre AP, then F1) and freeze the
+            threshold.
         settings: see `TRAINING_PRESETS`.
-        folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`;
-            `checkpoint.safetensors` until finished.
-        generator: one number is drawn from it: the seed of order and augmentation.
+        folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors`
+            until finished.
+        generator: source of one number, the seed of order and augmentation.
         on_step: called with each row of `steps.jsonl`, for progress display.
 
     Returns:
@@ -72,7 +73,7 @@ def train(
         ConfigurationError: no training image, or no vehicle to validate with.
         NotFiniteError: the loss, its gradient or a weight is no longer finite; the last checkpoint
             stays.
-        RunFolderError: the folder holds a training with other settings or images, somebody else
+        RunFolderError: the folder holds a training with other settings or images, another process
             works there, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
@@ -113,7 +114,7 @@ def train(
         on_row=on_step,
     )
     with alone(folder):
-        # Somebody else may have finished it in the meantime.
+        # Another process may have finished it in the meantime.
         if (folder / "detector.json").exists():
             return _finished(detector, folder, identity)
         loop.resume()
@@ -132,7 +133,7 @@ def _take_steps(
     settings: TrainingSettings,
     loop: Loop,
 ) -> None:
-    """Takes the steps that are left; the best averaged weights are in the loop's part "best"."""
+    """Takes the remaining steps; the best averaged weights are in the loop's part "best"."""
     averaged = cast(AveragedModel, loop.parts["averaged"])
     follower = cast(TrainableDetector, averaged.module)
     optimiser = cast(torch.optim.AdamW, loop.parts["optimiser"])
@@ -152,7 +153,7 @@ def _take_steps(
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
-        # Asked once for both: a graphics processor has to be waited for.
+        # One transfer for both, because each one waits for the GPU.
         if not torch.isfinite(loss.detach() + norm):
             raise NotFiniteError(
                 f"The training loss is {loss.item():g} and its gradient {float(norm):g} at step "
@@ -199,9 +200,9 @@ class _Best:
         self.weights: dict[str, Tensor] = {}
 
     def keep(self, detector: nn.Module, scores: dict[str, float], step: int) -> None:
-        """Keeps these weights unless those before score higher."""
+        """Keeps these weights unless the earlier ones score higher."""
 
-        # Centre AP is compared to 0.01 points: below that F1 decides.
+        # Centre AP is compared to 0.01 points; F1 decides between equals.
         def rank(values: dict[str, float]) -> tuple[float, float]:
             return round(values["ap_centre_1m"], 4), values["f1"]
 
@@ -218,7 +219,7 @@ class _Best:
 
 
 def _optimiser(detector: nn.Module, settings: TrainingSettings) -> torch.optim.AdamW:
-    """Makes AdamW at a learning rate of 1, to be multiplied; biases and norms do not decay."""
+    """Makes AdamW with a learning rate of 1, to be multiplied; biases and norms do not decay."""
     decayed = [parameter for parameter in detector.parameters() if parameter.ndim > 1]
     others = [parameter for parameter in detector.parameters() if parameter.ndim <= 1]
     groups = [
@@ -241,13 +242,13 @@ def _averaged(detector: nn.Module, settings: TrainingSettings) -> AveragedModel:
                 kept_tensor.copy_(tensor)
 
     averaged = AveragedModel(detector, multi_avg_fn=follow, use_buffers=True)
-    # From 0 on it would begin as a copy of the weights after the first step.
+    # Counted from 0, it would begin as a copy of the weights after the first step.
     averaged.n_averaged.fill_(1)
     return averaged.eval().requires_grad_(False)
 
 
 def _learning_rate(step: int, settings: TrainingSettings) -> float:
-    """The learning rate of a step, counted from 0: a straight rise, then half a cosine to 0."""
+    """The learning rate of a step, counted from 0: a linear rise, then half a cosine to 0."""
     rise = max(1, round(settings.warm_up * settings.steps))
     if step < rise:
         return settings.learning_rate * (step + 1) / rise
@@ -269,10 +270,10 @@ def _check(training: Dataset, validation: Dataset) -> None:
 
 
 def check_validation(validation: Dataset) -> None:
-    """Refuses images that no threshold can be chosen on.
+    """Refuses images that cannot give a threshold.
 
     Raises:
-        ConfigurationError: no vehicle in them.
+        ConfigurationError: they hold no vehicle.
     """
     if not any(len(boxes) for boxes in validation.boxes):
         raise ConfigurationError(
@@ -286,7 +287,7 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
     told = stored.card.training
     known = told.get("identity")
     if isinstance(known, dict):
-        # Older cards say the images beside the identity, the first ones not at all.
+        # Older cards name the images beside the identity, the oldest not at all.
         images = {key: told.get(key, identity[key]) for key in ("data_sha256", "validation_sha256")}
         known = {**images, **known}
     refuse_other(folder, known, identity, _OTHER)

@@ -1,11 +1,11 @@
-"""YOLO through Ultralytics, ours and imported: the only file that imports it.
+"""YOLO through Ultralytics, trained here or imported: the only file that imports it.
 
 NOTICE: Ultralytics is licensed under AGPL-3.0. skyproof itself (Apache-2.0) neither contains nor
 requires it; installing the extra `skyproof[yolo]` and using this detector brings the terms of the
 AGPL-3.0 with it, for network services too.
 
-What Ultralytics builds today under this name is YOLOv5u: the backbone and neck of YOLOv5 with the
-anchor-free head and the task-aligned loss of YOLOv8. The anchors of the YOLOv5 of 2020 are ours
+Under the name YOLOv5 Ultralytics now builds YOLOv5u: the backbone and neck of YOLOv5 with the
+anchor-free head and the task-aligned loss of YOLOv8. The YOLOv5 of 2020 with anchors is ours
 (`anchor_detector`), on the backbone and neck that this file builds.
 """
 
@@ -33,23 +33,21 @@ from skyproof.detectors.features import pool_finest
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
-# Of the layers in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
+# Layer widths in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
 WIDTH_FACTORS = {"slim": 0.25, "full": 0.5}
 # The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
-# Of a network that is built from a stranger's architecture: 4 GB of weights, and as many numbers in
+# Limit for a network with a stranger's architecture: 4 GB of weights, and as many numbers in
 # all its answers to one image of 256 px.
 MOST_NUMBERS = 10**9
-# Of any layer's window. Memory is bounded by MOST_NUMBERS; a wide window computes without end.
+# The widest window of a layer. MOST_NUMBERS bounds memory, but a wide window computes forever.
 _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilation": (1, 8)}
 
 
 class YoloV5Detector(TrainableDetector):
-    """Ultralytics' YOLOv5u for one class (section 5.3).
-
-    It is built from its YAML file, without weights, and never fused.
+    """Ultralytics' YOLOv5u for one class (section 5.3), built without weights and never fused.
 
     Args:
         size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
@@ -79,9 +77,9 @@ class YoloV5Detector(TrainableDetector):
     ) -> Float[Tensor, " B"]:
         """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
 
-        Its terms are of box, class and distribution. Its sums are already divided by the target
+        It sums box, class and distribution terms. Its sums are already divided by the target
         scores, but by 1 with an empty truth; then they are divided by the ten points a vehicle
-        gets. Called per image, its factor "batch size" is 1.
+        gets. Each call sees one image, so its factor "batch size" is 1.
         """
         check_targets(images, targets)
         outputs = self._outputs(images)
@@ -119,12 +117,12 @@ class YoloV5Detector(TrainableDetector):
     def features(
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; of what the head is given."""
+        """See `FeatureDetector.features`; the features are the inputs of the head."""
         finest = self._outputs(images)["feats"][0]
         return pool_finest(finest, float(self.model.stride.min()), boxes)
 
     def _outputs(self, images: Tensor) -> dict[str, Any]:
-        """Runs the network; the answer is the same in both modes.
+        """Runs the network; the result is the same in both modes.
 
         Returns:
             The raw heads: boxes `[B, 64, A]`, scores `[B, 1, A]`, feature maps.
@@ -144,14 +142,14 @@ class YoloV5Detector(TrainableDetector):
 
 
 class YoloNetwork(TrainableDetector):
-    """Ultralytics' YOLO of any recent make and any classes, its weights yet to be loaded.
+    """Any recent Ultralytics YOLO with any classes, without its weights.
 
-    Of oriented boxes the upright hull counts. Of the two heads of YOLOv10 and YOLO26 that one is
-    read which the installed Ultralytics reads.
+    An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
+    installed Ultralytics reads counts.
 
     Args:
-        architecture: as `check_layers` has passed it.
-        vehicle_classes: whose best score is the vehicle's.
+        architecture: checked by `check_layers`.
+        vehicle_classes: classes that count as vehicles; a box gets the best score among them.
 
     Raises:
         ConfigurationError: ultralytics is not installed, or it cannot build the network.
@@ -171,10 +169,8 @@ class YoloNetwork(TrainableDetector):
     ) -> Float[Tensor, " B"]:
         """Ultralytics' class loss of the vehicle classes against an empty truth.
 
-        It is divided by the points a vehicle gets.
-
-        Boxes have no loss where there is no vehicle. The sigmoid scores of the classes are
-        independent.
+        It is divided by the points that one vehicle gets. Boxes have no loss without a vehicle. The
+        sigmoid scores of the classes are independent.
         """
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]
@@ -205,7 +201,7 @@ class YoloNetwork(TrainableDetector):
     def features(
         self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
     ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; of what the head is given."""
+        """See `FeatureDetector.features`; the features are the inputs of the head."""
         finest = self._outputs(images)["feats"][0]
         return pool_finest(finest, float(self.model.stride.min()), boxes)
 
@@ -219,7 +215,7 @@ class YoloNetwork(TrainableDetector):
 
 
 def yolov5_architecture(size: str) -> dict[str, Any]:
-    """Gives Ultralytics' YOLOv5n with another width of its layers.
+    """Gives Ultralytics' YOLOv5n with the layer width of a size.
 
     Raises:
         ConfigurationError: ultralytics is not installed, or a size that is none of `SIZES`.
@@ -235,7 +231,7 @@ def yolov5_architecture(size: str) -> dict[str, Any]:
 
 
 def build_model(architecture: Mapping[str, Any]) -> Any:
-    """Builds a stranger's network, its weights yet to be loaded.
+    """Builds a stranger's network, without its weights.
 
     Args:
         architecture: as `check_layers` describes it.
@@ -250,7 +246,7 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
         from ultralytics.nn.tasks import DetectionModel, OBBModel
 
         kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
-        # An architecture's activation is the library's for all networks from then on.
+        # The library would use an architecture's activation for all later networks.
         usual = Conv.default_act
         try:
             _refuse_giants(architecture)
@@ -258,7 +254,7 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
         except ConfigurationError:
             raise
         except Exception as error:
-            # Whatever a row of numbers can bring about in another library.
+            # A row of numbers can raise any exception in another library.
             raise ConfigurationError(
                 "the installed Ultralytics cannot build the network "
                 f"({' '.join(str(error).split())[:200]}); install the version that trained it."
@@ -270,9 +266,10 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
 
 
 def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
-    """Activates the first convolution of each SPPF whose row has no number of poolings.
+    """Activates the first convolution of each SPPF whose row gives no number of poolings.
 
-    So the later releases of Ultralytics 8.4 do and all before 8.4; those between do not.
+    All releases of Ultralytics before 8.4 and the later releases of 8.4 do this; those between do
+    not.
     """
     rows = [*architecture["backbone"], *architecture["head"]]
     for layer, (_, _, name, given) in zip(model.model, rows, strict=True):
@@ -283,7 +280,7 @@ def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
 
 
 def _refuse_giants(architecture: Mapping[str, Any]) -> None:
-    """Builds a network without memory for its numbers, and runs it so, to count them first.
+    """Builds and runs a network without memory for its numbers, to count them first.
 
     Raises:
         ConfigurationError: it has too many.
@@ -297,7 +294,7 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
         _refuse_wide_windows(layers)
         count = sum(parameter.numel() for parameter in layers.parameters())
         answer: Any = torch.zeros(1, 3, 256, 256)
-        # The head's own answers are as small as what it is given.
+        # The head's own outputs are as small as its input.
         for layer in list(layers)[:-1]:
             if layer.f != -1:
                 sources = [layer.f] if isinstance(layer.f, int) else layer.f
@@ -316,7 +313,7 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
 
 
 def _refuse_wide_windows(layers: torch.nn.Module) -> None:
-    """Refuses layers that look at far more of an image at once than those of a detector do.
+    """Refuses layers that see far more of an image at once than those of a detector do.
 
     Raises:
         ConfigurationError: there is one.
@@ -334,7 +331,7 @@ def _refuse_wide_windows(layers: torch.nn.Module) -> None:
 
 
 def _upright(half: Tensor, angles: Tensor) -> Tensor:
-    """Half sides `[..., 2]` of turned boxes to half sides of the upright boxes around them."""
+    """Turns half sides `[..., 2]` of turned boxes into those of the upright boxes around them."""
     cosine = angles.cos().abs()
     sine = angles.sin().abs()
     return torch.cat(
@@ -348,15 +345,12 @@ def _upright(half: Tensor, angles: Tensor) -> Tensor:
 
 @contextmanager
 def _quiet_import() -> Iterator[None]:
-    """Imports Ultralytics and leaves everything around it as it was.
-
-    There is no network, no usage statistics, no log line, no settings file at home and no patched
-    library.
+    """Imports Ultralytics without side effects: no network, statistics, log line or settings file.
 
     Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder,
-    replaces `torch.save`, and replaces Pillow's `Image.open` by one that installs packages when it
-    meets a damaged file; all are undone. Where the program imported Ultralytics before us, its
-    settings stay as they are.
+    and replaces `torch.save`; it also replaces Pillow's `Image.open` by one that installs packages
+    when it meets a damaged file. All are undone. If the program imported Ultralytics before us, its
+    settings stay.
     """
     logger = logging.getLogger("ultralytics")
     level = logger.level

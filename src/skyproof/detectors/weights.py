@@ -1,4 +1,4 @@
-"""The numbers that a network consists of: as plain tensors, and as one digest."""
+"""The numbers of a network, as plain tensors and as one digest."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from skyproof.storage import tensors_digest
 def weights_digest(detector: nn.Module) -> str:
     """Computes the SHA-256 over names, shapes and bytes of parameters and buffers.
 
-    It is equal before and after an attack, which leaves the detector as it was.
+    An attack leaves the detector unchanged, so its digest is equal before and after.
     """
     return tensors_digest(detector.state_dict())
 
 
 def plain_state(detector: nn.Module) -> dict[str, Tensor]:
-    """Copies parameters and buffers to the CPU, in plain layout, as safetensors wants them."""
+    """Copies parameters and buffers to the CPU, in the plain layout that safetensors needs."""
     return {
         name: tensor.detach().cpu().contiguous().clone()
         for name, tensor in detector.state_dict().items()

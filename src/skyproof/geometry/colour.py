@@ -1,4 +1,4 @@
-"""sRGB, which images are stored in; linear light, which adds up; CIELAB, which the eye judges by.
+"""sRGB for storage, linear light for sums, CIELAB for perceived differences.
 
 sRGB is that of IEC 61966-2-1.
 """
@@ -29,12 +29,12 @@ def srgb_to_linear(srgb: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
 class _SrgbToLinear(torch.autograd.Function):
     """Takes the derivative from the result, without another power.
 
-    Textures are large, and converted at every step.
+    Textures are large, and every step converts them.
     """
 
     @staticmethod
     def forward(context: Any, srgb: Tensor) -> Tensor:
-        # A power by exp and log, in a third of its time.
+        # exp and log take a third of the time of a power.
         curve = srgb.clamp(min=0.0).add_(0.055).mul_(1 / 1.055).log_().mul_(2.4).exp_()
         linear = torch.where(srgb <= 0.04045, srgb / 12.92, curve)
         context.save_for_backward(srgb, linear)
@@ -65,7 +65,7 @@ def srgb_to_cielab(srgb: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
 
 
 def cielab_to_srgb(cielab: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
-    """The inverse of `srgb_to_cielab`; colours that sRGB lacks are clipped."""
+    """The inverse of `srgb_to_cielab`; colours outside sRGB are clipped."""
     lightness, a, b = cielab.unbind(-1)
     y = (lightness + 16) / 116
     roots = torch.stack((y + a / 500, y, y - b / 200), dim=-1)

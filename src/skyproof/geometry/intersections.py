@@ -1,4 +1,4 @@
-"""Counts where a triangle mesh runs through itself."""
+"""Counts self-intersections of a triangle mesh."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ _CHUNK = 65_536
 
 @torch.no_grad()
 def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> int:
-    """Counts the pairs of triangles of which an edge of one goes through the inside of the other.
+    """Counts the pairs of triangles in which an edge of one passes through the inside of the other.
 
     Triangles that share a vertex are neighbours and never count, even if one is folded through the
-    other. Touching and lying flat on each other do not count either.
-
-    Args:
-        vertices: metres.
-        faces: indices into `vertices`.
+    other. Touching and coplanar triangles do not count either.
     """
     triangles = vertices.double()[faces]
     if not len(triangles):
@@ -51,14 +47,14 @@ def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) ->
 def _cross(
     a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
 ) -> Bool[Tensor, " P"]:
-    """Says whether an edge of one triangle goes through the other."""
+    """Whether an edge of one triangle passes through the other."""
     return _edge_through(a, b, touching) | _edge_through(b, a, touching)
 
 
 def _edge_through(
     a: Float[Tensor, "P 3 3"], b: Float[Tensor, "P 3 3"], touching: float
 ) -> Bool[Tensor, " P"]:
-    """Says whether an edge of `a` goes through the inside of `b`, by signed volumes."""
+    """Whether an edge of `a` passes through the inside of `b`, by signed volumes."""
     through = torch.zeros(len(a), dtype=torch.bool, device=a.device)
     b0, b1, b2 = b.unbind(1)
     above = torch.stack([_volume(b0, b1, b2, corner) for corner in a.unbind(1)], dim=1)

@@ -1,4 +1,4 @@
-"""Computes normals, edges and volume of triangle meshes."""
+"""Normals, edges and volume of triangle meshes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "3 C M"]:
-    """Returns what vertices have at the three corners of every face, mesh by mesh: M = N * F.
+    """Returns vertex values at the three corners of every face, mesh by mesh: M = N * F.
 
     Every corner's every channel is one plane, because arithmetic on rows of two or three numbers
     takes several times as long.
@@ -33,7 +33,7 @@ def vertex_normals(
     normals = face_normals.new_zeros(3, count * size)
     for corner in faces.t():
         normals = normals.index_add(1, (corner + meshes).flatten(), face_normals)
-    # The tiny constant keeps a vertex whose faces all have zero area finite.
+    # The tiny constant keeps the normal finite if all faces of a vertex have zero area.
     normals = normals / (normals.square().sum(0) + 1e-20).sqrt()
     return normals.t().view(count, size, 3)
 
@@ -41,15 +41,12 @@ def vertex_normals(
 def enclosed_volume_m3(
     vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
 ) -> Float[Tensor, " N"]:
-    """Returns the volume inside closed meshes, by the divergence theorem.
+    """Returns the volume inside closed meshes, by the divergence theorem; vertices are in metres.
 
-    Space that is enclosed twice counts twice.
-
-    Args:
-        vertices: metres.
-        faces: counter-clockwise seen from outside, else the volume is negative.
+    Space that is enclosed twice counts twice. Faces are counter-clockwise seen from outside, else
+    the volume is negative.
     """
-    # Around their own middle, so that the sum has no large terms that cancel.
+    # Coordinates are centred, so that the sum has no large terms that cancel.
     corners = (vertices - vertices.mean(dim=1, keepdim=True)).double()[:, faces]
     a, b, c = corners.unbind(2)
     return ((torch.linalg.cross(a, b) * c).sum(-1).sum(-1) / 6).to(vertices.dtype)
@@ -59,7 +56,7 @@ def enclosed_volume_m3(
 def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
     """Returns the undirected edges of a closed mesh and the two faces at each.
 
-    The first face has the edge in the order given, the second in the opposite order.
+    The first face has the edge in the given order, the second in the opposite order.
 
     Raises:
         ValueError: the mesh is not closed and consistently oriented.

@@ -23,9 +23,9 @@ def project(
     gsd_m: float,
     size_px: int,
 ) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
-    """Projects world points along parallel rays onto the ground and so onto the pixel grid.
+    """Projects world points along parallel rays onto the ground, and so onto the pixel grid.
 
-    With `direction` towards the sun instead of the camera, this is where the points' shadows fall.
+    If `direction` points to the sun instead of the camera, the results are the points' shadows.
 
     Args:
         points: metres; x east, y north, z up.
@@ -35,7 +35,7 @@ def project(
 
     Returns:
         Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel),
-        and depth in metres: smaller is nearer to the viewer.
+            and depth in metres: smaller is nearer to the viewer.
     """
     lean = (direction[:, :2] / direction[:, 2:])[:, None]
     ground = points[..., :2] - points[..., 2:] * lean

@@ -1,4 +1,4 @@
-"""Which triangle each sample sees: exact, without padding, the same code on CPU and GPU."""
+"""Finds the triangle that each sample sees: exact, without padding, the same on CPU and GPU."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _NOTHING = torch.iinfo(torch.int64).max
 # A key holds the depth in 0.01 mm above these bits, and the face in them.
 _FACE_BITS = 31
 _DEPTH_ZERO = 1 << 30
-# Triangles are drawn in parts of this many, so that the memory of a large mesh stays bounded.
+# Triangles are drawn in parts of this size, to bound the memory of a large mesh.
 _TRIANGLES = 1 << 17
 
 
 class Visibility:
-    """What a grid of samples sees: one window of `S x S` samples for each of `N` bodies.
+    """The view of a grid of samples: one window of `S x S` samples for each of `N` bodies.
 
     Attributes:
-        keys: `[N, S, S]` depth and face packed into one integer; the largest one where nothing is.
+        keys: `[N, S, S]` depth and face packed into one integer; the largest one for empty samples.
         covered: `[K]` flat indices into `keys` of the samples that see a triangle.
-        x: `[K]` the column of each of them in its window.
-        y: `[K]` its row.
-        vehicle: `[K]` whose window it lies in.
-        face: `[K]` which face it sees.
+        x: `[K]` column of each of them in its window.
+        y: `[K]` row of each of them.
+        vehicle: `[K]` index of its window.
+        face: `[K]` index of the visible face.
     """
 
     def __init__(self, keys: Int[Tensor, "N S S"]) -> None:
@@ -41,7 +41,7 @@ class Visibility:
         self.face: Int[Tensor, " K"] = flat.index_select(0, self.covered) & ((1 << _FACE_BITS) - 1)
 
     def cells(self, factor: int) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
-        """Returns column and row of each sample's cell, where a cell is `factor` samples wide.
+        """Returns column and row of each sample's cell, which is `factor` samples wide.
 
         A look-up takes a fifth of the time of a division.
         """
@@ -49,13 +49,13 @@ class Visibility:
         return cell.index_select(0, self.x), cell.index_select(0, self.y)
 
     def find(self, sample: Int[Tensor, " M"]) -> Int[Tensor, " M"]:
-        """Returns where samples, flat indices into `keys`, stand in `covered`; K for empty ones."""
+        """Returns the indices of samples (flat indices into `keys`) in `covered`; K if empty."""
         place = torch.searchsorted(self.covered, sample)
         padded = torch.nn.functional.pad(self.covered, (0, 1), value=-1)
         return torch.where(padded.index_select(0, place) == sample, place, len(self.covered))
 
     def depth(self, sample: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
-        """Returns depth in metres at flat indices, to 0.01 mm; infinite where nothing is."""
+        """Returns depth in metres at flat indices, to 0.01 mm; infinite for empty samples."""
         key = self.keys.view(-1).index_select(0, sample)
         depth = ((key >> _FACE_BITS) - _DEPTH_ZERO).double() / 1e5
         return torch.where(key == _NOTHING, torch.inf, depth)
@@ -64,7 +64,7 @@ class Visibility:
 def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N F"]:
     """Returns twice the signed area of each projected triangle.
 
-    It is positive where the triangle shows its outside, as image y points down.
+    It is positive if the triangle shows its outside, as image y points down.
     """
     return _areas(at_corners(screen, faces)).view(len(screen), len(faces))
 
@@ -79,9 +79,7 @@ def barycentric(
 ) -> Float[Tensor, "3 K"]:
     """Returns the weights of a triangle's three corners at a point; differentiable in both.
 
-    Args:
-        corners: of any orientation, with an area.
-        point: one for each triangle, in the same unit.
+    Each triangle has an area, any orientation, and one point in the same unit.
     """
     a, b, c = corners
     to_b, to_c, to_point = b - a, c - a, point - a
@@ -103,16 +101,16 @@ def rasterise(
     """Finds the nearest triangle at the centre of every sample.
 
     Every triangle is cut into the rows of samples it crosses, every row into the samples between
-    its two edges. The nearest triangle wins by one integer minimum over (depth, face): at equal
-    depth, to 0.01 mm, the face that comes first.
+    its two edges. One integer minimum over (depth, face) finds the nearest triangle; at equal
+    depth, to 0.01 mm, the first face wins.
 
     Args:
         screen: vertices in samples, relative to the top-left corner of their own window.
         depth: metres, smaller is nearer, magnitude below 10 km.
         faces: shared by all bodies.
         size: S, samples along a side.
-        two_sided: also draws triangles that show their inside; without it only closed bodies
-            look as they should.
+        two_sided: whether triangles that show their inside are drawn, too; without it only closed
+            bodies look right.
 
     Raises:
         ValueError: there are more faces than the key has bits for, which is two billion.
@@ -149,8 +147,8 @@ def _draw(
     face: Int[Tensor, " T"],
     size: int,
 ) -> None:
-    """Lowers `keys` to the triangles `face` of the bodies `vehicle` where these are nearer."""
-    # Counted from a whole sample near the triangle, coordinates keep their digits.
+    """Lowers `keys` to the triangles `face` of the bodies `vehicle` that are nearer."""
+    # Coordinates relative to a whole sample near the triangle keep their digits.
     low = corners.amin(0)
     high = corners.amax(0)
     base = low.floor()
@@ -167,7 +165,7 @@ def _draw(
     offset = x_base.index_select(0, row)
     low_x = torch.maximum(span_low.ceil().long(), -offset)
     high_x = torch.minimum(span_high.floor().long(), size - 1 - offset)
-    # What the samples of a row share: their place at x step 0, and the depth there.
+    # The samples of a row share their place at x step 0, and the depth there.
     place = ((vehicle * size + y_base) * size + x_base).index_select(0, row) + y_step * size
     slope = depth_plane.index_select(1, row)
     start = torch.addcmul(slope[2], slope[1], y_step.to(corners.dtype))
@@ -214,12 +212,12 @@ def _planes(
 def _span(
     planes: Float[Tensor, "3 3 R"], row: Float[Tensor, " R"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
-    """Returns between which i all three weights are positive in a row of samples.
+    """Returns the range of i in which all three weights are positive in a row of samples.
 
     Empty spans have low > high.
     """
     per_i, per_j, constant = planes.unbind(1)
-    # A hair's breadth of tolerance closes the cracks that rounding opens between neighbours.
+    # A tiny tolerance closes the cracks that rounding opens between neighbours.
     rest = per_j * row + constant + 1e-5
     bound = -rest / per_i
     low = torch.where(per_i > 0, bound, -torch.inf).amax(0)

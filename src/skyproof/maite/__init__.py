@@ -1,8 +1,8 @@
-"""skyproof's components for MAITE, the interfaces of test and evaluation tools for models.
+"""skyproof's components for MAITE, a set of interfaces for tools that test and evaluate models.
 
-MAITE (Model and Artificial Intelligence Test and Evaluation) 0.10 defines what a model, dataset,
-augmentation and metric are; see docs/maite.md. The protocols are structural, so that these
-components need the library only where its own `evaluate` is called.
+MAITE (Model and Artificial Intelligence Test and Evaluation) 0.10 defines models, datasets,
+augmentations and metrics; see docs/maite.md. Its protocols are structural, so these components need
+the library only for its own `evaluate`.
 """
 
 from skyproof.maite.augmentation import CamouflageAugmentation

@@ -1,4 +1,4 @@
-"""A camouflage as a MAITE augmentation: scenes of ours are drawn again with it."""
+"""A camouflage as a MAITE augmentation: our scenes are rendered again with it."""
 
 from __future__ import annotations
 
@@ -26,25 +26,24 @@ from skyproof.vehicles.fleet import Fleet
 
 
 class CamouflageAugmentation:
-    """Draws the vehicles of rendered images again, camouflaged, and labels them anew.
+    """Renders the vehicles of rendered images again, camouflaged, and labels them anew.
 
-    It is no patch that is laid over pixels: the scene is rendered from its vehicles, light and
-    ground, with the settings that the dataset was rendered with. So it serves datasets that
-    skyproof rendered, and refuses all others.
+    It lays no patch over pixels: it renders the scene from its vehicles, light and ground, with the
+    settings of the dataset. So it only accepts datasets that skyproof rendered.
 
     Args:
         camouflage: a camouflage or its folder.
-        dataset: folder of the rendered dataset whose images will come, for its scenes.
-        backgrounds: the background set that they were rendered on.
-        fleet: the fleet that they were rendered with.
+        dataset: folder of the rendered dataset of the images, for its scenes.
+        backgrounds: background set of that dataset.
+        fleet: fleet of that dataset.
 
     Attributes:
         metadata: `id`, the camouflage's name.
 
     Raises:
         StoredFileError: a folder is missing or damaged.
-        ConfigurationError: another renderer drew the dataset, or nobody did; or its settings cannot
-            be had on this ground.
+        ConfigurationError: the dataset is not rendered, or by another renderer, or this ground does
+            not allow its settings.
     """
 
     def __init__(
@@ -73,16 +72,13 @@ class CamouflageAugmentation:
     def __call__(
         self, batch: Batch, /
     ) -> tuple[Sequence[np.ndarray], Sequence[Target], Sequence[Mapping[str, Any]]]:
-        """Draws a batch again.
-
-        Args:
-            batch: images, targets and metadata of a `VehicleDataset` of the same folder.
+        """Renders a batch of a `VehicleDataset` of the same folder again.
 
         Returns:
             The same scenes with the camouflage; the metadata name it as `camouflage`.
 
         Raises:
-            ConfigurationError: an image is of no scene of the dataset.
+            ConfigurationError: an image shows no scene of the dataset.
         """
         images, _, metadata = batch
         drawn = [
@@ -120,12 +116,12 @@ class CamouflageAugmentation:
 
 
 def _renderer_of(rendered: Dataset, ground: BackgroundSet) -> TorchRenderer:
-    """Opens the renderer that draws as the dataset was drawn, so that camouflage alone differs."""
+    """Opens the renderer with the dataset's settings, so that only the camouflage differs."""
     usual = TorchRenderer(ground).record(rendered.scenes)
     other = {key: value for key, value in rendered.rendering.items() if value != usual.get(key)}
     try:
         renderer = TorchRenderer(ground, msgspec.convert(other, RenderSettings))
-        # As it is stored: JSON makes lists of tuples.
+        # The stored form: JSON turns tuples into lists.
         record = json.loads(json.dumps(renderer.record(rendered.scenes)))
         same = record == rendered.rendering
     except (msgspec.ValidationError, ConfigurationError):

@@ -1,4 +1,4 @@
-"""Camouflages as a capability of checkmaite, which finds it by its entry point.
+"""Camouflages as a checkmaite capability, which checkmaite finds by its entry point.
 
 This is the one file that imports checkmaite, and nothing of skyproof imports this file.
 """
@@ -43,10 +43,10 @@ class SkyproofCamouflageConfig(CapabilityConfigBase):
 
 
 class SkyproofCamouflageOutputs(CapabilityOutputsBase):
-    """What each camouflage hides.
+    """The effect of each camouflage.
 
     Attributes:
-        hidden: per camouflaged dataset, by its id, what `HiddenVehicles.compute` gives.
+        hidden: result of `HiddenVehicles.compute` for each camouflaged dataset, by its id.
     """
 
     hidden: dict[str, dict[str, float | int | None]]
@@ -59,7 +59,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
     outputs: SkyproofCamouflageOutputs
 
     def collect_md_report(self, threshold: float) -> InlineTextReport:
-        """Writes the table of what each camouflage hides.
+        """Writes a table of the vehicles that each camouflage hides.
 
         Args:
             threshold: least share of the vehicles found before that the model must still find.
@@ -96,7 +96,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
 class SkyproofCamouflage(
     Capability[SkyproofCamouflageOutputs, od.Dataset, od.Model, od.Metric, SkyproofCamouflageConfig]
 ):
-    """Which vehicles camouflages hide from a model, in matched pairs.
+    """The vehicles that camouflages hide from a model, in matched pairs.
 
     It takes one model and datasets of the same images: the first without camouflage, each of the
     others with one, as `skyproof render --camouflage` writes them and `VehicleDataset` opens them.
@@ -110,7 +110,7 @@ class SkyproofCamouflage(
 
     @property
     def supports_datasets(self) -> Number:
-        """The one without camouflage, and at least one with it."""
+        """One without camouflage, and at least one with it."""
         return Number.MANY
 
     @property
@@ -156,7 +156,7 @@ class SkyproofCamouflage(
 
 
 def exports() -> dict[str, Any]:
-    """Gives checkmaite what it shows beside its own capabilities."""
+    """Gives checkmaite the additions to its own capabilities."""
     return {
         "__plugin_api_version__": "1.0.0",
         "SkyproofCamouflage": SkyproofCamouflage,
@@ -170,7 +170,7 @@ def _cell(value: object) -> str:
 
 
 def _percent(row: dict[str, float | int | None], key: str) -> str:
-    # What an earlier version kept has no limits of ASR.
+    # Results of an earlier version have no limits of ASR.
     value = row.get(key)
     return "not known" if value is None else f"{100 * value:.0f} %"
 

@@ -1,4 +1,4 @@
-"""Datasets of ours as MAITE datasets; pixels are decoded when they are asked for."""
+"""Our datasets as MAITE datasets; pixels are decoded on demand."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from skyproof.scenes.scene import Scene
 
 
 class VehicleDataset:
-    """A dataset folder of ours as a MAITE object-detection dataset, field by field, too.
+    """A dataset folder of ours as a MAITE object-detection dataset, with access field by field.
 
-    Beside its `id`, the metadata of an image holds
+    Besides its `id`, the metadata of an image holds
 
     - `img_gsd`: metres per pixel, the key that NRTK's sensor models read;
-    - `ignore`: `[m][4]` regions where nothing is scored, for which MAITE has no field of its own;
-    - of rendered scenes `rendering`, the renderer and the first digits of a digest of its settings;
-      `place`, the tile of ground, which is the cluster of all intervals; `vehicles` and
-      `placements`, per box which vehicle of the fleet it is and its number in the scene; and
-      `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
+    - `ignore`: `[m][4]` regions that are not scored, for which MAITE has no field;
+    - for rendered scenes `rendering`, the renderer and the first digits of a digest of its
+    settings; `place`, the tile of ground, which is the cluster of all intervals; `vehicles` and
+    `placements`, the fleet's vehicle and the index in the scene of each box; and
+    `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
 
     A vehicle out of sight, whose box has no area, is left out.
 
     Args:
-        folder: as `skyproof render` and `skyproof imagery frames` write them.
+        folder: a folder that `skyproof render` or `skyproof imagery frames` wrote.
 
     Attributes:
         metadata: `id`, the folder's name and the first digits of a digest of its labels and of the
@@ -75,7 +75,7 @@ class VehicleDataset:
         return Target.of(self._images.boxes[index][self._in_sight(index)])
 
     def get_metadata(self, index: int, /) -> dict[str, Any]:
-        """Gives what is known of one image, without decoding it."""
+        """Gives the known facts about one image, without decoding it."""
         index = self._within(index)
         told: dict[str, Any] = {
             "id": self._images.ids[index],
@@ -98,7 +98,7 @@ class VehicleDataset:
 
 
 def scene_metadata(scene: Scene, placements: list[int]) -> dict[str, Any]:
-    """Gives what MAITE's metadata say of a scene of which these placements are in sight."""
+    """Gives the MAITE metadata of a scene with these placements in sight."""
     return {
         "place": scene.background.tile,
         "vehicles": [scene.placements[place].vehicle for place in placements],
@@ -116,8 +116,8 @@ def _rendering(images: Dataset) -> str:
 
 
 def _digest(images: Dataset) -> str:
-    """Tells one set from another, the same scenes with and without a camouflage, too."""
-    # Labels alone are the same under every texture; reading all images would take long.
+    """Distinguishes sets, including the same scenes with and without a camouflage."""
+    # Labels are the same under every texture, and reading all images would take long.
     sizes = [
         picture.path.stat().st_size
         for picture in images.pictures

@@ -1,4 +1,4 @@
-"""Matched statistics as a MAITE metric: what a change of the images hides from a model."""
+"""Matched statistics as a MAITE metric: the vehicles that a change of the images hides."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from skyproof.seeds import numpy_generator
 
 _RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")
 _NO_PIXELS = torch.zeros(3, 0, 0, dtype=torch.uint8)
-# Which vehicle: its image's id, and its number in the scene or among the boxes.
+# A vehicle: its image's id, and its number in the scene or among the boxes.
 _Vehicle = tuple[str, int]
 
 
 class HiddenVehicles:
-    """Which of the vehicles that a model found it does not find any more: our EASR with interval.
+    """The share of found vehicles that a model misses after a change: our EASR with its interval.
 
-    The model is asked once about the images as they were; MAITE's `evaluate` then hands it what
-    came of the changed ones: a camouflage, or any other augmentation that keeps every vehicle.
-    Images go by their `id`, vehicles by `placements` in the metadata, else by the order of boxes.
-    Of a dataset that knows several classes, boxes of the labels below are the vehicles.
+    The model sees the unchanged images once; MAITE's `evaluate` then passes the results on the
+    changed ones: a camouflage, or any other augmentation that keeps every vehicle. `id` identifies
+    an image; `placements` in the metadata, else the order of boxes, identifies a vehicle. If a
+    dataset has several classes, the boxes of the given labels are the vehicles.
 
     Args:
-        model: the MAITE model that will be evaluated.
+        model: the MAITE model to evaluate.
         dataset: the MAITE dataset without the change.
-        threshold: score from which on a detection counts; where not given, what the model's
-            metadata say, as those of `DetectorModel` do.
-        labels: of the model's classes that are vehicles, and of the dataset's, if it has several.
-        gsd_m: metres per pixel; where not given, what `img_gsd` in the metadata says.
-        match: how a detection and a vehicle are paired, a criterion of `match_detections`.
-        batch_size: images that the model is asked about at once.
+        threshold: score at or above which a detection counts; None takes that of the model's
+            metadata, as `DetectorModel` gives it.
+        labels: vehicle classes of the model, and of the dataset if it has several classes.
+        gsd_m: metres per pixel; None takes `img_gsd` of the metadata.
+        match: rule that pairs detections with vehicles, a criterion of `match_detections`.
+        batch_size: images per call of the model.
 
     Attributes:
         metadata: `id`.
@@ -72,7 +72,7 @@ class HiddenVehicles:
         self.metadata: dict[str, Any] = {"id": f"skyproof-hidden-vehicles-{match}"}
         self._threshold = float(known)
         self._labels = labels
-        # What knows one class has nothing but vehicles, whatever the model calls them.
+        # A dataset of one class holds only vehicles, under any name.
         self._one_class = len(dataset.metadata.get("index2label") or ()) == 1
         self._gsd_m = gsd_m
         self._made_for_m = model.metadata.get("gsd_m")
@@ -81,7 +81,7 @@ class HiddenVehicles:
         self._renderings: dict[str, Any] = {}
         self._numbers: dict[str, list[int]] = {}
         others: set[int] = set()
-        # What the intervals are crossed by: a place, and the vehicle that stands there.
+        # The intervals are crossed by place and by vehicle.
         self._cells: dict[_Vehicle, Cell] = {}
         self._before: dict[_Vehicle, bool] = {}
         self.reset()
@@ -98,7 +98,7 @@ class HiddenVehicles:
             )
 
     def reset(self) -> None:
-        """Forgets the changed images, not the unchanged ones."""
+        """Forgets the changed images, but not the unchanged ones."""
         self._changed: set[str] = set()
         self._after: dict[_Vehicle, bool] = {}
 
@@ -109,11 +109,11 @@ class HiddenVehicles:
         metadata_batch: Sequence[Mapping[str, Any]],
         /,
     ) -> None:
-        """Takes in what the model made of some changed images.
+        """Adds the model's results on some changed images.
 
         Raises:
-            ConfigurationError: an image was not among the unchanged ones, was rendered by another
-                renderer or with other settings than there, or came before.
+            ConfigurationError: an image is not among the unchanged ones, was rendered by another
+                renderer or with other settings, or came before.
         """
         for known in metadata_batch:
             image = str(known["id"])
@@ -138,18 +138,18 @@ class HiddenVehicles:
         self._after |= self._found(pred_batch, target_batch, metadata_batch)
 
     def compute(self) -> dict[str, Any]:
-        """Gives the rates, None where no vehicle was found before.
+        """Gives the rates, or None if no vehicle was found before.
 
         Returns:
             `easr` with `easr_low` and `easr_high`, its 95 % interval over places and vehicles;
-            `asr`, with such limits, and `er`, of which it is the difference; and the counts
-            `vehicles`, `found_before`, `hidden`, `found_only_since` and `places`. Only images of
-            which both versions came are counted.
+                `asr`, with such limits, and `er`, whose difference it is; and the counts
+                `vehicles`, `found_before`, `hidden`, `found_only_since` and `places`. Only images
+                with both versions count.
         """
         vehicles = [vehicle for vehicle in self._before if vehicle[0] in self._changed]
         cells = sorted({self._cells[vehicle] for vehicle in vehicles})
         row_of = {cell: row for row, cell in enumerate(cells)}
-        # A vehicle that the change put out of sight is not found.
+        # A vehicle that the change puts out of sight is not found.
         counts = count_pairs(
             (
                 (self._cells[vehicle], self._before[vehicle], self._after.get(vehicle, False))
@@ -181,7 +181,7 @@ class HiddenVehicles:
         targets: Sequence[Any],
         metadata: Sequence[Mapping[str, Any]],
     ) -> dict[_Vehicle, bool]:
-        """Matches the answers to a batch with its vehicles: which are found at the threshold."""
+        """Matches the detections of a batch with its vehicles, and tells which are found."""
         seen: dict[_Vehicle, bool] = {}
         for answer, target, known in zip(predictions, targets, metadata, strict=True):
             boxes = torch.as_tensor(np.asarray(target.boxes, dtype=np.float32)).reshape(-1, 4)
@@ -194,7 +194,7 @@ class HiddenVehicles:
                 numbers = [numbers[index] for index in vehicles]
                 names = [names[index] for index in vehicles]
             ignore = torch.tensor(known.get("ignore", []), dtype=torch.float32).reshape(-1, 4)
-            # The matcher reads labels alone.
+            # The matcher only reads labels.
             labelled = Dataset.of_images(
                 [_NO_PIXELS], [boxes], gsd_m=self._resolution(known), ignore=[ignore]
             )
@@ -209,7 +209,7 @@ class HiddenVehicles:
         return seen
 
     def _numbers_of(self, image: str, known: Mapping[str, Any], boxes: int) -> list[int]:
-        """What tells the vehicles of an image apart, one per box."""
+        """The numbers that identify the vehicles of an image, one per box."""
         before = self._numbers.get(image, range(boxes))
         numbers = list(known.get("placements", before))
         if not boxes == len(numbers) == len(known.get("vehicles", numbers)):

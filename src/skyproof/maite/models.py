@@ -1,4 +1,4 @@
-"""Detectors both ways: ours as MAITE models, and MAITE models as detectors of ours."""
+"""Detectors both ways: ours as MAITE models, and MAITE models as our detectors."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class DetectorModel:
     """A detector of ours as a MAITE object-detection model.
 
     Args:
-        detector: a folder of ours, or what `load_detector` gives.
+        detector: a detector folder, or a result of `load_detector`.
 
     Attributes:
-        metadata: `id`, the name and the first digits of a digest of weights and threshold, since
-            tools keep results by it; `index2label`; and as our own additions `threshold`, the
-            frozen score from which on a detection counts, and `gsd_m`, the resolution that it was
-            made for. Answers are not cut at the threshold, so that MAITE's metrics see the whole
-            curve.
+        metadata: `id`, the name and the first digits of a digest of weights and threshold, because
+            tools file results under it; `index2label`; and our own additions `threshold`, the
+            frozen score at or above which a detection counts, and `gsd_m`, the resolution that the
+            detector was made for. Detections below the threshold are returned, too, so that MAITE's
+            metrics see the whole curve.
 
     Raises:
         StoredFileError: the folder is missing or damaged.
@@ -59,10 +59,10 @@ class DetectorModel:
         }
 
     def __call__(self, batch_input: Sequence[Any], /) -> Sequence[Target]:
-        """Finds vehicles; images may be of several sizes, and large ones are seen in windows.
+        """Finds vehicles; images may differ in size, and large ones are split into windows.
 
         Args:
-            batch_input: per image `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
+            batch_input: images `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
 
         Raises:
             ConfigurationError: an image has another shape or other values.
@@ -76,21 +76,21 @@ class DetectorModel:
 
 
 class ModelDetector:
-    """A MAITE object-detection model as a detector of ours, of which only the answers are known.
+    """A MAITE object-detection model as a black-box detector.
 
     Args:
-        model: any MAITE model of object detection, no matter from which library.
-        vehicle_classes: names in its `index2label` that are vehicles; may be left out where that
-            knows one class.
-        largest_value: of the images that it takes: 1 for floats in [0, 1], 255 for bytes. MAITE
-            does not prescribe it, and a model that is shown the wrong range finds nothing, or the
-            wrong things.
+        model: any MAITE model of object detection, from any library.
+        vehicle_classes: vehicle classes by their names in `index2label`; may be left out if that
+            has one class.
+        largest_value: largest value of its input images: 1 for floats in [0, 1], 255 for bytes.
+            MAITE does not prescribe it, and a model with the wrong range finds nothing, or the
+            wrong objects.
 
     Attributes:
-        name: the model's `id`, with hyphens for what cannot stand in a file's name.
+        name: the model's `id`, with hyphens for characters that file names do not allow.
 
     Raises:
-        ConfigurationError: the model does not know the classes, or several and none was named.
+        ConfigurationError: the model lacks the classes, or has several and none was named.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class ModelDetector:
 
 
 def is_maite_model(thing: object) -> bool:
-    """Whether something is to be asked as MAITE's models are: by a call, and not by `detect`."""
+    """Whether an object is called like a MAITE model, and not through `detect`."""
     metadata = getattr(thing, "metadata", None)
     return (
         callable(thing)
@@ -123,10 +123,10 @@ def is_maite_model(thing: object) -> bool:
 
 
 def _suppressed(found: Detections) -> Detections:
-    # What is not a number stays, to be noticed.
+    # NaN stays, so that a later check notices it.
     likely = ~(found.scores < LOWEST_SCORE)
     boxes, scores = found.boxes[likely], found.scores[likely]
-    # Most models suppress class by class: a van that may be a car, too, comes twice.
+    # Most models suppress class by class: a van that may also be a car comes twice.
     best = ops.nms(boxes, scores, SUPPRESSION_IOU)
     return Detections(boxes[best], scores[best])
 

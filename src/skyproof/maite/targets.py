@@ -1,4 +1,4 @@
-"""What MAITE's components hand to each other: images, boxes with labels, and words on each image.
+"""The data that MAITE's components exchange: images, labelled boxes, and metadata of each image.
 
 MAITE's protocols are structural, so nothing here imports the library.
 """
@@ -18,7 +18,7 @@ from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
 
 LABELS = {0: "vehicle"}
-"""Our detectors and datasets know one class."""
+"""Our detectors and datasets have one class."""
 
 Batch = tuple[Sequence[Any], Sequence[Any], Sequence[Mapping[str, Any]]]
 """Images, targets and metadata, as MAITE's data loaders yield them."""
@@ -26,12 +26,12 @@ Batch = tuple[Sequence[Any], Sequence[Any], Sequence[Mapping[str, Any]]]
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A MAITE object-detection target: true vehicles of an image, or those that were found in it.
+    """A MAITE object-detection target: the true vehicles of an image, or the detections in it.
 
     Attributes:
         boxes: `[N, 4]` pixel xyxy, half-open, origin at the top-left corner.
         labels: `[N]` zeros, the one class of `LABELS`.
-        scores: `[N]` in [0, 1]; ones where the vehicles are true.
+        scores: `[N]` in [0, 1]; ones for true vehicles.
     """
 
     boxes: Float[np.ndarray, "N 4"]
@@ -40,7 +40,7 @@ class Target:
 
     @classmethod
     def of(cls, boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"] | None = None) -> Target:
-        """Makes a target of vehicles; true ones where no scores are given."""
+        """Makes a target of vehicles; without scores they are true ones."""
         return cls(
             boxes=boxes.detach().cpu().numpy().astype(np.float32),
             labels=np.zeros(len(boxes), dtype=np.int64),
@@ -51,7 +51,7 @@ class Target:
 
 
 def batches(dataset: Any, size: int) -> Iterator[Batch]:
-    """Reads a MAITE dataset, some images at a time."""
+    """Reads a MAITE dataset batch by batch."""
     for start in range(0, len(dataset), size):
         data = [dataset[index] for index in range(start, min(start + size, len(dataset)))]
         images, targets, metadata = zip(*data, strict=True)
@@ -59,12 +59,9 @@ def batches(dataset: Any, size: int) -> Iterator[Batch]:
 
 
 def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
-    """Reads a MAITE image as sRGB bytes.
+    """Reads a MAITE image, any array-like `[3, H, W]`, as sRGB bytes.
 
-    MAITE prescribes no range of values: whole numbers are taken for 0 to 255, others for 0 to 1.
-
-    Args:
-        image: `[3, H, W]`, anything that NumPy makes an array of.
+    MAITE prescribes no range of values: whole numbers count as 0 to 255, others as 0 to 1.
 
     Raises:
         ConfigurationError: it has another shape, or values outside that range.
@@ -77,7 +74,7 @@ def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
         )
     whole = np.issubdtype(values.dtype, np.integer)
     most = 255 if whole else 1
-    # Not a number is neither below nor above, so it is asked whether all lie inside.
+    # NaN is neither below nor above the range, so the test is whether all values lie inside.
     if values.size and not (values.min() >= 0 and values.max() <= most):
         raise ConfigurationError(
             f"Images of {'whole numbers' if whole else 'floats'} are sRGB from 0 to {most} to "
@@ -91,15 +88,15 @@ def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
 def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
     """Reads a MAITE model's answer to one image.
 
-    Scores of several classes are probabilities that exclude each other, as MAITE's own rule that
-    they sum to at most 1 says; those of all vehicle classes are added up.
+    Scores of several classes are probabilities that exclude each other, because MAITE's rule lets
+    them sum to at most 1; the scores of all vehicle classes are added up.
 
     Args:
         target: boxes `[N, 4]`, labels `[N]`, scores `[N]` or `[N, classes]`.
-        labels: of the classes that are vehicles.
+        labels: labels of the vehicle classes.
 
     Returns:
-        What may be a vehicle, sorted by falling score.
+        The possible vehicles, sorted by falling score.
 
     Raises:
         ValueError: the answer has another shape.
@@ -114,10 +111,10 @@ def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
         likely = np.where(np.isin(np.asarray(target.labels), labels), scores, 0)
     if likely.shape != (len(boxes),):
         raise ValueError(f"{len(boxes)} boxes with scores of shape {list(scores.shape)}")
-    # What is surely no vehicle goes; what is not a number stays, to be noticed.
+    # Boxes that are surely no vehicle go; NaN stays, so that a later check notices it.
     kept = ~(likely <= 0)
     order = np.argsort(-likely[kept], kind="stable")
-    # MAITE lets sums exceed 1 by rounding.
+    # MAITE allows sums to exceed 1 by rounding.
     certain = np.where(likely[kept] < 1 + 1e-6, np.minimum(likely[kept], 1), likely[kept])
     return Detections(
         torch.from_numpy(boxes[kept][order]),

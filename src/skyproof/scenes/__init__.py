@@ -1,5 +1,4 @@
-"""Scenes as plain data: where, when, how many vehicles, and which ones.
+"""Scenes as plain data: place, time, and the number and choice of vehicles.
 
-Here also belong the background sets under them, with their splits and their sensor; what paints or
-cuts such a set belongs to `ground` and `imagery`.
+The room also holds background sets with their splits and sensors; `ground` and `imagery` make them.
 """

@@ -1,4 +1,4 @@
-"""The index of a background set: what each tile is, and what took the photographs."""
+"""The index of a background set: its tiles, and the sensor of the photographs."""
 
 from __future__ import annotations
 
@@ -37,22 +37,21 @@ class BackgroundTile:
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
         file: path inside the folder.
-        split: what it is for.
-        width_px, height_px: its size.
-        source: the image it was cut from, or "procedural".
-        offset_px: its left and top edge in the grid it was cut on, in pixels of the set's
-            resolution.
-        kind: of a procedural tile, what it shows.
-        licence: as the source states it, or None.
-        sensor: what took this tile, where that is not the set's.
-        light: how this tile shows light, where that is not the set's.
-        removed: the vehicles that stood on it before it was cleared.
-        drivable: path inside the folder of the map that says where vehicles may stand
-            (`skyproof.scenes.directions`); None where none may, or nobody looked.
+        split: purpose of the tile.
+        width_px, height_px: size of the tile.
+        source: source image, or "procedural".
+        offset_px: left and top edge in the grid of tiles, in pixels of the set's resolution.
+        kind: content of a procedural tile.
+        licence: licence that the source states, or None.
+        sensor: sensor of this tile, if it is not the set's.
+        light: light of this tile, if it is not the set's.
+        removed: vehicles that stood on it before it was cleared.
+        drivable: path inside the folder of the map of places for vehicles
+            (`skyproof.scenes.directions`); None if there are none or they are not known.
         shade: path inside the folder of the map of its shadows: they take v / 255 of the direct sun
-            from the ground there. None where there are none, or nobody looked.
-        cover: path inside the folder of the map of what hides the ground, such as crowns and roofs:
-            v / 255 of each pixel. None where nothing does, or nobody looked.
+            from the ground there. None if there are none or they are not known.
+        cover: path inside the folder of the map of crowns, roofs and other cover: v / 255 of each
+            pixel. None if there is none or it is not known.
     """
 
     id: Name
@@ -73,7 +72,7 @@ class BackgroundTile:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Its picture, and its maps of drivable ground, shadows and cover where it has them."""
+        """Its picture, and its maps of drivable ground, shadows and cover."""
         maps = [file for file in (self.drivable, self.shade, self.cover) if file is not None]
         return (self.file, *maps)
 
@@ -82,7 +81,7 @@ class BackgroundTile:
 class BackgroundIndex:
     """The content of `index.json`.
 
-    Sets of before there was a choice of sensor name none: vehicles had the paper's blur on them.
+    Old sets name no sensor: vehicles on them had the paper's blur.
     """
 
     format_version: Literal[1]
@@ -138,16 +137,10 @@ def save_map(
     tile_id: str,
     values: UInt8[np.ndarray, "H W"],
 ) -> str | None:
-    """Writes one of a tile's maps, whole or not at all.
-
-    Args:
-        folder: the background set's.
-        kind: which map.
-        tile_id: the tile's.
-        values: the map; what they mean says `BackgroundTile`.
+    """Writes one of a tile's maps, as `BackgroundTile` defines it, whole or not at all.
 
     Returns:
-        Its file inside the folder; None, and nothing is written, where it is 0 everywhere.
+        Its file inside the folder; None, without a file, if the map is 0 everywhere.
     """
     if not values.any():
         return None
@@ -164,7 +157,7 @@ def write_index(
     sensor: Sensor | None = None,
     light: Light | None = None,
 ) -> None:
-    """Writes the index, last of all: a folder without one is not a background set."""
+    """Writes the index last: a folder without one is not a background set."""
     index = {
         "format_version": FORMAT_VERSION,
         "gsd_m": gsd_m,
@@ -176,12 +169,7 @@ def write_index(
 
 
 def change_sensors(folder: Path, change: Callable[[Sensor], Sensor]) -> None:
-    """Changes a set's sensor, and those that tiles have of their own; all else in its index stays.
-
-    Args:
-        folder: background set.
-        change: gives for a sensor the one to put in its place.
-    """
+    """Applies `change` to the sensor of a set and to those of its tiles; all else stays."""
     index = read_index(Path(folder))
     tiles = [
         tile if tile.sensor is None else dataclasses.replace(tile, sensor=change(tile.sensor))

@@ -29,10 +29,10 @@ class BackgroundSet:
     """A folder `index.json` + `tiles/*.png`; tiles are decoded once and kept while memory allows.
 
     Attributes:
-        folder: where it lies.
+        folder: folder of the set.
         gsd_m: metres per pixel of every tile.
-        sensor: what took the tiles that name no sensor of their own.
-        light: how the tiles show light that name none of their own.
+        sensor: sensor of the tiles without their own.
+        light: light of the tiles without their own.
     """
 
     def __init__(
@@ -58,8 +58,7 @@ class BackgroundSet:
         """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote.
 
         Raises:
-            StoredFileError: the index is missing, damaged or of another version, two tiles share
-                an id or a file, or a tile lies outside the folder.
+            StoredFileError: as `read_index`.
         """
         folder = Path(folder)
         index = read_index(folder)
@@ -74,10 +73,10 @@ class BackgroundSet:
         return [tile for split in SPLITS for tile in self.tiles(split)]
 
     def tile(self, tile_id: str) -> BackgroundTile:
-        """The tile of that id.
+        """The tile with that id.
 
         Raises:
-            StoredFileError: this set has none; the scenes belong to another set.
+            StoredFileError: there is none; the scenes belong to another set.
         """
         if tile_id not in self._tiles:
             raise StoredFileError(
@@ -87,7 +86,7 @@ class BackgroundSet:
         return self._tiles[tile_id]
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
-        """What took the photograph that a window shows; vehicles are drawn as it shows them.
+        """The sensor of a window's photograph; vehicles are rendered with it.
 
         Raises:
             StoredFileError: the window's tile is not in this set.
@@ -95,7 +94,7 @@ class BackgroundSet:
         return self.tile(window.tile).sensor or self.sensor
 
     def light_of(self, window: BackgroundWindow) -> Light:
-        """How the photograph that a window shows shows light; vehicles on it are lit alike.
+        """The light of a window's photograph; vehicles on it are lit alike.
 
         Its sun is in the tile's axes, not the window's.
 
@@ -108,14 +107,14 @@ class BackgroundSet:
         """A whole tile, sRGB bytes.
 
         Raises:
-            StoredFileError: the tile's file is missing, damaged or of another size than the index
-                says.
+            StoredFileError: the tile's file is missing, damaged or of another size than in the
+                index.
         """
         tile = self.tile(tile_id)
         return self._kept(tile.file, lambda: self._decode(tile, tile.file))
 
     def directions(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of drivable ground, as `skyproof.scenes.directions` says; None without one.
+        """A tile's map of drivable ground, see `skyproof.scenes.directions`; None without one.
 
         Raises:
             StoredFileError: the map's file is missing, damaged or no such map.
@@ -130,7 +129,7 @@ class BackgroundSet:
         return directions
 
     def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of shadows, as `BackgroundTile.shade` says; None without one.
+        """A tile's map of shadows, see `BackgroundTile.shade`; None without one.
 
         Raises:
             StoredFileError: the map's file is missing or damaged.
@@ -138,7 +137,7 @@ class BackgroundSet:
         return self._map(tile_id, self.tile(tile_id).shade)
 
     def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of what hides the ground, as `BackgroundTile.cover` says; None without one.
+        """A tile's map of cover, see `BackgroundTile.cover`; None without one.
 
         Raises:
             StoredFileError: the map's file is missing or damaged.
@@ -151,13 +150,13 @@ class BackgroundSet:
         return self._kept(file, lambda: self._decode(self.tile(tile_id), file)[0].clone())
 
     def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
-        """Gives what a file holds, decoded once and kept while memory allows."""
+        """Gives the decoded content of a file, kept while memory allows."""
         with self._decoding:
             if file not in self._decoded:
                 self._decoded[file] = decode()
             self._decoded.move_to_end(file)
             pixels = self._decoded[file]
-            # The file that was asked for is the last one, and stays.
+            # The requested file is the last one, and stays.
             while (
                 len(self._decoded) > 1
                 and sum(kept.numel() for kept in self._decoded.values()) > CACHE_BYTES
@@ -172,7 +171,7 @@ class BackgroundSet:
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
         """Cuts a square window, sRGB in [0, 1].
 
-        On whole pixels and turned by quarters it is an exact copy, else bilinear.
+        On whole pixels and with quarter turns it is an exact copy, else bilinear.
 
         Raises:
             StoredFileError: the window's tile is not in this set, or the window reaches out of it.
@@ -182,12 +181,10 @@ class BackgroundSet:
     def cover_of(
         self, window: BackgroundWindow, size_px: int
     ) -> Float[Tensor, "size_px size_px"] | None:
-        """Cuts what hides the ground as `window` cuts the photograph; None without a map.
-
-        It is the part of each pixel, in [0, 1].
+        """Cuts the map of cover as `window` cuts the photograph, in [0, 1]; None without a map.
 
         Raises:
-            StoredFileError: as `window` and `cover` do.
+            StoredFileError: as `window` and `cover`.
         """
         cover = self.cover(window.tile)
         return None if cover is None else self._cut(cover[None], window, size_px)[0]
@@ -269,7 +266,7 @@ class BackgroundSet:
         return self.sample_window_on(tile, size_px, generator=generator)
 
     def window_tiles(self, split: str, size_px: int) -> list[BackgroundTile]:
-        """The tiles of a split that windows are cut from: those with room to turn, if there are.
+        """The tiles of a split for windows: those with room to turn, if there are any.
 
         Raises:
             ConfigurationError: no tile of the split is as large as the window.
@@ -289,9 +286,8 @@ class BackgroundSet:
     ) -> BackgroundWindow:
         """Draws a rotation, and a place with the window fully inside a tile that is large enough.
 
-        Where the tile has no room for a window turned by 45 degrees, as where both have the same
-        size, it is turned by quarters only and lies on whole pixels, so that the tile's pixels are
-        copied.
+        If the tile has no room for a window turned by 45 degrees, such as one of its own size, the
+        window turns by quarters only and lies on whole pixels, so that it copies the tile's pixels.
         """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
         if not _has_room_to_turn(tile, size_px):
@@ -316,7 +312,7 @@ def on_tile(
 ) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
     """Returns column and row on the tile of points of a scene, in pixels from its middle.
 
-    It is how `BackgroundSet.window` turns its pixels.
+    `BackgroundSet.window` turns its pixels in the same way.
     """
     cosine = math.cos(window.rotation_rad)
     sine = math.sin(window.rotation_rad)

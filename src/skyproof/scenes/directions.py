@@ -1,7 +1,7 @@
-"""Maps of drivable ground: where a vehicle's middle may be on a tile, and which way it heads.
+"""Maps of drivable ground: places for a vehicle's middle on a tile, and the heading there.
 
 A map has the size of its tile. A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1
-degrees from the tile's x axis (right) towards up, modulo 180: nose and tail are not told apart.
+degrees from the tile's x axis (right) towards up, modulo 180: nose and tail are not distinguished.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy import ndimage
 _Grid = NDArray[np.floating[Any]]
 
 HALF_WIDTH_M = 1.25
-"""Radius of the room about a vehicle's middle, and about two points of its long axis"""
+"""Radius of the room around a vehicle's middle, and around two points of its long axis"""
 REACH_M = 1.4
 """so far from there: together they hold a car of 4.5 m x 1.7 m with corners."""
 
@@ -31,13 +31,13 @@ def direction_values(heading_rad: _Grid) -> UInt8[np.ndarray, ...]:
 def with_room(
     directions: UInt8[np.ndarray, "H W"], free: Bool[np.ndarray, "H W"], pixel_m: float
 ) -> UInt8[np.ndarray, "H W"]:
-    """Keeps the places at which a vehicle has room: three discs in a row along its heading.
+    """Keeps the places with room for a vehicle: three discs in a row along its heading.
 
     A car of 4.5 m x 1.7 m fits, and the row is 5.3 m x 2.5 m.
 
     Args:
         directions: a map.
-        free: where nothing stands in the way. Beyond the map nothing is free.
+        free: ground without obstacles. Nothing beyond the map is free.
         pixel_m: metres per pixel of both.
     """
     rows, columns = np.nonzero(directions)

@@ -1,4 +1,4 @@
-"""The rectangles of ground that vehicles take, and whether two of them overlap."""
+"""The rectangles of ground below vehicles, and their overlaps."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Sizes = Mapping[str, tuple[float, float, float]]
 
 
 def footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
-    """Gives the ground that a vehicle takes, with half of the gap to the next on every side."""
+    """Gives the ground below a vehicle, with half of the gap to the next on every side."""
     length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
     return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
 
 
 def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
-    """Tells whether two turned rectangles share area, by the separating axis test."""
+    """Whether two turned rectangles share area, by the separating axis test."""
     dx = second[0] - first[0]
     dy = second[1] - first[1]
     for heading in (first[2], second[2]):

@@ -1,4 +1,4 @@
-"""How a photograph shows light: its exposure and haze, the sky's part of the light, and the sun."""
+"""How a photograph shows light: exposure and haze, the sky's share of the light, and the sun."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _Deviation = Annotated[float, Meta(ge=0, le=3.2)]
 
 @dataclass(frozen=True)
 class SunEstimate:
-    """Where the sun stood, and how sure that is.
+    """The estimated place of the sun, and its uncertainty.
 
     Attributes:
         azimuth_rad: direction towards the sun in the ground plane, from x (right in the tile)
             towards y (up).
-        elevation_rad: above the horizon.
+        elevation_rad: angle above the horizon.
         azimuth_sd_rad: standard deviation of the azimuth's error.
-        elevation_sd_rad: the same of the elevation.
-        known_from: in a few words, such as "shadows of 41 vehicles" or "date and time".
+        elevation_sd_rad: standard deviation of the elevation's error.
+        known_from: short source, such as "shadows of 41 vehicles" or "date and time".
     """
 
     azimuth_rad: Radians
@@ -47,7 +47,7 @@ class SunEstimate:
 
     @property
     def sun(self) -> Sun:
-        """The sun at the estimate itself, in the tile's axes."""
+        """The estimated sun, in the tile's axes."""
         return Sun(self.azimuth_rad, self.elevation_rad)
 
 
@@ -55,17 +55,17 @@ class SunEstimate:
 class Light:
     """How a photograph shows light. The default is the renderer's own: a clear day, well exposed.
 
-    All triples are linear red, green and blue, in units of the picture: 1 is the brightest value
-    that it can hold.
+    All triples are linear red, green and blue, in units of the picture: 1 is its brightest possible
+    value.
 
     Attributes:
-        white: what a white matt surface lying in the open sun is shown as; above 1 it burns out.
-        black: what a surface that sends no light is shown as: haze, stray light, raised blacks.
-        shoulder: from this brightness on the picture bends towards its brightest value instead of
+        white: value of a white matt surface in the open sun; above 1 it burns out.
+        black: value of a surface that sends no light: haze, stray light, raised blacks.
+        shoulder: brightness from which the picture bends towards its brightest value instead of
             clipping there, as film and most cameras do; 1 is plain clipping.
-        sky: the sky's part of the light on open ground, which is what is left in a wide shadow;
-            1 is an overcast sky without any sun.
-        sun: None where it is not known.
+        sky: the sky's share of the light on open ground, which remains in a wide shadow; 1 is an
+            overcast sky without any sun.
+        sun: place of the sun; None if not known.
     """
 
     white: tuple[_Level, _Level, _Level] = (1.0, 1.0, 1.0)
@@ -79,6 +79,6 @@ class Light:
 
 
 def rounded_levels(levels: Iterable[SupportsFloat]) -> tuple[float, float, float]:
-    """Returns red, green and blue as a light stores them: to four digits after the point."""
+    """Returns red, green and blue as a light stores them, with four decimal places."""
     red, green, blue = (round(float(level), 4) for level in levels)
     return red, green, blue

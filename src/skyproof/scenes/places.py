@@ -1,4 +1,4 @@
-"""Where scenes put vehicles, and what a tile knows of it. Imports no torch."""
+"""Choices of places for vehicles, and the vehicles removed from a tile. Imports no torch."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ DIRECTIONS = 180
 """The highest value in a map of drivable ground; see `skyproof.scenes.directions`."""
 
 Places = Literal["uniform", "removed", "drivable"]
-"""Anywhere; where vehicles stood before the ground was cleared; where vehicles may stand."""
+"""Any place; the places of vehicles before the ground was cleared; drivable ground."""
 
 HeadingFrom = Literal["label", "picture"]
-"""An oriented label said the heading, or it was estimated from the picture."""
+"""The heading comes from an oriented label, or from an estimate on the picture."""
 
 _Side = Annotated[float, Meta(gt=0, le=1000)]
 
 
 @dataclass(frozen=True)
 class RemovedVehicle:
-    """Where and how a vehicle stood that was removed from a tile.
+    """The place and heading of a vehicle that was removed from a tile.
 
     Attributes:
-        x_px: its middle in tile pixels from the left edge, continuous.
-        y_px: the same from the top edge.
-        heading_rad: from the tile's x axis (right) towards up, modulo pi: nose and tail are not
-            told apart. None where it is not known.
-        heading_from: how the heading is known; None where it is not.
-        length_m: in metres; None where not known.
-        width_m: the same.
+        x_px: middle in tile pixels from the left edge, continuous.
+        y_px: middle in tile pixels from the top edge.
+        heading_rad: angle from the tile's x axis (right) towards up, modulo pi: nose and tail are
+            not distinguished. None if not known.
+        heading_from: source of the heading; None if not known.
+        length_m: length in metres; None if not known.
+        width_m: width in metres; None if not known.
     """
 
     x_px: Coordinate

@@ -1,4 +1,4 @@
-"""Vehicles placed as in the photograph: where some were removed, or on drivable ground."""
+"""Places vehicles as in the photograph: on places of removed ones, or on drivable ground."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from skyproof.scenes.settings import SceneSettings
 
 SHIFT_M = 0.3
 TURN_RAD = math.radians(3)
-"""Standard deviations of a vehicle's place and heading about those that it is given."""
+"""Standard deviations of a vehicle's place and heading around the given ones."""
 NEAR_LENGTH_SHARE = 1 / 3
-"""Of the fleet, nearest in length to a removed vehicle: one of these takes its place."""
+"""Number of vehicles nearest in length to a removed one; one of them takes its place."""
 
 _TILES_TRIED = 60
 _WINDOWS_TRIED = 20
@@ -30,14 +30,14 @@ _POINTS_USED = 64
 
 @dataclass(frozen=True)
 class Place:
-    """Where a vehicle may stand in a scene.
+    """A possible place of a vehicle in a scene.
 
     Attributes:
         x_m: metres east of the image's middle.
-        y_m: the same northwards.
-        heading_rad: from x towards y; the vehicle may as well head the other way. None where any
-            heading will do.
-        length_m: of the vehicle that stood there; None where not known.
+        y_m: metres north of the image's middle.
+        heading_rad: angle from x towards y; the vehicle may also head the other way. None allows
+            any heading.
+        length_m: length of the vehicle that stood there; None if not known.
     """
 
     x_m: float
@@ -55,20 +55,19 @@ def place_vehicles(
     *,
     generator: torch.Generator,
 ) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
-    """Draws a window and vehicles at places that its ground has for them; none overlap.
+    """Draws a window and vehicles at places on its ground; none overlap.
 
-    The tile is uniform among those with places, the window uniform on it, among those that have
-    room for the fewest vehicles (one at least, unless no vehicle was drawn). Where a window has
-    more places than vehicles, a random subset is taken; where it has fewer, there are fewer
-    vehicles.
+    The tile is uniform among those with places. The window is uniform on it among those with room
+    for the fewest vehicles (one at least, unless no vehicle was drawn). If a window has more places
+    than vehicles, a random subset is taken; if it has fewer, there are fewer vehicles.
 
     Args:
-        settings: `places` says which places; all else as of `sample_scenes`.
+        settings: `places` chooses the places; all else as in `sample_scenes`.
         backgrounds: the ground.
-        split: which of it.
-        vehicle_sizes_m: per vehicle id its length, width and height.
-        half_m: how far from the middle vehicles' centres may lie on both axes.
-        generator: all draws are taken from it.
+        split: split of the ground.
+        vehicle_sizes_m: length, width and height of each vehicle id.
+        half_m: largest distance of vehicle centres from the middle on both axes.
+        generator: source of all draws.
 
     Raises:
         ConfigurationError: no tile has places, or no window with room for the fewest vehicles was
@@ -120,14 +119,14 @@ def _tiles_with_places(
 
 
 def removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
-    """Gives where vehicles stood on a tile, in the axes of a window; they may lie outside it."""
+    """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
     cosine = math.cos(window.rotation_rad)
     sine = math.sin(window.rotation_rad)
     places = []
     for vehicle in tile.removed:
         across = vehicle.x_px - window.centre_x_px
         down = vehicle.y_px - window.centre_y_px
-        # The window's x axis is the tile's turned to the left, so what is on it turns right.
+        # The window's x axis is the tile's turned to the left, so its content turns right.
         places.append(
             Place(
                 (cosine * across - sine * down) * gsd_m,
@@ -146,13 +145,9 @@ def drivable_places(
     *,
     generator: torch.Generator,
 ) -> list[Place]:
-    """Draws points of a window and gives those on drivable ground, with its direction there.
+    """Draws 1,024 points of a window, and gives the first 64 on drivable ground, with its heading.
 
-    Args:
-        backgrounds: the set with the window's tile.
-        window: the scene's ground.
-        half_m: how far from the window's middle they may lie on both axes.
-        generator: 1,024 points are drawn from it, and the first 64 that hit are given.
+    `half_m` is their largest distance from the window's middle on both axes.
 
     Raises:
         StoredFileError: the map is missing or damaged.
@@ -187,7 +182,7 @@ def _fill(
     *,
     generator: torch.Generator,
 ) -> tuple[Placement, ...]:
-    """Puts at most so many vehicles on places, taken in random order."""
+    """Puts at most `number` vehicles on places, in random order."""
     order = torch.randperm(len(places), generator=generator).tolist()
     placements: list[Placement] = []
     taken: list[tuple[float, float, float, float, float]] = []
@@ -207,7 +202,7 @@ def _fill(
 def _draws(
     place: Place, vehicle_sizes_m: Sizes, *, generator: torch.Generator
 ) -> Iterator[Placement]:
-    """Draws vehicles for a place, each a little off it and one way or the other."""
+    """Draws vehicles for a place, each slightly off it and facing either way."""
     names = sorted(vehicle_sizes_m)
     length_m = place.length_m
     if length_m is not None:

@@ -1,4 +1,4 @@
-"""Random scenes: how many vehicles, where, which way, under which camera, sun and weather."""
+"""Draws random scenes: number, places and headings of vehicles, camera, sun and weather."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 TRIES = 2000
 
 WIDEST_GAP_M = (0.6, 1.5)
-"""Between parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
+"""Gaps of parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
 LARGEST_SKEW_RAD = math.radians(3)
 
 
@@ -39,17 +39,17 @@ def sample_scenes(
     Places and headings are uniform too, unless `settings.places` takes them from the ground.
 
     Args:
-        settings: how they are drawn.
-        backgrounds: the ground under them, which also says how many metres a pixel has.
-        split: which of the backgrounds are used.
-        vehicle_sizes_m: per vehicle id its length, width and height; every id is equally likely.
-        count: how many scenes.
+        settings: settings of the draws.
+        backgrounds: the ground, and its metres per pixel.
+        split: split of the backgrounds.
+        vehicle_sizes_m: length, width and height of each vehicle id; every id is equally likely.
+        count: number of scenes.
         generator: every scene takes one 63-bit seed from it and draws all else from that seed.
         prefix: ids are `<prefix>-<number>`.
 
     Raises:
-        ConfigurationError: no tile is large enough, there are no vehicles to choose from, the
-            image has no room for its vehicles, or the ground no places for them.
+        ConfigurationError: no tile is large enough, there are no vehicles, or the image or the
+            ground has no room for them.
     """
     half_m = settings.half_m(backgrounds.gsd_m)
     if settings.vehicles_maximum > 0 and not vehicle_sizes_m:
@@ -86,7 +86,7 @@ def _sample_scene(
     ).tolist()
     if settings.places == "uniform":
         placements = _sample_placements(settings, vehicle_sizes_m, half_m, generator=generator)
-    # The weather is drawn last, so that everything else is the same whatever the conditions.
+    # The weather is drawn last, so that everything else is the same under all conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
     condition = settings.conditions[choice]
     strength = float(torch.rand(1, dtype=torch.float64, generator=generator))
@@ -108,7 +108,7 @@ def _sample_scene(
     known = backgrounds.light_of(window).sun
     if settings.sun == "photograph" and known is not None:
         photographed = _sun_of(known, window.rotation_rad, generator=generator)
-        # A low sun is drawn from the photograph's side, with longer shadows than are in it.
+        # A low sun comes from the photograph's side, with longer shadows than the photograph's.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
     placements = standing(
@@ -130,7 +130,7 @@ def _sample_scene(
 
 
 def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generator) -> Sun:
-    """Draws the photograph's sun, as surely as it is known, in the axes of a turned window."""
+    """Draws the photograph's sun, with its uncertainty, in the axes of a turned window."""
     azimuth, elevation = torch.randn(2, dtype=torch.float64, generator=generator).tolist()
     azimuth_rad = known.azimuth_rad + azimuth * known.azimuth_sd_rad - rotation_rad
     elevation_rad = known.elevation_rad + elevation * known.elevation_sd_rad
@@ -143,14 +143,14 @@ def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generat
 def _sample_placements(
     settings: SceneSettings, vehicle_sizes_m: Sizes, half_m: float, *, generator: torch.Generator
 ) -> tuple[Placement, ...]:
-    """Draws all vehicles at once until none overlap, so that free layouts stay equally likely."""
+    """Draws all vehicles anew until none overlap, so that free layouts are equally likely."""
     span = settings.vehicles_maximum - settings.vehicles_minimum + 1
     number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
     if number == 0:
         return ()
     names = sorted(vehicle_sizes_m)
     chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
-    # Where nobody parks nothing is drawn, so that such scenes stay as they always were.
+    # Without parked vehicles nothing is drawn, so that such scenes never change.
     if settings.parked_share and float(torch.rand(1, generator=generator)) < settings.parked_share:
         parked = _park(chosen, settings, vehicle_sizes_m, half_m, generator=generator)
         if len(parked) >= settings.vehicles_minimum:
@@ -191,13 +191,13 @@ def _park(
 ) -> tuple[Placement, ...]:
     """Parks vehicles in one row around a uniform place, bumper to bumper or side by side.
 
-    Vehicles that would stand beyond the margin are left out.
+    Vehicles beyond the margin are left out.
     """
     x, y, turn, kind = torch.rand(4, dtype=torch.float64, generator=generator).tolist()
     side_by_side = kind < 0.5
     row_rad = 2 * math.pi * turn
     widest_gap_m = WIDEST_GAP_M[0 if side_by_side else 1]
-    # Along the row: where each vehicle's middle is, and its heading.
+    # The middle of each vehicle along the row, and its heading.
     slots = []
     reached_m = 0.0
     draws = torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist()

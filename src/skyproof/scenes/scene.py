@@ -1,4 +1,4 @@
-"""A scene as plain data: its ground, camera, sun and weather, and which vehicles stand where."""
+"""A scene as plain data: ground, camera, sun, weather, and the vehicles and their places."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ MOST_PLACEMENTS = 1000
 """Vehicles in one scene."""
 
 Tilt = Annotated[float, Meta(ge=0, le=1.5)]
-"""Radians off the vertical; near the horizon a vehicle would reach endlessly far."""
+"""Radians off the vertical; near the horizon the image of a vehicle has no end."""
 
 SunElevation = Annotated[float, Meta(ge=0.01, le=math.pi / 2)]
-"""Radians above the horizon; nearer to it a shadow would reach endlessly far."""
+"""Radians above the horizon; a shadow of a lower sun has no end."""
 
 _Place = Annotated[float, Meta(ge=-1e5, le=1e5)]
 
@@ -37,10 +37,9 @@ class BackgroundWindow:
 
     Attributes:
         tile: id of the tile in its background set; the cluster of the bootstrap.
-        centre_x_px: the window's middle in tile pixels, from the tile's left edge, continuous.
-        centre_y_px: the same from the tile's top edge.
-        rotation_rad: the window's x axis is the tile's turned by this angle, counter-clockwise on
-            screen.
+        centre_x_px: middle of the window in tile pixels, from the tile's left edge, continuous.
+        centre_y_px: middle of the window in tile pixels, from the tile's top edge.
+        rotation_rad: angle from the tile's x axis to the window's, counter-clockwise on screen.
     """
 
     tile: Name
@@ -53,15 +52,15 @@ class BackgroundWindow:
 class Camera:
     """An aerial camera whose picture was rectified to the ground plane, as an orthophoto is.
 
-    Ground points land on the pixel grid whatever the tilt; a point at height h leans away from the
-    camera by h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
+    Ground points stay on the pixel grid at any tilt; a point at height h leans away from the camera
+    by h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
 
     Attributes:
         tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
         azimuth_rad: direction from the scene to the camera, in the ground plane, from x (east)
             towards y (north).
         gsd_m: metres per pixel.
-        size_px: the image is size_px x size_px; world (0, 0) is its centre, east is right, north is
+        size_px: width and height of the image; world (0, 0) is its centre, east is right, north is
             up.
     """
 
@@ -82,7 +81,7 @@ class Sun:
 
     Attributes:
         azimuth_rad: direction from the scene to the sun, from x (east) towards y (north).
-        elevation_rad: above the horizon.
+        elevation_rad: angle above the horizon.
     """
 
     azimuth_rad: Radians
@@ -99,13 +98,13 @@ class Placement:
     """One vehicle in a scene.
 
     Attributes:
-        vehicle: its id in the fleet.
-        x_m: its place, metres east of the image's middle.
-        y_m: the same northwards.
-        heading_rad: which way it points, from x towards y.
-        shade: the part of the direct sun that the photograph's shadows take from it.
-        covered: the part of its footprint that the photograph's crowns and roofs hide; 0 also for a
-            vehicle that stands on top of them.
+        vehicle: id in the fleet.
+        x_m: metres east of the image's middle.
+        y_m: metres north of the image's middle.
+        heading_rad: direction of its nose, from x towards y.
+        shade: share of the direct sun that the photograph's shadows take from it.
+        covered: share of its footprint that the photograph's crowns and roofs hide; 0 also for a
+            vehicle on top of them.
     """
 
     vehicle: Name
@@ -118,12 +117,12 @@ class Placement:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that is needed to draw one image again, but for the fleet and the background set.
+    """All data to render one image again, except the fleet and the background set.
 
     Attributes:
-        id: unique within its set; names its picture.
-        seed: of everything drawn while rendering (sensor noise).
-        weather: clear where not given.
+        id: unique within its set; name of its picture.
+        seed: seed of all draws of the rendering (sensor noise).
+        weather: weather and light; clear by default.
     """
 
     id: Name
@@ -136,12 +135,12 @@ class Scene:
 
 
 def write_scenes(path: Path, scenes: Iterable[Scene]) -> None:
-    """Writes a set of scenes, one JSON object a line."""
+    """Writes a set of scenes, one JSON object per line."""
     write_jsonl(path, map(_row, scenes))
 
 
 def read_scenes(path: Path) -> list[Scene]:
-    """Reads what `write_scenes` wrote.
+    """Reads a file of `write_scenes`.
 
     Raises:
         StoredFileError: the file is missing, not JSON lines, of another form or out of range; two
@@ -166,17 +165,17 @@ def read_scenes(path: Path) -> list[Scene]:
 
 
 def scenes_digest(scenes: Iterable[Scene]) -> str:
-    """Computes the SHA-256 of scenes; it is the same of drawn ones and of the file they became."""
+    """Computes the SHA-256 of scenes, which is the same for drawn and for stored ones."""
     return hashlib.sha256(msgspec.json.encode([_row(scene) for scene in scenes])).hexdigest()
 
 
 def _row(scene: Scene) -> dict[str, Any]:
     row = dataclasses.asdict(scene)
-    # Clear weather is not written, so that scenes of a clear day are one file in every version.
+    # Clear weather is not written, so that a file of clear scenes is the same in every version.
     if scene.weather == CLEAR:
         del row["weather"]
     for placement in row["placements"]:
-        # Nor is what the ground does not say.
+        # Nor are facts that the ground does not give.
         for name in ("shade", "covered"):
             if not placement[name]:
                 del placement[name]

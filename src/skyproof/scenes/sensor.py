@@ -1,4 +1,4 @@
-"""The sensor that took a photograph, or a set of photographs (section S2.1)."""
+"""The sensor of a photograph, or of a set of photographs (section S2.1)."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from msgspec import Meta
 from skyproof.ranges import check_ranges
 
 PAPER_BLUR_SIGMA_PX = 2.4
-"""What the paper found best for its own imagery (figure S5)."""
+"""The best blur for the paper's own imagery (figure S5)."""
 
 Blur = Annotated[float, Meta(ge=0, le=10)]
 Noise = Annotated[float, Meta(ge=0, le=0.5)]
 
 BlurChoice = Blur | Literal["paper"]
-"""A blur as users give it: a number of pixels, or the word for the paper's."""
+"""A blur as users give it: a number of pixels, or the word for the paper's blur."""
 
 _SHARPEST_PX = 0.01
 
 
 def chosen_blur_px(choice: BlurChoice) -> float:
-    """Returns the blur in pixels that a user's choice stands for."""
+    """Returns the blur in pixels for a user's choice."""
     return PAPER_BLUR_SIGMA_PX if choice == "paper" else choice
 
 

@@ -1,4 +1,4 @@
-"""How random scenes are drawn. Imports no torch, so that the command line answers at once."""
+"""Settings of random scenes. Imports no torch, so that the command line answers at once."""
 
 from __future__ import annotations
 
@@ -25,29 +25,32 @@ _Clearance = Annotated[float, Meta(ge=0, le=1000)]
 class SceneSettings:
     """How scenes are drawn; the defaults are the paper's test set.
 
-    How many metres a pixel has is not told here: the background set says it.
+    The background set gives the metres per pixel.
 
     Attributes:
-        size_px: the side of the image in pixels.
-        vehicles_minimum: the fewest vehicles in an image; 1 in an attack.
-        vehicles_maximum: the most vehicles in an image, every number between equally likely; 1 in
-            an attack.
-        tilt_maximum_rad: the camera is a uniform point on a disc of radius sin(tilt_maximum_rad).
-        sun: "photograph" for that of the ground, where it is known, else as the next two say, and
-            for its shadows, where they are known: a vehicle in one is in shadow; "uniform" for a
-            uniform azimuth and elevation and sunlit vehicles everywhere, as in the paper.
-        sun_elevation_minimum_rad: the lowest sun; the sun's azimuth is uniform.
-        sun_elevation_maximum_rad: the highest sun, every elevation between equally likely.
-        gap_m: the least free room between two vehicles.
-        margin_m: the least distance of a vehicle's centre from the image's edge.
-        places: where vehicles stand: uniform, anywhere and any way, as in the paper; removed, where
-            skyproof clear removed vehicles, near in length, a little off and either way round;
-            drivable, on ground where vehicles may stand, along it.
-        parked_share: of uniform places, the share of scenes whose vehicles stand in a row, bumper
-            to bumper or side by side, as parked ones do; 0 in the paper.
+        size_px: side of the image in pixels.
+        vehicles_minimum: fewest vehicles in an image; 1 in an attack.
+        vehicles_maximum: most vehicles in an image, every number between equally likely; 1 in an
+            attack.
+        tilt_maximum_rad: largest tilt; the camera is a uniform point on a disc of radius
+            sin(tilt_maximum_rad).
+        sun: photograph or uniform. "photograph" takes the sun and the shadows of the ground if they
+            are known: a vehicle in a shadow is dark; a sun that is not known is drawn as the next
+            two options say. "uniform" draws azimuth and elevation uniformly and lights vehicles
+            everywhere, as in the paper.
+        sun_elevation_minimum_rad: elevation of the lowest sun; the azimuth is uniform.
+        sun_elevation_maximum_rad: elevation of the highest sun, every elevation between equally
+            likely.
+        gap_m: least distance between two vehicles.
+        margin_m: least distance of a vehicle's centre from the image's edge.
+        places: places of vehicles: uniform (any place and heading, as in the paper), removed (the
+            places from which skyproof clear removed vehicles: similar in length, slightly off,
+            facing either way) or drivable (ground for vehicles, along its direction).
+        parked_share: share of scenes with uniform places whose vehicles stand in a row, bumper to
+            bumper or side by side, like parked ones; 0 in the paper.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
             low_sun, overcast, exposure, noise, jpeg. The same seed gives the same scenes under
-            every choice of conditions, but for the weather and the elevation of a low sun.
+            every choice of conditions, except for the weather and the elevation of a low sun.
     """
 
     size_px: ImageSide = 384
@@ -88,10 +91,7 @@ class SceneSettings:
             )
 
     def half_m(self, gsd_m: float) -> float:
-        """Returns how far from the middle vehicle centres may lie on both axes, in metres.
-
-        Args:
-            gsd_m: metres per pixel, which the background set says.
+        """Returns the largest distance of vehicle centres from the middle on both axes, in metres.
 
         Raises:
             ConfigurationError: the image has no room inside the margin.

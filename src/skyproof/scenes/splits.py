@@ -7,4 +7,4 @@ from typing import Literal, get_args
 Split = Literal["train", "validation", "attack", "test"]
 
 SPLITS: tuple[Split, ...] = get_args(Split)
-"""Disjoint in place: two are for training detectors and choosing thresholds, two for attacks."""
+"""Disjoint in place: two to train detectors and choose thresholds, two for attacks."""

@@ -15,7 +15,7 @@ from skyproof.scenes.footprints import Sizes, footprint
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
 _ALONG, _ACROSS = 9, 5
-"""Points of a vehicle's footprint at which the maps are read."""
+"""Points of a vehicle's footprint that read the maps."""
 
 _ON_TOP_FROM = 0.5
 
@@ -29,20 +29,14 @@ def standing(
     shadows: bool,
     on_top_from: float = _ON_TOP_FROM,
 ) -> tuple[Placement, ...]:
-    """Returns vehicles with what the ground says of the places where they stand.
+    """Returns vehicles with the shadow and cover of their places.
 
-    In shadow the whole vehicle gets the mean over its footprint, although its roof may reach out of
-    a shadow, and though a shadow's edge may cross it. Where crowns and roofs cover less than half
-    of the footprint the vehicle stands beneath them; where they cover more, it stands on top, as
-    uniform places put vehicles on anything (photographed vehicles chose their places, and do not).
+    A vehicle gets the mean shadow over its footprint, although its roof may reach out of a shadow,
+    and a shadow's edge may cross it. If crowns and roofs cover less than `on_top_from` of the
+    footprint, half by default, the vehicle stands beneath them, else on top, because uniform places
+    put vehicles on anything (photographed vehicles chose their places, and do not).
 
-    Args:
-        placements: where they stand.
-        backgrounds: the ground under them.
-        window: of the ground, that the scene shows.
-        vehicle_sizes_m: per vehicle id its length, width and height.
-        shadows: also take the sun from those that stand in shadow.
-        on_top_from: share of the footprint, from which on crowns and roofs are stood upon.
+    `shadows` says whether vehicles in shadow lose the sun, too.
 
     Raises:
         StoredFileError: a map of the tile is missing or damaged.

@@ -13,21 +13,21 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, check_ranges
 
 LOW_SUN_ELEVATION_RAD = (math.radians(8), math.radians(20))
-"""Under "low_sun" the sun's elevation is uniform between these, instead of the usual range."""
+"""The range of the sun's uniform elevation under "low_sun"."""
 
 
 @dataclass(frozen=True)
 class Weather:
-    """What lies between the ground and the picture; the default is a clear day and a good camera.
+    """Effects between the ground and the picture; the default is a clear day and a good camera.
 
     Attributes:
         condition: one of `CONDITIONS`; a name for tables, the numbers below decide the picture.
         haze: share of every pixel's light that is airlight instead, 0 to 1.
-        wetness: share of the ground that is wet, and so darker, 0 to 1; vehicles stay as they are.
+        wetness: share of the ground that is wet, and so darker, 0 to 1; vehicles do not change.
         overcast: share of the sun's direct light that comes from the whole sky instead, 0 to 1.
-        exposure_stops: the picture is 2^stops as bright, then clipped; -16 to 16.
+        exposure_stops: brightness factor 2^stops before clipping; -16 to 16.
         noise: standard deviation on the whole picture, sRGB units.
-        jpeg_quality: of a JPEG that the picture goes through, 1 to 95; None is no JPEG.
+        jpeg_quality: quality of a JPEG compression of the picture, 1 to 95; None for none.
     """
 
     condition: Name = "clear"
@@ -56,26 +56,24 @@ CONDITIONS: dict[str, Callable[[float], Weather]] = {
     "clear": lambda strength: CLEAR,
     "haze": lambda strength: Weather("haze", haze=_between(0.15, 0.45, strength)),
     "rain": lambda strength: Weather("rain", wetness=_between(0.7, 1.0, strength)),
-    # The lower the sun, the less of its direct light comes through the air.
+    # Less direct light of a lower sun comes through the air.
     "low_sun": lambda strength: Weather("low_sun", overcast=_between(0.3, 0.05, strength)),
     "overcast": lambda strength: Weather("overcast", overcast=_between(0.6, 1.0, strength)),
     "exposure": _exposure,
     "noise": lambda strength: Weather("noise", noise=_between(0.015, 0.05, strength)),
     "jpeg": lambda strength: Weather("jpeg", jpeg_quality=round(_between(60.0, 20.0, strength))),
 }
-"""Each known condition: a number from 0 to 1 to its weather."""
+"""For each condition, the weather at a strength from 0 to 1."""
 
 MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun")
-"""What detectors are trained under; all but rain, which was never tried on photographs."""
+"""Conditions of training: all but rain, which was never tested on photographs."""
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
-    """The weather of a condition (section S7).
+    """The weather of one of `CONDITIONS` (section S7) at a strength from 0 to 1.
 
-    Args:
-        condition: one of `CONDITIONS`.
-        strength: from 0 to 1, uniform where scenes are drawn. Of "low_sun" it is also the place
-            of the sun's elevation within `LOW_SUN_ELEVATION_RAD`.
+    Scenes draw a uniform strength. For "low_sun" it is also the place of the sun's elevation within
+    `LOW_SUN_ELEVATION_RAD`.
 
     Raises:
         ConfigurationError: there is no such condition.
