@@ -134,12 +134,7 @@ def alone(place: Path) -> Iterator[Hold]:
 
 @dataclass(frozen=True)
 class Hold:
-    """A lock in use.
-
-    Attributes:
-        descriptor: descriptor of the lock file; a child process that inherits it holds the lock,
-            too.
-    """
+    """A lock in use; a child process that inherits its file's descriptor holds it, too."""
 
     descriptor: int
 
@@ -205,11 +200,7 @@ def refuse_existing(path: Path) -> None:
 
 
 def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
-    """Keeps a stage from writing among foreign files.
-
-    Args:
-        folder: folder to write to; may be missing.
-        ours: names that the stage itself may have left there.
+    """Keeps a stage from writing among foreign files; `ours` names the files it may have left.
 
     Raises:
         RunFolderError: the folder is a file, or holds something else.
@@ -235,15 +226,10 @@ def file_digest(path: Path) -> str:
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:
-    """Gives the file below a folder that a foreign document names.
-
-    Args:
-        folder: the document's folder.
-        reference: name in the document, a `skyproof.ranges.FileReference`.
-        document: path of the document, for the message.
+    """Gives the file below `folder` that a document in it names.
 
     Raises:
-        StoredFileError: a link leads out of the folder.
+        StoredFileError: a link leads out of the folder; names the document.
     """
     path = Path(folder) / reference
     try:

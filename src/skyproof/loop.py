@@ -171,11 +171,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class _Record:
-    """The plain values of a checkpoint, beside its tensors.
-
-    Attributes:
-        digest: digest of all else; older checkpoints have none.
-    """
+    """The plain values of a checkpoint, with a digest of all else, which older checkpoints lack."""
 
     identity: Any
     step: WholeNumber
@@ -195,13 +191,7 @@ def _digest(record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
 
 
 def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: str) -> None:
-    """Keeps a run out of a folder that holds a run of another identity.
-
-    Args:
-        folder: the run's folder.
-        stored: identity in the folder, as read from JSON.
-        wanted: identity of the run.
-        other: name of the folder's run in the error.
+    """Refuses a folder with another stored identity; `other` names its run in the error.
 
     Raises:
         RunFolderError: the two identities differ.

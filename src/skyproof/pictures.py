@@ -127,13 +127,8 @@ def decoded(
 ) -> UInt8[np.ndarray, ...]:
     """Decodes an open picture, perhaps one that a library found inside another file.
 
-    Args:
-        picture: picture from Pillow.
-        mode: Pillow's name of the wanted pixels: "L", "RGB" or "RGBA".
-        place: name of the picture in the error.
-        remedy: advice of the error.
-        error: class of the error.
-        also: further formats of Pillow.
+    `mode` is Pillow's name of the wanted pixels: "L", "RGB" or "RGBA"; `place` names the picture in
+    the error; the other arguments are as in `open_picture`.
 
     Returns:
         Bytes, `[H, W]` for "L", else `[H, W, 3 or 4]`.

@@ -94,12 +94,10 @@ def check_ranges(settings: object) -> None:
 
 
 def check_value(name: str, value: Any, hint: Any) -> None:
-    """Checks one value against an annotation.
+    """Checks a value against an annotation with limits, such as `Count` or `tuple[Fraction, ...]`.
 
-    Args:
-        name: name of the value in the error.
-        value: a number, a text, or a tuple of such; numbers of NumPy, too.
-        hint: an annotation with limits, such as `Count` or `tuple[Fraction, ...]`.
+    The value, which `name` names in the error, is a number, a text, or a tuple of such; numbers of
+    NumPy, too.
 
     Raises:
         ConfigurationError: the value is out of its range, or of another type.

@@ -23,11 +23,8 @@ def write_tensors(
     """Writes tensors, and a record if there is one, to one file, whole or not at all.
 
     Record and tensors share a file, so that a kill can never leave one older than the other.
-
-    Args:
-        path: usually ends in `.safetensors`; a missing folder is made.
-        tensors: tensors by name, on any device; no two of them may share memory.
-        record: any JSON value; kept in the file's metadata.
+    Tensors may be on any device, but no two may share memory. The record is any JSON value. A
+    missing folder is made.
 
     Raises:
         NotFiniteError: a number in them is not finite; nothing is written.

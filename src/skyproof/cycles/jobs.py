@@ -71,13 +71,8 @@ class Job:
 def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
-    Windows end at the image's border plus the reach of the sensor's blur; a window has no area if
-    its vehicle is not near the image.
-
-    Args:
-        placed: the vehicles.
-        margin_px: ground around each vehicle.
-        borders_px: reach of the blur, one per image.
+    Windows end at the image's border plus the reach of the sensor's blur (`borders_px`, one per
+    image); a window has no area if its vehicle is not near the image.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
@@ -99,15 +94,8 @@ def crop_jobs(
     """One job for every vehicle that the image may show.
 
     A crop also holds the scene's other vehicles that reach into it: they hide and shade each other.
-
-    Args:
-        scenes: the scenes.
-        vehicles: one row per placement.
-        placed: the same vehicles, in their scenes.
-        ground: the photographs as the ground's reflectance.
-        windows: windows from `crop_windows`.
-        settings: samples and finish.
-        lights: how each scene's photograph shows light.
+    `vehicles` and `placed` have one row per placement; `ground` is the reflectance of the ground;
+    `windows` come from `crop_windows`.
     """
     low, high = windows[:, :2], windows[:, 2:]
     rows = _Rows(vehicles, placed)

@@ -1,4 +1,4 @@
-"""Opens the renderer that the options of a command ask for."""
+"""Opens the renderer that a command's options choose."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from skyproof.scenes.backgrounds import BackgroundSet
 def open_renderer(
     rendering: Rendering, backgrounds: BackgroundSet, out: Path
 ) -> Iterator[Renderer]:
-    """Yields the renderer that was asked for.
+    """Yields the chosen renderer.
 
-    Path-traced crops are kept beside `out` until the block ends well, so that a run that was
-    stopped goes on where it was.
+    Path-traced crops are kept beside `out` until the block ends well, so that a stopped run
+    continues.
 
     Raises:
         ConfigurationError: there is no usable Blender, or the settings cannot work.
@@ -39,13 +39,13 @@ def open_renderer(
 
 
 def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
-    """Starts Blender's processes as a context, one per core where their number is not given."""
+    """Starts Blender's processes as a context, one per core by default."""
     count = _cores() if rendering.workers is None else rendering.workers
     return Workers(find_blender(rendering.blender), count, results)
 
 
 def _cores() -> int:
-    """How many cores this process may use."""
+    """The number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""Which renderer a command draws with: options that several commands share. Imports no torch."""
+"""The choice of a renderer: options that several commands share. Imports no torch."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Rendering:
 
     Attributes:
         renderer: torch (the differentiable renderer) or cycles (Blender's path tracer).
-        blender: for cycles: a Blender 4.5 executable, or a Python that has bpy 4.5. Where it is not
-            given, what `make blender` made is used, then `blender` on the PATH.
-        workers: for cycles: how many Blender processes, of one thread each; one per CPU core where
-            it is not given.
-        cycles: for cycles: how finely it draws.
+        blender: Blender 4.5 executable, or Python with bpy 4.5, for cycles. The default is the one
+            of `make blender`, then `blender` on the PATH.
+        workers: number of Blender processes of one thread each, for cycles. The default is one per
+            CPU core.
+        cycles: quality settings of cycles.
     """
 
     renderer: Literal["torch", "cycles"] = "torch"

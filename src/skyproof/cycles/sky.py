@@ -35,10 +35,8 @@ class Daylight:
 def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> Daylight:
     """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
 
-    Args:
-        sun: place of the sun.
-        sky_light: the sky's share of the light on open ground, red, green, blue.
-        clouds: share of the sky's light that comes from clouds, 0 to 1.
+    `sky_light` is the sky's share of the light on open ground (red, green, blue), `clouds` the
+    share of that light that comes from clouds, both 0 to 1.
     """
     dome = (1 - clouds) * _dome(CLEAR, sun) + clouds * _dome(OVERCAST, sun)
     share = np.array(sky_light)

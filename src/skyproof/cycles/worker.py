@@ -331,7 +331,7 @@ def main() -> None:
             with open(partial, "wb") as file:
                 np.save(file, rendered)
             os.replace(partial, result)
-        except Exception as error:  # whatever goes wrong, skyproof shall hear of it and go on
+        except Exception as error:  # skyproof hears of any error and goes on
             say(out, failed=str(result), why=f"{type(error).__name__}: {error}")
         else:
             say(out, done=str(result))

@@ -37,12 +37,8 @@ class Workers:
     """Several Blender processes of one thread each, used as a context; the first job starts them.
 
     A result depends on its job alone: its bytes are the same for any number of processes. Results
-    are kept in a folder under the jobs' digests, so that interrupted work continues.
-
-    Args:
-        blender: the Blender to run.
-        count: number of processes.
-        results: folder of finished results; None keeps them only until the context ends.
+    are kept in the folder `results` under the jobs' digests, so that interrupted work continues; if
+    it is None, only until the context ends.
     """
 
     def __init__(self, blender: Blender, count: int, results: Path | None = None) -> None:

@@ -94,9 +94,7 @@ File = TypeVar("File", bound=AnnotationFile)
 def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
     """Reads `annotations.json` of a dataset folder that `skyproof.datasets.coco.CocoWriter` wrote.
 
-    Args:
-        folder: the dataset's folder.
-        kind: amount of detail: `AnnotationFile`, or a kind with more fields.
+    `kind` is `AnnotationFile`, or a kind with more fields.
 
     Returns:
         The file's content, and the file of each image.

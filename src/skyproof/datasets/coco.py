@@ -54,12 +54,8 @@ class CocoWriter:
     """Writes a dataset image by image, and its annotations if the block ends well.
 
     The images are `images/<scene id>.png`, the annotations `annotations.json`. Use it inside
-    `skyproof.files.finished_folder`, so that only a complete dataset gets its final name.
-
-    Args:
-        folder: folder of the files.
-        gsd_m: metres per pixel.
-        source: further entries of `info`, such as the renderer of the images.
+    `skyproof.files.finished_folder`, so that only a complete dataset gets its final name. `source`
+    holds further entries of `info`, such as the renderer of the images.
     """
 
     def __init__(

@@ -27,10 +27,8 @@ _ANCHORS_PX = (
 class AnchorDetector(TrainableDetector):
     """Ultralytics' backbone and neck with the head and loss of the YOLOv5 of 2020 (section 5.3).
 
-    Args:
-        architecture: checked by `check_layers`, with "anchors" per level.
-        vehicle_classes: classes that count as vehicles; a box gets the best score among them.
-        size: name of the size in tables.
+    The architecture is checked by `check_layers` and has "anchors" per level. A box gets the best
+    score among the vehicle classes. `size` is for tables.
 
     Raises:
         ConfigurationError: as `build_model`.

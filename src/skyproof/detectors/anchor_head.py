@@ -43,13 +43,9 @@ class AnchorAnswers:
 
 
 class AnchorHead(nn.Module):
-    """One 1x1 convolution per level; boxes are relative to anchors.
+    """One 1x1 convolution per level; boxes are relative to anchors (width and height in pixels).
 
-    Args:
-        channels: feature channels of each level.
-        class_count: number of classes.
-        anchors: width and height of each level's anchors, pixels.
-        strides_px: strides of the levels, the finest first.
+    Levels are ordered from the finest; `channels` are those of the features.
     """
 
     anchors_px: Tensor

@@ -33,18 +33,12 @@ def training_batches(
 def training_batch(
     training: Dataset, step: int, *, batch_size: int, jitter_strength: float, seed: int
 ) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
-    """Makes the images and boxes of one step.
+    """Makes the images and boxes of one step, counted from 0.
 
     They depend on seed and step alone, so that a resumed training is exact. An image wider or
     higher than 384 px is shown as a window, another one each time; smaller ones are padded with
-    grey to the largest of the batch.
-
-    Args:
-        training: images of any sizes.
-        step: number of the step, counted from 0.
-        batch_size: images per step.
-        jitter_strength: strength of the photometric augmentation; 0 is none, 1 is mild.
-        seed: seed of order and augmentation.
+    grey to the largest of the batch. `jitter_strength` is 0 for no photometric augmentation, 1 for
+    a mild one.
 
     Returns:
         sRGB images in [0, 1], and the vehicle boxes `[n, 4]` of each image, pixel xyxy.
@@ -94,17 +88,11 @@ def training_batch(
 def window(
     image: Tensor, boxes: Tensor, ignore: Tensor, *, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Cuts a random window of at most 384 px a side.
+    """Cuts a random window of at most 384 px a side from an image `[3, H, W]` of any type.
 
     A smaller image comes back unchanged, without a draw. Every second window is laid over a vehicle
-    if there is one, so that wide images with few vehicles do not show ground alone. A box inside
-    the window stays a vehicle; a box that its edge cuts becomes an ignore region.
-
-    Args:
-        image: `[3, H, W]`, of any type.
-        boxes: `[n, 4]` vehicles, pixel xyxy.
-        ignore: `[m, 4]` regions.
-        generator: a generator on the CPU.
+    if there is one, so that wide images with few vehicles do not show ground alone. A box (pixel
+    xyxy) inside the window stays a vehicle; a box that its edge cuts becomes an ignore region.
 
     Returns:
         The window, and the boxes and ignore regions in its pixels.

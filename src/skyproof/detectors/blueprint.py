@@ -135,9 +135,8 @@ class Blueprint:
 def check_layers(architecture: Any) -> None:
     """Refuses an architecture that names anything but plain layers and a detection head.
 
-    Args:
-        architecture: content of an Ultralytics YAML file: "backbone" and "head" with rows [from,
-            count, layer, arguments].
+    It is the content of an Ultralytics YAML file: "backbone" and "head" with rows [from, count,
+    layer, arguments].
 
     Raises:
         ConfigurationError: another layer, head or activation, a number out of bounds, or images

@@ -30,11 +30,7 @@ _MOST_WIDENED = 8
 
 
 class StandIn:
-    """An object of a foreign class: its attributes, without behaviour.
-
-    Attributes:
-        origin: dotted name of its class in the program that stored it.
-    """
+    """An object of a foreign class, named by `origin`: its attributes, without behaviour."""
 
     origin: str = ""
 

@@ -31,10 +31,6 @@ class ImportedDetector(TrainableDetector):
     the images. The best vehicle class gives the score, and suppression runs over all vehicle
     classes together.
 
-    Args:
-        name: name in tables.
-        blueprint: plan of the network.
-
     Raises:
         ConfigurationError: Ultralytics is needed and not installed, or the network lacks a vehicle
             class.

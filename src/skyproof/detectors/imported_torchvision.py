@@ -60,14 +60,11 @@ def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
 def build_torchvision(
     architecture: str, class_count: int, vehicle_classes: Sequence[int], norm_eps: float | None
 ) -> TorchvisionDetector:
-    """Builds the network of an architecture, without weights; it never resizes.
+    """Builds the network of one of `ARCHITECTURES`, without weights; it never resizes.
 
-    Args:
-        architecture: see `ARCHITECTURES`; anchors and limits are torchvision's own.
-        class_count: as `count_classes` gives it.
-        vehicle_classes: columns of the class scores; the best of them is the vehicle's score.
-        norm_eps: epsilon of the backbone's batch norm, if torchvision's published weights need
-            another one.
+    Anchors and limits are torchvision's own. The best score among the columns `vehicle_classes` is
+    the vehicle's. `norm_eps` is the epsilon of the backbone's batch norm, if torchvision's
+    published weights need another one.
     """
     model = getattr(detection, architecture)(
         weights=None, weights_backbone=None, num_classes=class_count

@@ -162,20 +162,13 @@ def match_detections(
     gsd_m: float,
     ignore: Float[Tensor, "m 4"] | None = None,
 ) -> Matches:
-    """Pairs detections with vehicles one-to-one, greedily by falling score.
+    """Pairs detections with vehicles one-to-one, greedily by falling score; boxes are pixel xyxy.
 
-    Each detection in turn takes the best free vehicle: the nearest centre within 1.0 m, or the
-    largest IoU of at least 0.5. By the lenient rule it takes the nearest centre among the vehicles
-    within 1.0 m and those whose box holds its own centre, so that a detection of half a vehicle
-    counts. Equal scores keep their order.
-
-    Args:
-        boxes: detections, pixel xyxy.
-        scores: scores in any order.
-        truth: vehicles, pixel xyxy.
-        criterion: "centre_1m", "iou_50" or the lenient "centre_in_box".
-        gsd_m: metres per pixel.
-        ignore: regions, pixel xyxy; an unmatched detection with its centre in one does not count.
+    Each detection in turn takes the best free vehicle: the nearest centre within 1.0 m
+    ("centre_1m"), or the largest IoU of at least 0.5 ("iou_50"). By the lenient rule
+    ("centre_in_box") it takes the nearest centre among the vehicles within 1.0 m and those whose
+    box holds its own centre, so that a detection of half a vehicle counts. Equal scores keep their
+    order. An unmatched detection with its centre in an `ignore` region does not count.
 
     Raises:
         ConfigurationError: another criterion, or a resolution that is not positive.

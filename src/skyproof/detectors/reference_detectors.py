@@ -37,9 +37,9 @@ def reference_folder(name: str) -> Path:
 
 
 def detector_folder(place: str | Path) -> Path:
-    """Returns a detector's folder, which may be given by the name of one that came with skyproof.
+    """Returns a detector's folder, given as a path or as the name of one that ships with skyproof.
 
-    A folder of the user's that is called so goes first.
+    The user's own folder of that name takes precedence.
     """
     folder = Path(place)
     named = str(place) in REFERENCE_DETECTORS and not folder.exists()
@@ -48,7 +48,7 @@ def detector_folder(place: str | Path) -> Path:
 
 @contextmanager
 def reinstalled(folder: Path) -> Iterator[None]:
-    """Within it, damage to a detector that came with skyproof is mended by installing it again."""
+    """Adds the advice to install skyproof again to errors about a detector that ships with it."""
     try:
         yield
     except StoredFileError as error:
@@ -63,8 +63,7 @@ def reinstalled(folder: Path) -> Iterator[None]:
 def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
     """Loads a detector that ships with skyproof; in eval mode, on the CPU.
 
-    Args:
-        name: "retinanet" or "faster_rcnn", both slim, for sRGB images at 12.5 cm per pixel.
+    "retinanet" and "faster_rcnn" are slim, for sRGB images at 12.5 cm per pixel.
 
     Raises:
         ConfigurationError: there is none of that name.

@@ -19,11 +19,8 @@ class CentreAlign(ops.MultiScaleRoIAlign):
     It gives the same result as torchvision's `MultiScaleRoIAlign` with `sampling_ratio=1`, whose
     backward pass adds channel by channel and takes 40 % of an attack's step with the slim Faster
     R-CNN on a CPU. Here a sample is a weighted sum of four rows of channels, all at once, and so is
-    its gradient.
-
-    Args:
-        strides_px: strides of the pyramid's levels, each twice the one before.
-        output_size: bins along each side of a region.
+    its gradient. The stride of each level is twice the one before; `output_size` is the number of
+    bins along each side.
     """
 
     def __init__(self, strides_px: Sequence[float], output_size: int) -> None:

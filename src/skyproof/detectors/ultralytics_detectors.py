@@ -145,11 +145,7 @@ class YoloNetwork(TrainableDetector):
     """Any recent Ultralytics YOLO with any classes, without its weights.
 
     An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
-    installed Ultralytics reads counts.
-
-    Args:
-        architecture: checked by `check_layers`.
-        vehicle_classes: classes that count as vehicles; a box gets the best score among them.
+    installed Ultralytics reads counts. A box gets the best score among the vehicle classes.
 
     Raises:
         ConfigurationError: ultralytics is not installed, or it cannot build the network.
@@ -231,10 +227,7 @@ def yolov5_architecture(size: str) -> dict[str, Any]:
 
 
 def build_model(architecture: Mapping[str, Any]) -> Any:
-    """Builds a stranger's network, without its weights.
-
-    Args:
-        architecture: as `check_layers` describes it.
+    """Builds a stranger's network, without its weights; `check_layers` describes the architecture.
 
     Raises:
         ConfigurationError: as `check_layers`; the network is too large, ultralytics is not

@@ -29,16 +29,14 @@ class CamouflageAugmentation:
     """Renders the vehicles of rendered images again, camouflaged, and labels them anew.
 
     It lays no patch over pixels: it renders the scene from its vehicles, light and ground, with the
-    settings of the dataset. So it only accepts datasets that skyproof rendered.
+    settings of the dataset. So it only accepts datasets that skyproof rendered. Its metadata hold
+    the camouflage's name as `id`.
 
     Args:
         camouflage: a camouflage or its folder.
         dataset: folder of the rendered dataset of the images, for its scenes.
         backgrounds: background set of that dataset.
         fleet: fleet of that dataset.
-
-    Attributes:
-        metadata: `id`, the camouflage's name.
 
     Raises:
         StoredFileError: a folder is missing or damaged.

@@ -43,11 +43,7 @@ class SkyproofCamouflageConfig(CapabilityConfigBase):
 
 
 class SkyproofCamouflageOutputs(CapabilityOutputsBase):
-    """The effect of each camouflage.
-
-    Attributes:
-        hidden: result of `HiddenVehicles.compute` for each camouflaged dataset, by its id.
-    """
+    """The result of `HiddenVehicles.compute` for each camouflaged dataset, by its id."""
 
     hidden: dict[str, dict[str, float | int | None]]
 
@@ -61,8 +57,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
     def collect_md_report(self, threshold: float) -> InlineTextReport:
         """Writes a table of the vehicles that each camouflage hides.
 
-        Args:
-            threshold: least share of the vehicles found before that the model must still find.
+        `threshold` is the least share of the vehicles found before that the model must still find.
         """
         about = (
             "# Camouflage\n\nShare of the vehicles found before that the model "

@@ -61,8 +61,7 @@ class DetectorModel:
     def __call__(self, batch_input: Sequence[Any], /) -> Sequence[Target]:
         """Finds vehicles; images may differ in size, and large ones are split into windows.
 
-        Args:
-            batch_input: images `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
+        Images are `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
 
         Raises:
             ConfigurationError: an image has another shape or other values.

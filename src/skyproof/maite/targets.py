@@ -86,17 +86,11 @@ def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
 
 
 def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
-    """Reads a MAITE model's answer to one image.
+    """Reads a MAITE model's answer to one image: its possible vehicles, sorted by falling score.
 
-    Scores of several classes are probabilities that exclude each other, because MAITE's rule lets
-    them sum to at most 1; the scores of all vehicle classes are added up.
-
-    Args:
-        target: boxes `[N, 4]`, labels `[N]`, scores `[N]` or `[N, classes]`.
-        labels: labels of the vehicle classes.
-
-    Returns:
-        The possible vehicles, sorted by falling score.
+    Boxes are `[N, 4]`, labels `[N]`, scores `[N]` or `[N, classes]`. Scores of several classes are
+    probabilities that exclude each other, because MAITE's rule lets them sum to at most 1; the
+    scores of all vehicle classes (`labels`) are added up.
 
     Raises:
         ValueError: the answer has another shape.

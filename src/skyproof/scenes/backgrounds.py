@@ -28,11 +28,7 @@ CACHE_BYTES = 256 * 2**20
 class BackgroundSet:
     """A folder `index.json` + `tiles/*.png`; tiles are decoded once and kept while memory allows.
 
-    Attributes:
-        folder: folder of the set.
-        gsd_m: metres per pixel of every tile.
-        sensor: sensor of the tiles without their own.
-        light: light of the tiles without their own.
+    `sensor` and `light` are those of the tiles without their own.
     """
 
     def __init__(

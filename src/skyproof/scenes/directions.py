@@ -33,12 +33,8 @@ def with_room(
 ) -> UInt8[np.ndarray, "H W"]:
     """Keeps the places with room for a vehicle: three discs in a row along its heading.
 
-    A car of 4.5 m x 1.7 m fits, and the row is 5.3 m x 2.5 m.
-
-    Args:
-        directions: a map.
-        free: ground without obstacles. Nothing beyond the map is free.
-        pixel_m: metres per pixel of both.
+    A car of 4.5 m x 1.7 m fits, and the row is 5.3 m x 2.5 m. `free` is ground without obstacles;
+    nothing beyond the map is free.
     """
     rows, columns = np.nonzero(directions)
     distance_m = pixel_m * ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]

@@ -61,13 +61,8 @@ def place_vehicles(
     for the fewest vehicles (one at least, unless no vehicle was drawn). If a window has more places
     than vehicles, a random subset is taken; if it has fewer, there are fewer vehicles.
 
-    Args:
-        settings: `places` chooses the places; all else as in `sample_scenes`.
-        backgrounds: the ground.
-        split: split of the ground.
-        vehicle_sizes_m: length, width and height of each vehicle id.
-        half_m: largest distance of vehicle centres from the middle on both axes.
-        generator: source of all draws.
+    `settings.places` chooses the places; `half_m` is the largest distance of vehicle centres from
+    the middle on both axes. All else is as in `sample_scenes`.
 
     Raises:
         ConfigurationError: no tile has places, or no window with room for the fewest vehicles was

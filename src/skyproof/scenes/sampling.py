@@ -36,16 +36,9 @@ def sample_scenes(
 ) -> list[Scene]:
     """Draws scenes with uniform vehicles and backgrounds; none overlap.
 
-    Places and headings are uniform too, unless `settings.places` takes them from the ground.
-
-    Args:
-        settings: settings of the draws.
-        backgrounds: the ground, and its metres per pixel.
-        split: split of the backgrounds.
-        vehicle_sizes_m: length, width and height of each vehicle id; every id is equally likely.
-        count: number of scenes.
-        generator: every scene takes one 63-bit seed from it and draws all else from that seed.
-        prefix: ids are `<prefix>-<number>`.
+    Places and headings are uniform too, unless `settings.places` takes them from the ground. Every
+    vehicle id in `vehicle_sizes_m` is equally likely. Every scene takes one 63-bit seed from
+    `generator` and draws all else from that seed. Ids are `<prefix>-<number>`.
 
     Raises:
         ConfigurationError: no tile is large enough, there are no vehicles, or the image or the

@@ -119,10 +119,8 @@ class Placement:
 class Scene:
     """All data to render one image again, except the fleet and the background set.
 
-    Attributes:
-        id: unique within its set; name of its picture.
-        seed: seed of all draws of the rendering (sensor noise).
-        weather: weather and light; clear by default.
+    The id is unique within a set and names the picture; the seed is that of the sensor noise; the
+    weather is clear by default.
     """
 
     id: Name
