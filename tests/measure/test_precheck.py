@@ -20,6 +20,7 @@ from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.findings import findings, verdict, worst
 from skyproof.results.precheck import PRECHECK_FILE, read_precheck, read_prechecks, write_precheck
+from skyproof.results.rows_file import flat_row
 from skyproof.vehicles.vehicle import Part
 from tests.measure.world import SIZE_PX, Toy, judging
 
@@ -162,7 +163,7 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     ]
     assert read.rates[1:] == as_read[1:]
     assert read.measured_on == record.measured_on
-    assert read.sets[0].json() == record.sets[0].json()
+    assert flat_row(read.sets[0]) == flat_row(record.sets[0])
     with pytest.raises(RunFolderError, match=r"check\.json exists already"):
         write_precheck(tmp_path, record)
 

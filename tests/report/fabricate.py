@@ -14,9 +14,9 @@ from PIL import Image, ImageDraw
 
 from skyproof.files import write_json, write_jsonl
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
-from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pictures import choose_scenes
-from skyproof.results.score_folder import Pair, ScoreRecord, write_pairs, write_record
+from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import Pair, ScoreRecord, SetScore, write_pairs, write_record
 
 DETECTORS = ("retinanet", "faster_rcnn")
 HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}
@@ -95,7 +95,7 @@ def fabricate(folder, scenes=40):
         for d in DETECTORS
         for match in MATCHES
     ]
-    write_sets(score / "sets.json", sets)
+    write_rows(score / "sets.json", sets)
     write_record(score, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="torch"))
     _write_rest(folder, rng)
     return folder
@@ -216,7 +216,7 @@ def fabricate_cycles(folder):
         for d in DETECTORS
         for match in MATCHES
     ]
-    write_sets(cycles / "sets.json", sets)
+    write_rows(cycles / "sets.json", sets)
     write_record(cycles, ScoreRecord(dict.fromkeys(DETECTORS, 0.5), renderer="cycles"))
     seen = {"ap_centre_1m": 0.88, "ap_centre_1m_low": 0.84, "ap_centre_1m_high": 0.91}
     rows = json.loads((first / "baselines.json").read_text())["rows"]

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
-from skyproof.results.baseline import write_baselines
-from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts
-from skyproof.results.score_folder import ScoreRecord, write_record
+from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 from tests.results.counted import write_counts
 
 DETECTORS = ("retinanet", "yolov5")
@@ -75,8 +74,8 @@ def write_scores(
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
     write_counts(folder / "outcomes.parquet", TileCounts(CELLS, series))
-    write_sets(folder / "sets.json", sets)
-    write_baselines(folder / "baselines.json", checks)
+    write_rows(folder / "sets.json", sets)
+    write_rows(folder / "baselines.json", checks)
     thresholds = dict.fromkeys(detectors, 0.5)
     write_record(folder, ScoreRecord(thresholds, renderer=renderer, sources=["procedural"]))
 

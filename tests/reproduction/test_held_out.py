@@ -8,8 +8,9 @@ from skyproof.files import write_json
 from skyproof.reproduction.held_out import held_out_part, judge_names, judged_rows
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.baseline import Baseline, write_baselines
+from skyproof.results.baseline import Baseline
 from skyproof.results.results import Results
+from skyproof.results.rows_file import write_rows
 from skyproof.results.statistics.intervals import Interval
 from tests.reproduction.fabricate import DETECTORS, write_scores
 
@@ -23,7 +24,7 @@ def add_judges(folder, table, rates, *, ap=0.6, trained_on="train: tiles of real
         scores = own / "scores" / ("000" if renderer == "torch" else "cycles-000")
         write_scores(scores, rates, found=0.5, renderer=renderer)
         sure = Interval(ap, ap - 0.1, ap + 0.1)
-        write_baselines(
+        write_rows(
             scores / "baselines.json",
             [
                 Baseline(

@@ -5,10 +5,9 @@ import csv
 import pytest
 
 from skyproof.reproduction.report import write_reproduction_report
-from skyproof.results.baseline import write_baselines
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
-from skyproof.results.pairs.sets import SetScore, write_sets
-from skyproof.results.score_folder import ScoreRecord, write_record
+from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 
 DETECTORS = ("retinanet", "yolov5")
 LEARNT = ("T-U-0", "T-U-1", "T-U_weather-0", "T-U_weather-1", "R-U-0", "R-U-1")
@@ -73,8 +72,8 @@ def write(folder, conditions, names=NAMES, detectors=DETECTORS):
         for detector in detectors
         for match in ("centre_1m", "iou_50")
     ]
-    write_sets(folder / "sets.json", sets)
-    write_baselines(folder / "baselines.json", [])
+    write_rows(folder / "sets.json", sets)
+    write_rows(folder / "baselines.json", [])
     write_record(folder, ScoreRecord(dict.fromkeys(detectors, 0.5), renderer="torch"))
 
 

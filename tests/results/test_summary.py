@@ -9,8 +9,8 @@ import pytest
 
 from skyproof.results import summary
 from skyproof.results.pairs.outcomes import Outcome
-from skyproof.results.pairs.sets import SetScore
 from skyproof.results.pairs.tiles import count_tiles
+from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.hypotheses import mcnemar_p
 
 REQUIRED = [

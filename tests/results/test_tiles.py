@@ -9,9 +9,9 @@ import pytest
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
-from skyproof.results.pairs.sets import SetScore, read_sets, write_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles
-from skyproof.results.score_folder import ScoreRecord, write_record
+from skyproof.results.rows_file import read_rows, write_rows
+from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 from tests.results.counted import on_tiles, write_counts
 
 
@@ -80,16 +80,16 @@ def test_outcomes_for_given_counts_give_them(tmp_path, tiles):
 
 def test_set_scores_round_trip(tmp_path):
     written = [SetScore("original", "torch", "yolov5", "iou_50", 0.5, 3.0)]
-    write_sets(
+    write_rows(
         tmp_path / "sets.json",
         [*written, dataclasses.replace(written[0], average_precision=float("nan"))],
     )
-    first, second = read_sets(tmp_path / "sets.json")
+    first, second = read_rows(tmp_path / "sets.json", SetScore, "score again")
     assert first == written[0]
     assert second.average_precision != second.average_precision
     (tmp_path / "sets.json").write_text('{"rows": [{"camouflage": "x"}]}')
     with pytest.raises(StoredFileError, match=r"sets\.json, rows\[0\]: the field renderer is"):
-        read_sets(tmp_path / "sets.json")
+        read_rows(tmp_path / "sets.json", SetScore, "score again")
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def make_folder(tmp_path):
         scores += [
             SetScore(camouflage, renderer, "yolov5", "iou_50", 0.2, 3.0) for camouflage in counts
         ]
-        write_sets(folder / "sets.json", scores)
+        write_rows(folder / "sets.json", scores)
         write_record(folder, ScoreRecord({"yolov5": 0.5}, renderer=renderer))
         return folder
 

@@ -7,9 +7,9 @@ import pytest
 from skyproof.files import write_json
 from skyproof.report.report import write_report
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
-from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.results import Results
-from skyproof.results.score_folder import ScoreRecord, write_record
+from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 from skyproof.results.worst import worst_cases
 
 NAN = float("nan")
@@ -81,7 +81,7 @@ def scored(folder, hides, leniently=None):
         for name in ("original", *hides)
         for match in by_rule
     ]
-    write_sets(score / "sets.json", sets)
+    write_rows(score / "sets.json", sets)
     write_record(score, ScoreRecord({"retinanet": 0.5}, renderer="torch"))
     write_json(score / "baselines.json", {"rows": []})
     return Results.open(folder)

@@ -15,14 +15,15 @@ from skyproof.files import finished_folder, write_beside
 from skyproof.measure.baseline import BaselineSet, measure_baseline, measure_baselines
 from skyproof.measure.measure import compare
 from skyproof.measure.views import Change, Stage, View, counter, refuse_twice, views
-from skyproof.results.baseline import Baseline, write_baselines
+from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
-from skyproof.results.pairs.sets import SetScore, write_sets
 from skyproof.results.pictures import choose_scenes, draw_scene
 from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import (
     Pair,
     ScoreRecord,
+    SetScore,
     is_pictured,
     write_pairs,
     write_record,
@@ -89,7 +90,7 @@ def score(
         checks += measure_baselines(detectors, baselines, seed=seed, progress=count)
         order = [each.name for each in detectors]
         checks.sort(key=lambda check: order.index(check.detector))
-        write_baselines(partial / "baselines.json", checks)
+        write_rows(partial / "baselines.json", checks)
         if add is not None:
             add(partial)
         thresholds = {each.name: each.threshold for each in detectors}
@@ -140,9 +141,10 @@ class _Writer:
         self._renderer = renderer
         self._before = before
         self._pairs: list[Pair] = []
+        self._original = [score for each in detectors for score in self._set_scores(each, before)]
         # By detector, since tables go by detectors before they go by camouflages.
         self._outcomes: dict[str, list[Outcome]] = {each.name: [] for each in detectors}
-        self._sets = {each.name: self._set_scores(each, before) for each in detectors}
+        self._sets: dict[str, list[SetScore]] = {each.name: [] for each in detectors}
 
     def baselines(self, seed: int) -> list[Baseline]:
         """How good the detectors are without a change."""
@@ -168,7 +170,7 @@ class _Writer:
         outcomes = [outcome for own in self._outcomes.values() for outcome in own]
         write_outcomes(self._folder / "outcomes.parquet", outcomes)
         sets = [score for own in self._sets.values() for score in own]
-        write_sets(self._folder / "sets.json", sets)
+        write_rows(self._folder / "sets.json", [*self._original, *sets])
         write_pairs(self._folder, self._pairs)
         return outcomes
 

@@ -11,9 +11,8 @@ import numpy as np
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.pairs.outcomes import ORIGINAL
-from skyproof.results.pairs.sets import SetScore, read_sets
 from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
-from skyproof.results.score_folder import ScoreFolder
+from skyproof.results.score_folder import ScoreFolder, SetScore
 
 
 def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
@@ -80,7 +79,7 @@ def _refuse_other_judges(source: Mapping[Series, Path]) -> None:
 def _merge_sets(folders: Sequence[Path]) -> list[SetScore]:
     kept: dict[Series, tuple[Path, SetScore]] = {}
     for folder in folders:
-        for score in read_sets(folder / "sets.json"):
+        for score in ScoreFolder.open(folder).sets():
             key = Series(score.camouflage, score.renderer, score.detector, score.match)
             first, other = kept.setdefault(key, (folder, score))
             same = _same(score.average_precision, other.average_precision)

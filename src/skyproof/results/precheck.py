@@ -1,4 +1,4 @@
-"""What the gate measured of one detector, as `precheck.json` beside its card. Imports no torch."""
+"""What a precheck measured of one detector, as `precheck.json` beside its card. No torch."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
-from skyproof.results.baseline import Baseline, StoredBaseline, baseline_of
-from skyproof.results.rows_file import filled_row, nulls_for_undefined, row_form
+from skyproof.results.baseline import Baseline
+from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.statistics.intervals import Interval
 
 PRECHECK_FILE = "precheck.json"
@@ -51,9 +51,9 @@ class Rate:
     """
 
     kind: Kind
-    name: str
-    draws: int
-    easr: Interval
+    name: _Label
+    draws: Count
+    easr: Annotated[Interval, Meta(ge=-1e6, le=1)]
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class MeasuredOn:
 
 @dataclass(frozen=True)
 class PrecheckRecord:
-    """What the gate measured of one detector.
+    """What a precheck measured of one detector.
 
     Attributes:
         detector: its name.
@@ -139,8 +139,8 @@ def write_precheck(folder: Path, record: PrecheckRecord) -> None:
                 "weights_sha256": record.weights_sha256,
                 "threshold": record.threshold,
                 "measured_on": asdict(record.measured_on),
-                "sets": [check.json() for check in record.sets],
-                "rates": [_row(rate) for rate in record.rates],
+                "sets": [flat_row(baseline) for baseline in record.sets],
+                "rates": [flat_row(rate) for rate in record.rates],
             },
         )
 
@@ -165,8 +165,8 @@ def read_precheck(folder: Path) -> PrecheckRecord:
         weights_sha256=stored.weights_sha256,
         threshold=stored.threshold,
         measured_on=stored.measured_on,
-        sets=[baseline_of(filled_row(row)) for row in stored.sets],
-        rates=[_rate(**filled_row(row)) for row in stored.rates],
+        sets=[row_of(Baseline, row) for row in stored.sets],
+        rates=[row_of(Rate, row) for row in stored.rates],
     )
 
 
@@ -188,42 +188,8 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     return records
 
 
-def _row(rate: Rate) -> dict[str, Any]:
-    return nulls_for_undefined(
-        {
-            "kind": rate.kind,
-            "name": rate.name,
-            "draws": rate.draws,
-            "easr": rate.easr.estimate,
-            "easr_low": rate.easr.low,
-            "easr_high": rate.easr.high,
-        }
-    )
-
-
-def _rate(
-    kind: Kind, name: str, draws: int, easr: float, easr_low: float, easr_high: float
-) -> Rate:
-    return Rate(kind, name, draws, Interval(easr, easr_low, easr_high))
-
-
-_Easr = Annotated[float, Meta(ge=-1e6, le=1)]
-
-
-@dataclass(frozen=True)
-class _StoredRate:
-    """A rate as `_row` gives it."""
-
-    kind: Kind
-    name: _Label
-    draws: Count
-    easr: _Easr
-    easr_low: _Easr
-    easr_high: _Easr
-
-
-_CheckRow: Any = row_form(StoredBaseline)
-_RateRow: Any = row_form(_StoredRate)
+_BaselineRow: Any = row_form(Baseline)
+_RateRow: Any = row_form(Rate)
 
 
 class _Card(Struct, frozen=True):
@@ -240,5 +206,5 @@ class _Document(Struct, frozen=True):
     weights_sha256: _Digest
     threshold: Fraction
     measured_on: MeasuredOn
-    sets: Annotated[list[_CheckRow], Meta(min_length=1, max_length=1000)]
+    sets: Annotated[list[_BaselineRow], Meta(min_length=1, max_length=1000)]
     rates: Annotated[list[_RateRow], Meta(max_length=10_000)]

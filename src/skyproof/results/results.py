@@ -14,12 +14,13 @@ import numpy as np
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
-from skyproof.results.baseline import Baseline, read_baselines
+from skyproof.results.baseline import Baseline
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, MEAN, Headline, Row
+from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
@@ -138,7 +139,7 @@ class Results:
         """
         path = Layout(self.folder).results
         rows = [row.json() for row in self.rows]
-        checks = [check.json() for check in self.checks]
+        checks = [flat_row(check) for check in self.checks]
         write_json(path, {"rows": rows, "checks": checks, "worst_cases": list(worst)})
         return path
 
@@ -362,7 +363,7 @@ class Results:
 
 def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Baseline]:
     """Gives every check once, rendered images first: each score repeats that on the originals."""
-    checks = [check for score in scores for check in read_baselines(score.path / "baselines.json")]
+    checks = [check for score in scores for check in score.baselines()]
     first = {(check.detector, check.dataset): check for check in reversed(checks)}
     kept = [check for check in checks if first[check.detector, check.dataset] is check]
     order = list(dict.fromkeys(check.detector for check in kept))

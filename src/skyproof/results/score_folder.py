@@ -19,7 +19,9 @@ from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
-from skyproof.ranges import FileReference, Name, Seed, WholeNumber
+from skyproof.ranges import FileReference, Fraction, Name, Seed, WholeNumber
+from skyproof.results.baseline import Baseline
+from skyproof.results.rows_file import read_rows
 from skyproof.results.stored import Label, Practicality, Text
 
 
@@ -61,6 +63,25 @@ class Pair:
     found_after: WholeNumber
     original: FileReference
     adversarial: FileReference
+
+
+@dataclass(frozen=True)
+class SetScore:
+    """One detector on one whole set of images; a row of `sets.json`.
+
+    Attributes:
+        camouflage: as in the outcomes; "original" for the images without camouflage.
+        renderer, detector, match: as in the outcomes.
+        average_precision: in [0, 1]; nan where undefined.
+        false_alarms_per_km2: at the frozen threshold; nan where undefined.
+    """
+
+    camouflage: Name
+    renderer: Name
+    detector: Name
+    match: str
+    average_precision: Fraction
+    false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)]
 
 
 class _Pairs(Struct, frozen=True):
@@ -145,6 +166,22 @@ class ScoreFolder:
         if not path.exists():
             return []
         return read_document(path, _Pairs, _REMEDY).rows
+
+    def baselines(self) -> list[Baseline]:
+        """Gives how good the detectors are without camouflage.
+
+        Raises:
+            StoredFileError: `baselines.json` is missing or damaged.
+        """
+        return read_rows(self.path / "baselines.json", Baseline, _REMEDY)
+
+    def sets(self) -> list[SetScore]:
+        """Gives average precision and false alarms of every set that was compared.
+
+        Raises:
+            StoredFileError: `sets.json` is missing or damaged.
+        """
+        return read_rows(self.path / "sets.json", SetScore, _REMEDY)
 
     def practicality(self) -> list[Practicality]:
         """Says what the camouflages ask of those who would make them; empty where not measured.

@@ -13,10 +13,10 @@ from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
-from skyproof.results.pairs.sets import SetScore
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.rows import MEAN, Contrast, Row
+from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
 from skyproof.results.statistics.rates import (
