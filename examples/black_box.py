@@ -7,7 +7,7 @@ import torch
 
 import skyproof as sp
 
-network = sp.load_detector("runs/trained/detectors/retinanet").detector
+network = sp.load_detector("runs/demo/detectors/retinanet").detector
 
 
 def ask(picture):  # [H, W, 3] bytes, replace by a call of your library or server
@@ -25,8 +25,8 @@ class BlackBox:
         return [sp.Detections(boxes=row[:, :4], scores=row[:, 4]) for row in rows]
 
 
-demo = "runs/trained"
-validation = sp.Dataset.open(f"{demo}/datasets/validation")  # any folder with annotations.json
+demo = "runs/demo"
+validation = sp.Dataset.open("runs/images/validation")  # any folder with annotations.json
 threshold = sp.validate(BlackBox(), validation)["threshold"]
 card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
 camouflages = {

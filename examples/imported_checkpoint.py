@@ -10,7 +10,7 @@ from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 import skyproof as sp
 
-data, steps = sp.Dataset.open("runs/trained/datasets/train"), 200
+data, steps = sp.Dataset.open("runs/images/train"), 200
 side = data.image(0).shape[-1]  # torchvision would enlarge the images to 800 px
 model = fasterrcnn_mobilenet_v3_large_fpn(
     weights=None, weights_backbone=None, num_classes=2, min_size=side
@@ -28,9 +28,9 @@ torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
 checkpoint = sp.Checkpoint(
     Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn"
 )
-validation = sp.Dataset.open("runs/trained/datasets/validation")
+validation = sp.Dataset.open("runs/images/validation")
 print(sp.import_detector(checkpoint, validation, "runs/mine/vehicles").validation)
 detector = sp.load_detector("runs/mine/vehicles").detector
-world = sp.AttackWorld.open("runs/trained/backgrounds", "runs/trained/fleets/attack", size_px=128)
+world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [detector], world, sp.AttackSettings(steps=400), "runs/mine/T-U-on-vehicles")

@@ -36,7 +36,7 @@ AS_IT_IS = {"black_box", "maite_evaluate", "maite_sensor"}
 SHORTER = {
     "AttackSettings(steps=400)": "AttackSettings(steps=2, batch_size=2)",
     "AttackSettings(steps=200)": "AttackSettings(steps=2, batch_size=2)",
-    'open("runs/trained/datasets/train"), 200': 'open("runs/trained/datasets/train"), 2',
+    'open("runs/images/train"), 200': 'open("runs/images/train"), 2',
 }
 
 
@@ -58,9 +58,9 @@ def test_an_example_runs_after_the_demo(example: Path, finished: Path, tmp_path:
     if example.stem == NEEDS_NRTK:
         pytest.importorskip("nrtk", reason="needs nrtk[pybsm,maite]")
     (tmp_path / "runs").mkdir()
-    # Some need what a demo that trains leaves, the others what any leaves.
     (tmp_path / "runs" / "demo").symlink_to(finished)
-    (tmp_path / "runs" / "trained").symlink_to(finished)
+    # Images for training and validation.
+    (tmp_path / "runs" / "images").symlink_to(finished / "datasets")
     short = code(example)
     for long, brief in SHORTER.items():
         short = short.replace(long, brief)
