@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
 from skyproof.report.checks import CheckedSet
 from skyproof.report.precheck import PrecheckPart
@@ -95,12 +96,14 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
             ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], "", steps
         )
     attack, worst = next(iter(ruling.attacks.items()))
+    words = CamouflageName.read(attack.partition(" on ")[0]).in_words
     return Opening(
         ruling.answer,
         f"{name}: {ruling.answer.upper()}",
         percent(worst.share),
         f"bounds {interval(worst.at_least, worst.at_most)} at the risks of the requirement",
-        f"of the vehicles found without camouflage are missed with the strongest attack, {attack}.",
+        "of the vehicles found without camouflage are missed with the strongest attack: "
+        f"{words} ({attack}).",
         "",
         steps,
     )
