@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import torch
-from tests.measure.world import judging
+from tests.measure.world import judging, make_backgrounds
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
@@ -71,6 +71,11 @@ def test_alarms_that_cannot_be_counted_are_refused():
     assert threshold_of_alarms(judge, images(1), 300.0) == 0.01  # allowed more than there are
     with pytest.raises(ConfigurationError, match="largest score to more than 1 places"):
         threshold_of_alarms(judging(Scripted(1.0, 1.0)), images(1), 100.0)
+
+
+@pytest.fixture
+def backgrounds(tmp_path):
+    return make_backgrounds(tmp_path / "drawn")
 
 
 def test_empty_ground_is_that_of_the_validation_split(backgrounds):
