@@ -40,8 +40,8 @@ BUDGETS = {"README.md": 700, "CHANGELOG.md": 1_000, "docs": 35_000, "docs/result
 
 # Commands whose option texts are still to be rewritten in plain English.
 NOT_YET_COMMANDS = {
-    "demo", "assess", "reproduce", "report", "ground", "vehicles", "learn-vehicles", "scenes",
-    "render", "import", "precheck", "attack", "score", "sample-size",
+    "reproduce", "report", "ground", "vehicles", "learn-vehicles", "scenes",
+    "render", "import", "precheck", "attack", "score",
 }  # fmt: skip
 # Command lines and names of the docs that the program does not have yet.
 COMING = {"render --backgrounds $T/cleared --fleet $F --split train --count 2000 --out $T/rendered"}
