@@ -44,7 +44,7 @@ GLOSSARY = {
     r"vehicles? (?:is |are )?lost": "missed or hidden",
 }
 # The same for names of the public face, commands and options, word by word.
-NAMES = {"judge", "judges", "teacher", "gate", "clean", "recipe", "plan", "coat", "coats"} | {
+NAMES = {"judge", "judges", "teacher", "gate", "clean", "recipe", "coat", "coats"} | {
     "embedding", "embeddings", "looks", "answers", "asked", "unlearnt", "headline", "box", "worn"
 }  # fmt: skip
 
