@@ -20,13 +20,7 @@ _PATIENCE_S = 120
 
 @dataclass(frozen=True)
 class Blender:
-    """An interpreter with Blender's Python interface.
-
-    Attributes:
-        path: a Python with bpy, or a Blender executable.
-        is_python: whether it is a Python.
-        version: Blender's version, such as "4.5.15".
-    """
+    """A Python with bpy, or a Blender executable, and its version of Blender, such as "4.5.15"."""
 
     path: Path
     is_python: bool

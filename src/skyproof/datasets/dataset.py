@@ -108,12 +108,8 @@ class Dataset:
     ) -> Dataset:
         """Makes a dataset of images in memory.
 
-        Args:
-            images: `[3, H, W]` sRGB bytes of each image; sizes may differ.
-            boxes: `[n, 4]` true vehicles of each image, pixel xyxy.
-            gsd_m: metres per pixel.
-            ignore: `[m, 4]` regions of each image that are not scored; None for none.
-            ids: name of each image; None numbers them.
+        Images are `[3, H, W]` sRGB bytes of any sizes. `boxes` holds the true vehicles and `ignore`
+        the regions that are not scored, pixel xyxy. Without `ids`, images are numbered.
         """
         count = len(images)
         return cls(

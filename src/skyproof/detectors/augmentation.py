@@ -34,15 +34,10 @@ def jitter(
 ) -> Float[Tensor, "B 3 H W"]:
     """Changes light and colour of each image, and blurs or adds noise to some.
 
-    Every image draws its own brightness, contrast, gamma and colour. Real and rendered imagery
-    differ in all of these, so a detector should not depend on them.
-
-    Args:
-        images: sRGB in [0, 1].
-        strength: 0 leaves the images unchanged; 1 is mild (brightness ±0.1, contrast and gamma ±25
-            %, colour ±10 %; a quarter blurred by up to 1.3 px, three in ten with noise of up to
-            0.03).
-        generator: a generator on the CPU.
+    Every image (sRGB in [0, 1]) draws its own brightness, contrast, gamma and colour. Real and
+    rendered imagery differ in all of these, so a detector should not depend on them. Strength 0
+    leaves the images unchanged; 1 is mild (brightness ±0.1, contrast and gamma ±25 %, colour ±10 %;
+    a quarter blurred by up to 1.3 px, three in ten with noise of up to 0.03).
     """
     if strength == 0:
         return images

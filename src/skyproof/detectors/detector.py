@@ -76,12 +76,9 @@ class TrainableDetector(nn.Module):
     ) -> Float[Tensor, " B"]:
         """The detector's own training loss per image, normalised (section 3.2).
 
-        Each value depends on its image alone; all negatives count; with an empty truth it is
-        finite, positive and of order 1 or below. Differentiable in `images` and in the weights.
-
-        Args:
-            images: sRGB in [0, 1].
-            targets: true boxes of each image, pixel xyxy; `[0, 4]` for none.
+        Each value depends on its image alone; all negatives count; with an empty truth (`[0, 4]`)
+        it is finite, positive and of order 1 or below. Differentiable in `images` (sRGB in [0, 1])
+        and in the weights. Targets are pixel xyxy.
         """
         raise NotImplementedError
 

@@ -41,13 +41,9 @@ def pool_boxes(
     boxes: Sequence[Float[Tensor, "_ 4"]],
     level_of: Levels,
 ) -> list[Float[Tensor, "_ C"]]:
-    """Averages one level of a pyramid over each box, by RoIAlign.
+    """Averages the level that `level_of` chooses over each box (pixel xyxy), by RoIAlign.
 
-    Args:
-        pyramid: features of B images, the finest level first.
-        width_px: width of the pyramid's input images, padding included.
-        boxes: boxes of each image, pixel xyxy.
-        level_of: chooses the level of each box.
+    The finest level of the pyramid comes first; `width_px` is that of its padded input images.
     """
     places = torch.cat(
         [

@@ -95,9 +95,7 @@ class TorchvisionDetector(TrainableDetector):
 class RetinaNetDetector(TorchvisionDetector):
     """torchvision's RetinaNet for one class, never resizing (section 5.3).
 
-    Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
-            scratch).
+    Size "slim" has two pyramid levels, strides 8 and 16; "full" is a ResNet-50 FPN v2 from scratch.
     """
 
     name = "retinanet"
@@ -155,14 +153,12 @@ class RetinaNetDetector(TorchvisionDetector):
 class FasterRcnnDetector(TorchvisionDetector):
     """torchvision's Faster R-CNN for one class, never resizing, without random draws (section 5.3).
 
+    Size "slim" has two pyramid levels, strides 8 and 16; "full" is a ResNet-50 FPN v2 from scratch.
+
     Differences from torchvision: all anchors and regions count instead of a random sample. The
     proposal network's sums are divided by its positive anchors (as RetinaNet's are; by a constant
     with an empty truth), because a mean over all anchors would drown the vehicles; the regions'
     cross-entropy is the mean over all proposals.
-
-    Args:
-        size: "slim" (two pyramid levels, strides 8 and 16) or "full" (ResNet-50 FPN v2, from
-            scratch).
     """
 
     name = "faster_rcnn"

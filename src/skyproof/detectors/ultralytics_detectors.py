@@ -49,8 +49,7 @@ _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilat
 class YoloV5Detector(TrainableDetector):
     """Ultralytics' YOLOv5u for one class (section 5.3), built without weights and never fused.
 
-    Args:
-        size: "slim" (YOLOv5n, 2.5 M parameters) or "full" (YOLOv5s, 9.1 M).
+    Size "slim" is YOLOv5n with 2.5 M parameters, "full" YOLOv5s with 9.1 M.
 
     Raises:
         ConfigurationError: ultralytics is not installed, or another size.

@@ -25,13 +25,9 @@ def project(
 ) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
     """Projects world points along parallel rays onto the ground, and so onto the pixel grid.
 
-    If `direction` points to the sun instead of the camera, the results are the points' shadows.
-
-    Args:
-        points: metres; x east, y north, z up.
-        direction: unit vectors from the scene towards the viewer, z > 0.
-        gsd_m: metres per pixel.
-        size_px: image size; world (0, 0) is the image centre.
+    World points are in metres (x east, y north, z up), with (0, 0) at the image centre; `direction`
+    holds unit vectors from the scene towards the viewer, z > 0. If they point to the sun instead,
+    the results are the points' shadows.
 
     Returns:
         Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel),

@@ -77,12 +77,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun's place in the sky.
-
-    Attributes:
-        azimuth_rad: direction from the scene to the sun, from x (east) towards y (north).
-        elevation_rad: angle above the horizon.
-    """
+    """The sun's place: azimuth from x (east) towards y (north), and elevation above the horizon."""
 
     azimuth_rad: Radians
     elevation_rad: SunElevation
