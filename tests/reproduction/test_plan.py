@@ -161,19 +161,19 @@ def test_further_trainings_repeat_the_attacks_on_the_same_world():
         for name in names
     ]
     # From the same images, and from another seed each.
-    trained = [steps[f"train/{prefix}retinanet"].command for prefix in ("", "training-1-")]
+    trained = [steps[f"train/{prefix}retinanet"].settings for prefix in ("", "training-1-")]
     assert [command.seed for command in trained] == [7, 8]
     assert {command.data for command in trained} == {Path("r/datasets/train")}
     assert trained[1].out == Path("r/trainings/1/detectors/retinanet")
     names = [f"{prefix}T-Fc-{repeat}" for prefix in ("", "training-2-") for repeat in (0, 1)]
-    learnt = [steps[f"attack/{name}"].command for name in names]
+    learnt = [steps[f"attack/{name}"].settings for name in names]
     assert [command.settings.seed for command in learnt] == [7, 8, 11, 12]
     assert [command.settings.keep_at for command in learnt] == [(1,), (), (), ()]
-    sequential = steps["attack/training-2-C-Fc-seq@0.4-1"].command
+    sequential = steps["attack/training-2-C-Fc-seq@0.4-1"].settings
     assert sequential.texture == Path("r/trainings/2/camouflages/T-Fc-1")
     assert sequential.detectors[1] == Path("r/trainings/2/detectors/faster_rcnn")
     assert sequential.fleet == Path("r/fleets/attack")
-    scored = steps["score/training-2-000"].command
+    scored = steps["score/training-2-000"].settings
     assert scored.out == Path("r/trainings/2/scores/000")
     assert scored.original == Path("r/datasets/test")
     # Draws of the controls are those of the run.
@@ -217,8 +217,8 @@ def test_weather_is_learnt_in_and_judged_apart():
     plan = reproduction_plan(preset, Path("run"), cycles=True)
     steps = {step.id: step for step in plan.steps}
     assert steps["attack/T-U_weather-0"].settings.conditions == tuple(CONDITIONS)
-    drawn = steps["scenes/weather"].command
-    usual = steps["scenes/test"].command
+    drawn = steps["scenes/weather"].settings
+    usual = steps["scenes/test"].settings
     assert set(drawn.settings.conditions) == {*CONDITIONS} - {"clear"}
     # But for the weather they are the usual scenes.
     assert replace(drawn.settings, conditions=("clear",)) == usual.settings

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,8 @@ class Step:
     kind: str
     name: str
     outputs: tuple[Path, ...]
-    work: Callable[[], object]
+    # Its settings tell two steps apart.
+    work: Callable[[], object] = field(compare=False)
     settings: object = None
     inputs: tuple[Path, ...] = ()
     growing: bool = False

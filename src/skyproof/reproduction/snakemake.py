@@ -28,7 +28,7 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 _POLL_S = 1.0
 _PATIENCE_S = 30.0
 # A step's command is called like its kind, but for these.
-_COMMANDS = {"choose": "attack", "control": "attack"}
+_COMMANDS = {"check": "precheck", "choose": "attack", "control": "attack"}
 
 
 def step_words(step: Step) -> list[str]:
