@@ -40,11 +40,11 @@ BUDGETS = {"README.md": 700, "CHANGELOG.md": 1_000, "docs": 35_000, "docs/result
 
 # Commands whose option texts are still to be rewritten in plain English.
 NOT_YET_COMMANDS = {
-    "reproduce", "report", "ground", "vehicles", "learn-vehicles", "scenes",
+    "reproduce", "report", "ground", "vehicles", "learn-vehicles",
     "render", "import", "precheck", "attack", "score",
 }  # fmt: skip
 # Command lines and names of the docs that the program does not have yet.
-COMING = {"render --backgrounds $T/cleared --fleet $F --split train --count 2000 --out $T/rendered"}
+COMING: set[str] = set()
 
 
 def pages():
@@ -207,10 +207,10 @@ def test_relative_links_lead_to_a_file_and_a_heading():
 def test_these_checks_can_fail(tmp_path):
     assert long_lines("x" * 101 + "\n|" + "x" * 100) == ["x" * 101]
     assert long_lines("[a](https://" + "x" * 100 + ")") == []
-    block = "```\n$S scenes --backgrounds b \\\n  --fleet f --out o\nskyproof paint --red\n```\n"
-    assert unparsable(block + "```\nskyproof scenes --blue\n```\n") == [
+    block = "```\n$S render --backgrounds b \\\n  --fleet f --out o\nskyproof paint --red\n```\n"
+    assert unparsable(block + "```\nskyproof render --blue\n```\n") == [
         "paint --red",
-        "scenes --blue",
+        "render --blue",
     ]
     block = "```python\nimport skyproof as sp\nfrom skyproof.errors import Sorry\nsp.attack\n```\n"
     assert missing_names(block + "```python\nsp.surrender\n```\n") == [

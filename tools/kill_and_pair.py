@@ -181,7 +181,6 @@ def single_commands(run: Path) -> dict[str, list[str]]:
     commands = {
         "ground": "ground --tiles 2 1 1 1",
         "vehicles": "vehicles --counts 3 2 2 3",
-        "scenes": f"scenes {world}/test --count 2000 --settings.size-px 128",
         "render": f"render --scenes {run}/scenes/train.jsonl {world}/train",
         "train": f"train --detector retinanet {data} {few}",
         "attack": f"attack T-U {detectors} {world}/attack {few}",

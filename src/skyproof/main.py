@@ -30,7 +30,6 @@ COMMANDS: dict[str, dict[str, str]] = {
         "learn-vehicles": "skyproof.generator.command:LearnVehicles",
     },
     "Images": {
-        "scenes": "skyproof.cli.scenes:Scenes",
         "render": "skyproof.cli.render:Render",
     },
     "Detectors": {

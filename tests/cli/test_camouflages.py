@@ -109,24 +109,24 @@ def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproo
 def test_a_camouflage_is_judged_under_weather(
     finished: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:
-    scenes, clear, out = tmp_path / "weather.jsonl", tmp_path / "clear", tmp_path / "scores"
+    clear, out = tmp_path / "clear", tmp_path / "scores"
     world = ["--backgrounds", finished / "backgrounds", "--fleet", finished / "fleets/test"]
     conditions = ["--settings.conditions", "rain", "low_sun", "jpeg"]
-    call = ["scenes", *world, "--out", scenes, "--count", 8, "--settings.size-px", 128, *conditions]
+    size = ["--count", 8, "--settings.size-px", 128]
+    call = ["render", *world, "--out", clear, "--device", "cpu", *size, *conditions]
     assert skyproof(*call).code == 0
-    assert {
-        row["weather"]["condition"] for row in map(json.loads, scenes.read_text().splitlines())
-    } == {
+    scenes = (clear / "scenes.jsonl").read_text().splitlines()
+    assert {row["weather"]["condition"] for row in map(json.loads, scenes)} == {
         "rain",
         "low_sun",
         "jpeg",
     }
-    skyproof(*call).refused(str(scenes), "not overwritten")
+    skyproof(*call).refused(str(clear), "exists already")
+    file = clear / "scenes.jsonl"
+    again = ["render", "--scenes", file, *world, "--out", tmp_path / "x", *size]
+    skyproof(*again).refused("--count is for sampled scenes")
     skyproof(*call[:-3], "hail", "--out", tmp_path / "x").refused("hail")
     skyproof(*call, "--count", 0, "--out", tmp_path / "x").refused("--count")
-    assert (
-        skyproof("render", "--scenes", scenes, *world, "--out", clear, "--device", "cpu").code == 0
-    )
     answer = skyproof(
         *(
             "score",

@@ -111,31 +111,31 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof):
 def test_scenes_have_vehicles_where_others_were_removed(tmp_path, skyproof: Skyproof):
     folder, ground = tiled(tmp_path / "tiled", labelled="acde"), tmp_path / "cleared"
     answer = skyproof("clear", folder, "--out", ground)
-    assert "places of 5 are kept for skyproof scenes --settings.places removed" in answer.out
+    assert "places of 5 are kept for skyproof render --settings.places removed" in answer.out
     fleets = tmp_path / "fleets"
     assert skyproof("vehicles", "--counts", 3, 1, 1, 1, "--out", fleets).code == 0
 
     def scenes(ground, places, name):
-        words = ["scenes", "--backgrounds", ground, "--fleet", fleets / "train", "--count", 6]
+        words = ["render", "--backgrounds", ground, "--fleet", fleets / "train", "--count", 6]
         words += ["--split", "train", "--settings.size-px", 80, "--settings.vehicles-maximum", 2]
         return skyproof(*words, "--settings.places", places, "--out", tmp_path / name)
 
-    assert scenes(ground, "removed", "removed.jsonl").code == 0
-    assert scenes(ground, "drivable", "drivable.jsonl").code == 0
+    assert scenes(ground, "removed", "removed").code == 0
+    assert scenes(ground, "drivable", "drivable").code == 0
     for name in ("removed", "drivable"):
-        rows = map(json.loads, (tmp_path / f"{name}.jsonl").read_text().splitlines())
+        rows = map(json.loads, (tmp_path / name / "scenes.jsonl").read_text().splitlines())
         # Tile b has neither vehicles nor, by its labels, ground for them.
         assert {row["background"]["tile"] for row in rows} == {"a"}
-    assert scenes(ground, "uniform", "uniform.jsonl").code == 0
-    rows = map(json.loads, (tmp_path / "uniform.jsonl").read_text().splitlines())
+    assert scenes(ground, "uniform", "uniform").code == 0
+    rows = map(json.loads, (tmp_path / "uniform" / "scenes.jsonl").read_text().splitlines())
     assert {row["background"]["tile"] for row in rows} == {"a", "b"}
-    scenes(folder, "removed", "no.jsonl").refused("knows no removed vehicles on its train tiles")
-    refused = scenes(ground, "roofs", "no.jsonl")
+    scenes(folder, "removed", "no").refused("knows no removed vehicles on its train tiles")
+    refused = scenes(ground, "roofs", "no")
     assert refused.code == 2
     assert "'--settings.places'" in refused.err
     # A place outside its tile.
     index = json.loads((ground / "index.json").read_text())
     index["tiles"][0]["removed"][0]["x_px"] = 400.0
     (ground / "index.json").write_text(json.dumps(index))
-    scenes(ground, "removed", "no.jsonl").refused("outside the tile a of 120 x 120 px")
-    assert not (tmp_path / "no.jsonl").exists()
+    scenes(ground, "removed", "no").refused("outside the tile a of 120 x 120 px")
+    assert not (tmp_path / "no").exists()

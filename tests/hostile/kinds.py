@@ -21,9 +21,9 @@ def render(inputs: Path, out: Path, *more: object) -> Sequence[object]:
 
 
 def scenes(inputs: Path, out: Path) -> Sequence[object]:
-    words = ["scenes", "--backgrounds", inputs / "backgrounds", "--fleet", inputs / "fleets/test"]
+    words = ["render", "--backgrounds", inputs / "backgrounds", "--fleet", inputs / "fleets/test"]
     sizes = ["--count", 1, "--settings.size-px", 96, "--settings.vehicles-maximum", 1]
-    return [*words, *sizes, "--settings.vehicles-minimum", 1, "--out", out / "new.jsonl"]
+    return [*words, *sizes, "--settings.vehicles-minimum", 1, *ON_CPU, "--out", out / "new"]
 
 
 def reject(inputs: Path, out: Path) -> Sequence[object]:

@@ -111,7 +111,6 @@ def test_names_of_camouflages_stay_in_the_output(sandbox: Sandbox, name: str) ->
 
 
 OUTPUTS: dict[str, Words] = {
-    "scenes": lambda inputs, out: [*kinds.scenes(inputs, out)[:-1], out / "mine"],
     "render": lambda inputs, out: [*kinds.render(inputs, out), "--out", out / "mine"],
     "ground": lambda inputs, out: [*kinds.cut(inputs, out), "--out", out / "mine"],
     "clear": lambda inputs, out: [*kinds.clear(inputs, out), "--out", out / "mine"],

@@ -68,7 +68,6 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "learn-vehicles": [
             *("learn-vehicles", inputs / "tiled", inputs / "cleared", "--out", out / "new")
         ],
-        "scenes": kinds.scenes(inputs, out),
         "render": kinds.render(inputs, out),
         "train": kinds.train(inputs, out),
         "precheck": [*checked, "--fleet", inputs / "nowhere"],

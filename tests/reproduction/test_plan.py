@@ -16,7 +16,6 @@ import tyro
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
-from skyproof.cli.scenes import Scenes
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.main import COMMANDS, load_command
 from skyproof.ranges import Fraction
@@ -24,7 +23,7 @@ from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.plan import Plan, command_step
 from skyproof.reproduction.preset import PRESETS, Preset, read_preset
 from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line, step_words
-from skyproof.reproduction.step_commands import STEPS
+from skyproof.reproduction.step_commands import STEPS, Scenes
 from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
 from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.weather import CONDITIONS

@@ -1,54 +1,82 @@
-"""`skyproof render`: a scene file drawn to images with labels."""
+"""`skyproof render`: scenes, sampled or read from a file, rendered to images with labels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from skyproof.cli.console import progress_bar, say
 from skyproof.cycles.rendering import Rendering
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import Count, Seed
+from skyproof.scenes.settings import SceneSettings
+
+if TYPE_CHECKING:
+    from skyproof.scenes.backgrounds import BackgroundSet
+    from skyproof.scenes.scene import Scene
+    from skyproof.vehicles.fleet import Fleet
 
 
-@dataclass(frozen=True)
+def usual_scenes() -> SceneSettings:
+    """The settings of sampled scenes: images of 192 px."""
+    return SceneSettings(size_px=192)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Render(Rendering):
-    """Draws a scene file to images with COCO labels, with or without a camouflage.
+    """Renders scenes to images with COCO labels, with or without a camouflage.
 
-    With --renderer cycles the same scenes are path-traced in Blender, to the same labels.
+    Without --scenes it samples scenes on a split's ground and keeps them as `scenes.jsonl` in the
+    dataset. With --renderer cycles Blender path-traces the same scenes, with the same labels.
 
     Attributes:
-        scenes: scene file (JSON lines).
-        backgrounds: background set folder.
+        scenes: scene file (JSON lines), such as `scenes.jsonl` of another dataset.
+        backgrounds: background set folder; it also says how many metres a pixel has.
         fleet: fleet folder.
         out: dataset folder to write.
+        split: ground of the background set on which scenes are sampled.
+        count: number of sampled scenes.
+        settings: distribution of sampled scenes.
+        seed: seed of sampled scenes.
         camouflage: camouflage folder; without one the vehicles stay as they are.
         labels: coco (annotations.json), or yolo to write YOLO text and data.yaml as well, as
             Ultralytics trains from.
         device: auto, cpu or cuda.
     """
 
-    scenes: Path
+    scenes: Path | None = None
     backgrounds: Path
     fleet: Path
     out: Path
+    split: Literal["train", "validation", "attack", "test"] = "test"
+    count: Count = 120
+    settings: SceneSettings = field(default_factory=usual_scenes)
+    seed: Seed = 0
     camouflage: Path | None = None
     labels: Literal["coco", "yolo"] = "coco"
     device: str = "auto"
 
     def run(self) -> None:
-        """Draws the dataset."""
+        """Renders the dataset.
+
+        Raises:
+            ConfigurationError: a scene file, and options of sampled scenes beside it.
+        """
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.cli.device import choose_device
         from skyproof.cycles.opening import open_renderer
         from skyproof.render.dataset import render_dataset
         from skyproof.scenes.backgrounds import BackgroundSet
-        from skyproof.scenes.scene import read_scenes
         from skyproof.vehicles.fleet import Fleet
 
+        self._refuse_sampling_beside_a_file()
         device = choose_device(self.device)
-        with open_renderer(self, BackgroundSet.open(self.backgrounds), self.out) as renderer:
-            scenes = read_scenes(self.scenes)
+        backgrounds = BackgroundSet.open(self.backgrounds)
+        with open_renderer(self, backgrounds, self.out) as renderer:
             fleet = Fleet.load(self.fleet)
+            scenes = self._scenes(backgrounds, fleet)
             camouflage = load_camouflage(self.camouflage).to(device) if self.camouflage else None
             with progress_bar(f"render {self.out.name}") as update:
                 render_dataset(
@@ -62,3 +90,29 @@ class Render(Rendering):
                     progress=update,
                 )
         say(f"Dataset: {self.out.resolve()}")
+
+    def _refuse_sampling_beside_a_file(self) -> None:
+        usual = (("split", "test"), ("count", 120), ("settings", usual_scenes()), ("seed", 0))
+        given = [name for name, value in usual if getattr(self, name) != value]
+        if self.scenes is not None and given:
+            raise ConfigurationError(
+                f"--{given[0]} is for sampled scenes, and --scenes reads {self.scenes}; leave one "
+                "of the two out."
+            )
+
+    def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> Sequence[Scene]:
+        from skyproof.randomness import generator_of
+        from skyproof.scenes.sampling import sample_scenes
+        from skyproof.scenes.scene import read_scenes
+
+        if self.scenes is not None:
+            return read_scenes(self.scenes)
+        return sample_scenes(
+            self.settings,
+            backgrounds,
+            self.split,
+            fleet.sizes_m,
+            self.count,
+            generator=generator_of(self.seed, "scenes", self.split),
+            prefix=self.split,
+        )

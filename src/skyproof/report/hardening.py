@@ -88,14 +88,10 @@ def hardening(
         commands += _coats(size_px)
     places = "--backgrounds backgrounds --fleet fleets/attack"
     commands += [
-        f"skyproof scenes {places} --split attack --count 400 --seed 1 "
-        f"--settings.size-px {size_px} --out hardening/scenes.jsonl"
+        f"skyproof render {places} --split attack --count 400 --seed 1 --settings.size-px "
+        f"{size_px} --camouflage camouflages/{name} --labels yolo --out hardening/{name}"
+        for name in names
     ]
-    for name in names:
-        commands.append(
-            f"skyproof render --scenes hardening/scenes.jsonl {places} "
-            f"--camouflage camouflages/{name} --labels yolo --out hardening/{name}"
-        )
     after = [
         "Train on your images and these together. Ultralytics trains from data.yaml in the "
         "rendered folders, others from annotations.json (COCO). A detector of skyproof’s own "
@@ -119,10 +115,8 @@ def _coats(size_px: int) -> list[str]:
     places = "--backgrounds backgrounds --fleet hardening/fleets/train"
     return [
         "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
-        f"skyproof scenes {places} --split attack --count 800 --seed 2 "
-        f"--settings.size-px {size_px} --out hardening/coats.jsonl",
-        f"skyproof render --scenes hardening/coats.jsonl {places} --labels yolo "
-        "--out hardening/coats",
+        f"skyproof render {places} --split attack --count 800 --seed 2 --settings.size-px "
+        f"{size_px} --labels yolo --out hardening/coats",
     ]
 
 

@@ -11,13 +11,13 @@ from msgspec import Meta
 from skyproof.assessment.run import START_S, Step
 from skyproof.cli.ground import Ground
 from skyproof.cli.render import Render
-from skyproof.cli.scenes import Scenes
 from skyproof.cli.vehicles import Vehicles
 from skyproof.cycles.rendering import Rendering
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.ranges import Count, Fraction, GroundResolution, check_ranges
 from skyproof.reproduction.plan import command_step
+from skyproof.reproduction.step_commands import Scenes
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings

@@ -31,7 +31,7 @@ def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterat
     removed = totals["labelled_removed"] + totals["detected_removed"]
     yield (
         f"Vehicles removed: {removed}; {totals['masked_share']:.1%} of the ground filled; the "
-        f"places of {totals['places']} are kept for skyproof scenes --settings.places removed."
+        f"places of {totals['places']} are kept for skyproof render --settings.places removed."
     )
     for sentence in warnings(totals, record["vehicles_from"]):
         yield f"WARNING: {sentence}"
