@@ -64,11 +64,7 @@ def test_what_cannot_be_checked_is_said_in_a_sentence(
 ) -> None:
     skyproof("precheck", "--device", "cpu").refused("at least one detector folder")
     skyproof("precheck", detector).refused("--backgrounds and --fleet")
-    skyproof("precheck", detector, *world, "--out", tmp_path / "x").refused("--out belongs to")
-    skyproof("precheck", detector, "--freeze", "labels").refused("--out")
-    out = ["--out", tmp_path / "new"]
-    skyproof("precheck", detector, "--freeze", "labels", *out).refused("--frames")
-    skyproof("precheck", detector, "--freeze", "alarms", *out).refused("--empty")
+    skyproof("precheck", detector, "--freeze", tmp_path / "new").refused("--frames")
     assert not (tmp_path / "new").exists()
     assert not (detector / "precheck.json").exists()
 
@@ -79,17 +75,11 @@ def test_another_threshold_is_frozen_in_a_copy(
     before = bytes_of(detector)
     frames = ["--frames", f"{finished / 'datasets/test'}@0.125", "--frame-classes", "vehicle"]
     labels = tmp_path / "labels"
-    call = ["precheck", detector, "--freeze", "labels", *frames, "--out", labels, "--device", "cpu"]
+    call = ["precheck", detector, "--freeze", labels, *frames, "--device", "cpu"]
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
     best = "the lowest within a point of the best F1 on labelled images (test)"
     assert read_card(labels).threshold_from == best
     assert (labels / "weights.safetensors").read_bytes() == before["weights.safetensors"]
     skyproof(*call).refused("exists already")
-    empty = ["--freeze", "alarms", "--empty", finished / "backgrounds"]
-    few = ["precheck", detector, *empty, "--device", "cpu", "--out"]
-    skyproof(*few, tmp_path / "few").refused("empty ground", "give at least 0.1 km²")
-    answer = skyproof(*few, tmp_path / "some", "--alarms-per-km2", 2000)
-    assert answer.code == 0, answer.err
-    assert "at most 2000 detections per km²" in read_card(tmp_path / "some").threshold_from
     assert bytes_of(detector) == before

@@ -34,7 +34,7 @@ def good(scenes, fleet):
 
 @pytest.fixture(scope="session")
 def records(backgrounds, fleet, scenes, good):
-    """What the gate says of a detector that finds everything, and of one blind to yellow."""
+    """What the precheck says of a detector that finds everything, and of one blind to yellow."""
     blind = Toy("blind", scenes, fleet, is_yellow)
     judges = [judging(good), judging(blind)]
     made = precheck(judges, backgrounds, fleet, scenes, draws=2)

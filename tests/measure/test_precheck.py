@@ -1,4 +1,4 @@
-"""The whole gate in a small world, before detectors whose answers are known."""
+"""The whole precheck in a small world, before detectors whose answers are known."""
 
 import json
 import math

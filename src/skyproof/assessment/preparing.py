@@ -15,11 +15,10 @@ from skyproof.cli.frames import read_frames
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import read_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
-from skyproof.detectors.loaded import copy_detector, load_apart, load_detector, save_detector
+from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.detectors.reference_detectors import detector_folder
-from skyproof.detectors.threshold import threshold_of_labels
+from skyproof.detectors.threshold import copy_with_threshold
 from skyproof.files import finished_folder, new_file
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.clear import clear_backgrounds
@@ -172,14 +171,9 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
     shown = f"{YOURS}={its.layout.tiles / 'validation'}@{its.gsd_m}"
 
     def work() -> None:
-        with finished_folder(out) as partial:
-            (judge,) = load_apart([folder], its.device, read_card(folder).gsd_m)
-            frames = read_frames((shown,), VEHICLE_CLASSES, its.gsd_m)
-            threshold = threshold_of_labels(judge, [each.images for each in frames])
-            how = f"the lowest within a point of the best F1 on labelled images ({YOURS})"
-            card = replace(judge.card, threshold=threshold, threshold_from=how)
-            save_detector(partial, judge.detector, card)
-        say(f"Threshold {threshold:.3f} instead of {judge.threshold:.3f}: {how}.")
+        frames = read_frames((shown,), VEHICLE_CLASSES, its.gsd_m)
+        labelled = {each.name: each.images for each in frames}
+        say(copy_with_threshold(folder, labelled, out, its.device))
 
     settings = (its.sources.get(str(place)), its.gsd_m)
     return Step("threshold", name, (out / "detector.json",), work, settings, effort_s=_LONG_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
@@ -36,7 +36,7 @@ class Precheck:
     detector folder, and every report opens with it. Detectors that are checked already are shown
     again.
 
-    With --freeze it freezes another threshold instead, in a copy of the detector.
+    With --freeze it instead writes a copy of one detector whose threshold is frozen on --frames.
 
     Attributes:
         detectors: detector folders.
@@ -51,11 +51,7 @@ class Precheck:
         frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...], as in
             `score`.
         frame_classes: class names that count as vehicles in frames without classes of their own.
-        freeze: labels (the lowest threshold within a point of the best F1 on --frames) or alarms
-            (the lowest with at most --alarms-per-km2 detections on --empty).
-        empty: for --freeze alarms: background set folder without vehicles; its validation split.
-        alarms_per_km2: for --freeze alarms.
-        out: for --freeze: detector folder to write; the old one stays as it is.
+        freeze: detector folder to write, a copy with another threshold; the old one stays.
         seed: of scenes, random controls and the bootstrap.
         device: auto, cpu or cuda.
     """
@@ -69,10 +65,7 @@ class Precheck:
     draws: Annotated[int, Meta(ge=1, le=100)] = 5
     frames: tuple[str, ...] = ()
     frame_classes: tuple[str, ...] = ("car", "minibus")
-    freeze: Literal["labels", "alarms"] | None = None
-    empty: Path | None = None
-    alarms_per_km2: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
-    out: Path | None = None
+    freeze: Path | None = None
     seed: Seed = 0
     device: str = "auto"
 
@@ -85,15 +78,11 @@ class Precheck:
         if not self.detectors:
             raise ConfigurationError("A check expects at least one detector folder, got none.")
         if self.freeze is not None:
-            self._freeze()
+            self._freeze(self.freeze)
             return
         if self.backgrounds is None or self.fleet is None:
             raise ConfigurationError(
                 "A check renders scenes: give --backgrounds and --fleet, those of the test split."
-            )
-        if self.out is not None:
-            raise ConfigurationError(
-                "A check is stored in the detector's own folder; --out belongs to --freeze."
             )
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
@@ -175,60 +164,23 @@ class Precheck:
                 records[folder] = record
         return [records[folder] for folder in self.detectors]
 
-    def _freeze(self) -> None:
+    def _freeze(self, out: Path) -> None:
         """Writes a copy of a detector with another frozen threshold."""
-        if len(self.detectors) != 1 or self.out is None:
+        if len(self.detectors) != 1 or not self.frames:
             raise ConfigurationError(
-                "--freeze expects one detector folder, and --out for its copy with the new "
-                "threshold."
+                "--freeze expects one detector folder, and labelled images to choose the threshold "
+                "on; give --frames."
             )
-        if self.freeze == "labels" and not self.frames:
-            raise ConfigurationError(
-                "--freeze labels chooses the threshold on labelled images; give --frames."
-            )
-        if self.freeze == "alarms" and self.empty is None:
-            raise ConfigurationError(
-                "--freeze alarms chooses the threshold on ground without vehicles; give --empty, a "
-                "background set such as skyproof clear makes."
-            )
-        from dataclasses import replace
-
         from skyproof.cli.device import choose_device
         from skyproof.cli.frames import read_frames
         from skyproof.detectors.card import read_card
-        from skyproof.detectors.loaded import load_apart, save_detector
-        from skyproof.detectors.threshold import (
-            empty_tiles,
-            threshold_of_alarms,
-            threshold_of_labels,
-        )
-        from skyproof.files import finished_folder
-        from skyproof.scenes.backgrounds import BackgroundSet
+        from skyproof.detectors.threshold import copy_with_threshold
 
-        with finished_folder(self.out) as partial:
-            (folder,) = self.detectors
-            gsd_m = read_card(folder).gsd_m
-            ground = BackgroundSet.open(self.empty) if self.empty is not None else None
-            looked_at_m = gsd_m if ground is None else ground.gsd_m
-            (judge,) = load_apart([folder], choose_device(self.device), looked_at_m)
-            if self.freeze == "alarms" and ground is not None:
-                images = empty_tiles(ground)
-                threshold = threshold_of_alarms(judge, images, self.alarms_per_km2)
-                how = (
-                    f"at most {self.alarms_per_km2:g} detections per km² on {len(images)} empty "
-                    "validation tiles"
-                )
-            else:
-                frames = read_frames(self.frames, self.frame_classes, gsd_m)
-                threshold = threshold_of_labels(judge, [each.images for each in frames])
-                names = ", ".join(each.name for each in frames)
-                how = f"the lowest within a point of the best F1 on labelled images ({names})"
-            card = replace(judge.card, threshold=threshold, threshold_from=how)
-            save_detector(partial, judge.detector, card)
-        say(
-            f"Threshold {threshold:.3f} instead of {judge.threshold:.3f}: {how}. Detector: "
-            f"{self.out.resolve()}"
-        )
+        (folder,) = self.detectors
+        frames = read_frames(self.frames, self.frame_classes, read_card(folder).gsd_m)
+        labelled = {each.name: each.images for each in frames}
+        told = copy_with_threshold(folder, labelled, out, choose_device(self.device))
+        say(f"{told} Detector: {out.resolve()}")
 
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:

@@ -30,7 +30,7 @@ def lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
     """Tells in a few lines what was measured, and what follows of it.
 
     Args:
-        record: what the gate measured.
+        record: what was measured.
         doubts: of its card, in a sentence each.
     """
     found = findings(record)

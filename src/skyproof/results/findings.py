@@ -1,4 +1,4 @@
-"""Whether a detector passed the gate: each criterion's limit, and what was found. Needs no torch.
+"""Whether a detector passed the precheck: each criterion and what was found. Needs no torch.
 
 An estimate within its limit passes. It fails only where its whole 95 % interval lies beyond, so
 that few vehicles fail nobody; between the two it is borderline.
