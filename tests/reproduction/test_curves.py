@@ -79,8 +79,6 @@ def test_shape_alone_starts_at_nothing(rng):
         0.4,
         1.0,
     )
-    alone = practicality_curve(tiles, "S-O", generator=rng, detector="b")
-    assert alone.points[1].easr.estimate == pytest.approx(0.7)
 
 
 def test_the_best_magnitude_is_as_sure_as_the_replicates_agree(rng):

@@ -422,7 +422,7 @@ def test_the_page_says_what_the_cycles_column_is(on_cycles):
     # tiles (17 of either) and two seeds of T-Fc by 28.
     assert "in 0 of 3 rows" in page
     assert "better than chance there: T-U, T-Fc, S-O." in page
-    assert "a single draw there, so that nothing is said of others: T-Fc, S-O." in page
+    assert "a single draw there, which says nothing about others: T-Fc, S-O." in page
     # AP 0.9 for both; 10 and 8 of 10 vehicles found.
     assert "| RetinaNet | 90.0 | 90.0 | 100.0 | 80.0 |" in page
 
@@ -487,8 +487,8 @@ def test_what_is_tested_counts_each_camouflage_once(folder):
     # T-U, T-Fc, S-O@0.4 and C-Fc-seq@0.2; one draw each but for T-U, whose two leave it open.
     assert "for 2 of 4 distinct camouflages above" in tests
     assert "Not surely more than an average random draw: T-U, T-Fc." in tests
-    assert "chosen and not learnt" not in tests
-    assert "a single draw, so that nothing is said of others: T-Fc, S-O@0.4, C-Fc-seq@0.2." in tests
+    assert "without optimisation" not in tests
+    assert "a single draw, which says nothing about others: T-Fc, S-O@0.4, C-Fc-seq@0.2." in tests
     assert "for every repeat and every draw, for 4 of 4." in tests
     assert "(McNemar’s exact test, corrected alike): 4 of 4." in tests
     row = table(folder, "textures")["T-U"]
@@ -510,7 +510,7 @@ def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
     assert float(row["net_unlearnt_easr_low"]) < 0
     tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
     # A plain paint all over is a control of T-Fc, too.
-    assert "Of 2, 0 surely hide more than every control that was chosen and not learnt." in tests
+    assert "Of 2, 0 surely hide more than every control found without optimisation." in tests
     assert "Not surely due to learning: T-U, T-Fc." in tests
     shapes = table(folder, "shape_combined")["C-Fc-seq"]
     close(shapes["drawn_shape_easr"], 20)
@@ -532,7 +532,7 @@ def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     # A learnt shape hides 37.5 % there, every vertex out 50 %.
     close(table(folder, "shape_combined")["S-O"]["cycles_net_unlearnt_easr"], -12.5)
     # A plain paint all over is a control of T-Fc, too.
-    said = "Against the strongest control that was chosen and not learnt, 1 of 3 do."
+    said = "Against the strongest control found without optimisation, 1 of 3 do."
     assert said in page
     # One that is stronger on the renderer and was not drawn on Cycles: nothing is said there.
     write_scores(folder / "scores" / "002", {"R-U_search": 0.7, "R-U_best": 0.2})

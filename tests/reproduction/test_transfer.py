@@ -1,4 +1,4 @@
-"""The matrix of attacked-on by evaluated-on."""
+"""EASR by detectors attacked and detector."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction import transfer
+from skyproof.reproduction.transfer import transfer_rows
 from skyproof.results.statistics.intervals import Interval
 from tests.results.rows import beside, made_row
 
@@ -40,35 +40,30 @@ ATTACKED = {
 }
 
 
-def transfer_matrix(rows, attacked, *, base):
+def transfer(rows, attacked, *, base):
     named = {read(name): detectors for name, detectors in attacked.items()}
-    return transfer.transfer_matrix(rows, named, base=read(base))
+    return transfer_rows(rows, named, base=read(base))
 
 
-def test_matrix_by_hand():
-    matrix = transfer_matrix(ROWS, ATTACKED, base="T-U")
-    assert [[cell.detector for cell in line] for line in matrix] == [["a", "b"]] * 3
-    assert [str(line[0].camouflage) for line in matrix] == ["T-U_on_a", "T-U_without_a", "T-U"]
-    assert [line[0].attacked for line in matrix] == [("a",), ("b",), ("a", "b")]
-    assert [[cell.easr.estimate for cell in line] for line in matrix] == [
-        [0.95, 0.3],
-        [0.4, 0.9],
-        [0.9, 0.8],
-    ]
-    easr = matrix[0][1].easr
-    assert (easr.estimate, easr.low, easr.high) == pytest.approx((0.3, 0.2, 0.4))
+def test_rows_by_hand():
+    found = transfer(ROWS, ATTACKED, base="T-U")
+    assert [row["attacked_on"] for row in found] == ["a", "b", "a b"]
+    assert {row["attack"] for row in found} == {"T-U"}
+    easr = [[round(row[judge]) for judge in ("a", "b")] for row in found]
+    assert easr == [[95, 30], [40, 90], [90, 80]]
+    limits = [found[0][key] for key in ("b", "b_low", "b_high")]
+    assert limits == pytest.approx([30, 20, 40])
 
 
 def test_gaps_are_refused():
-    with pytest.raises(ConfigurationError, match="no row of S-O"):
-        transfer_matrix(ROWS, ATTACKED, base="S-O")
+    assert transfer(ROWS, ATTACKED, base="S-O") == []
     with pytest.raises(ConfigurationError, match="not known which detectors T-U_on_a attacked"):
-        transfer_matrix(ROWS, {"T-U": ["a", "b"]}, base="T-U")
+        transfer(ROWS, {"T-U": ["a", "b"]}, base="T-U")
     with pytest.raises(ConfigurationError, match="b has not judged T-U_on_a"):
-        transfer_matrix(
+        transfer(
             [r for r in ROWS if str(r.camouflage) != "T-U_on_a" or r.detector == "a"],
             ATTACKED,
             base="T-U",
         )
     with pytest.raises(ConfigurationError, match="Repeats of T-U attacked different detectors"):
-        transfer_matrix(ROWS, ATTACKED | {"T-U-2": ["a"]}, base="T-U")
+        transfer(ROWS, ATTACKED | {"T-U-2": ["a"]}, base="T-U")

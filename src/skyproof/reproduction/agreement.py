@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,11 @@ from skyproof.reproduction.cells import (
     interval_cells,
     number,
 )
-from skyproof.reproduction.paper_results import PAPER_RESULTS
+from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.results import CYCLES, RENDERER
+from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample
@@ -63,8 +66,7 @@ def rank_agreement(
     *,
     rows: Mapping[str, str] | None = None,
     generator: np.random.Generator,
-    renderer: str = "torch",
-    match: str = "centre_1m",
+    renderer: str = RENDERER,
 ) -> Agreement:
     """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
 
@@ -79,14 +81,14 @@ def rank_agreement(
         rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude
             to compare.
         generator: of the bootstrap.
-        renderer, match: which of the counts.
+        renderer: whose images ours are on.
 
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
     # The attacks that both have, the paper's most successful one first.
     rows = rows or {}
-    series = _pooled(tiles, renderer, match)
+    series = _pooled(tiles, renderer)
     shared = [
         name
         for name in sorted(paper, key=lambda name: -paper[name])
@@ -116,10 +118,8 @@ def renderer_agreement(
     names: Iterable[str],
     *,
     generator: np.random.Generator,
-    renderers: tuple[str, str] = ("torch", "cycles"),
-    match: str = "centre_1m",
 ) -> Agreement:
-    """Gives the rank correlation between the EASRs under two renderers.
+    """Gives the rank correlation between the EASRs under both renderers, Cycles the second.
 
     It is over the attacks that were scored under both. Repeats that only one renderer has are left
     out. Both vary over the same resampled tiles: they show the same scenes. The rest stays fixed.
@@ -128,19 +128,17 @@ def renderer_agreement(
         tiles: counts under both.
         names: of the attacks to compare, without repeats.
         generator: of the bootstrap.
-        renderers: whose EASRs are `ours` and `theirs`.
-        match: which of the counts.
 
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
     """
     # The counts that exist under both renderers, and the attacks in them.
     both = [
-        all(key._replace(renderer=renderer) in tiles.series for renderer in renderers)
+        all(key._replace(renderer=renderer) in tiles.series for renderer in (RENDERER, CYCLES))
         for key in tiles.series
     ]
     paired = TileCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
-    pooled = [_pooled(paired, renderer, match) for renderer in renderers]
+    pooled = [_pooled(paired, renderer) for renderer in (RENDERER, CYCLES)]
     shared = [name for name in names if all(name in series for series in pooled)]
     if len(shared) < _FEWEST:
         raise ConfigurationError(
@@ -165,13 +163,11 @@ def renderer_agreement(
     )
 
 
-def _pooled(
-    tiles: TileCounts, renderer: str, match: str
-) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
+def _pooled(tiles: TileCounts, renderer: str) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
     """Gathers the pair counts of every repeat and detector by attack."""
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
-        if (key.renderer, key.match) == (renderer, match):
+        if (key.renderer, key.match) == (renderer, MAIN_MATCH):
             series.setdefault(str(CamouflageName.read(key.camouflage).pooled), []).append(
                 counts[:, 1:]
             )
@@ -293,61 +289,81 @@ def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> Grid:
     return Grid(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], cells)
 
 
+def correlated(
+    compared: str, label: str, correlate: Callable[[], Agreement]
+) -> list[dict[str, Any]]:
+    """Gives the row of one correlation; none of fewer than three attacks, or an undefined one."""
+    with suppress(ConfigurationError):
+        found = correlate()
+        row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
+        row |= interval_cells("spearman", found.spearman)
+        return [row | interval_cells("kendall", found.kendall)]
+    return []
+
+
+def with_paper(
+    run: Reproduction,
+    compared: str,
+    paper: Mapping[str, float],
+    rows: Mapping[str, str],
+    renderer: str = RENDERER,
+) -> list[dict[str, Any]]:
+    """Correlates our ranks under a renderer with a column of the paper's, set by set.
+
+    Args:
+        run: ours.
+        compared: what is compared, in words.
+        paper: the column.
+        rows: our row for an attack where its name differs.
+        renderer: whose images ours are on.
+    """
+
+    def correlate(belongs: Callable[[str], bool]) -> Agreement:
+        wanted = {name: rate for name, rate in paper.items() if belongs(name)}
+        generator = np.random.default_rng(0)
+        return rank_agreement(
+            run.results.tiles, wanted, rows=rows, generator=generator, renderer=renderer
+        )
+
+    return [
+        row
+        for label, belongs in _SETS.items()
+        for row in correlated(compared, label, partial(correlate, belongs))
+    ]
+
+
 def _rows(run: Reproduction) -> list[dict[str, Any]]:
     """Correlates ranks: ours with both of the paper's columns, and these with each other.
 
     Shapes and combinations stand at our own PM*, and once more at the paper's.
     """
-    renderer = {name: result.easr for name, result in PAPER_RESULTS.items()}
-    blender = {
-        name: result.easr_blender
-        for name, result in PAPER_RESULTS.items()
-        if result.easr_blender is not None
-    }
     same = {
         name: point_name(name, result.perturbation_magnitude)
         for name, result in PAPER_RESULTS.items()
         if result.perturbation_magnitude is not None
     }
-    rows: list[dict[str, Any]] = []
-    for compared, paper, own in (
-        (_RENDERER, renderer, run.best),
-        ("the same, at the paper’s PM*", renderer, same),
-        ("our EASR and the paper’s on Blender", blender, run.best),
-        ("the paper’s two columns", blender, None),
-    ):
+    at_same = with_paper(run, "the same, at the paper’s PM*", ON_RENDERER, same)
+    rows = [
+        *with_paper(run, _RENDERER, ON_RENDERER, run.best),
+        *(row for row in at_same if row["set"] != "textures"),
+        *with_paper(run, "our EASR and the paper’s on Blender", ON_BLENDER, run.best),
+    ]
+    # Where ours cannot be compared, the paper's own agreement is no one's question.
+    if rows:
         for label, belongs in _SETS.items():
-            wanted = {name: rate for name, rate in paper.items() if belongs(name)}
-            if own is same and label == "textures":
-                continue
-            # Where ours cannot be compared, the paper's own agreement is no one's question.
-            if own is None and not rows:
-                continue
-            # Fewer than three attacks, or an undefined one, have no correlation.
-            with suppress(ConfigurationError):
-                found = _with_itself(wanted, renderer) if own is None else _with(run, wanted, own)
-                rows.append({"compared": compared, "set": label, **found})
+            names = [name for name in ON_BLENDER if belongs(name)]
+            rows += correlated("the paper’s two columns", label, partial(_with_itself, names))
     return rows
 
 
-def _with(run: Reproduction, paper: Mapping[str, float], own: Mapping[str, str]) -> dict[str, Any]:
-    found = rank_agreement(run.results.tiles, paper, rows=own, generator=np.random.default_rng(0))
-    return {
-        "attacks": len(found.attacks),
-        **interval_cells("spearman", found.spearman),
-        **interval_cells("kendall", found.kendall),
-    }
-
-
-def _with_itself(blender: Mapping[str, float], renderer: Mapping[str, float]) -> dict[str, Any]:
+def _with_itself(names: Sequence[str]) -> Agreement:
     """The paper gives no intervals, so that nothing says how sure its own agreement is."""
-    columns = [np.array([column[name] for name in blender]) for column in (renderer, blender)]
-    spearman, kendall = map(float, rank_correlations(*columns))
-    return {
-        "attacks": len(blender),
-        **interval_cells("spearman", Interval(spearman, math.nan, math.nan)),
-        **interval_cells("kendall", Interval(kendall, math.nan, math.nan)),
-    }
+    first, second = ([column[name] for name in names] for column in (ON_RENDERER, ON_BLENDER))
+    spearman, kendall = (
+        Interval(float(found), math.nan, math.nan)
+        for found in rank_correlations(np.array(first), np.array(second))
+    )
+    return Agreement(names, first, second, spearman, kendall)
 
 
 def comparison(run: Reproduction) -> dict[str, float]:

@@ -18,6 +18,8 @@ from skyproof.report.figures import GREY, INK, STYLE, as_files
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
+from skyproof.results.results import RENDERER
+from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
@@ -96,9 +98,6 @@ def practicality_curve(
     family: str,
     *,
     generator: np.random.Generator,
-    renderer: str = "torch",
-    match: str = "centre_1m",
-    detector: str | None = None,
 ) -> Curve:
     """Gives the curve of one family over the magnitudes that were scored.
 
@@ -110,18 +109,15 @@ def practicality_curve(
         tiles: counts of the magnitudes, and of the texture where the family has one.
         family: name before "@".
         generator: of the bootstrap.
-        renderer, match: which of the counts.
-        detector: one alone; default the mean over all.
 
     Raises:
         ConfigurationError: nothing of the family was scored, or a detector judged only some of its
             magnitudes.
     """
-    groups = _magnitudes(tiles, family, renderer, match, detector)
+    groups = _magnitudes(tiles, family)
     if not groups or set(groups) == {0.0}:
         raise ConfigurationError(
-            f"Nothing of {family} was scored by {match} under {renderer}; score {family}@0.1, "
-            f"{family}@0.2, ..."
+            f"Nothing of {family} was scored; score {family}@0.1, {family}@0.2, ..."
         )
     judged = {magnitude: {key.detector for key, _ in group} for magnitude, group in groups.items()}
     if len({frozenset(names) for names in judged.values()}) > 1:
@@ -167,12 +163,12 @@ def practicality_curve(
 
 
 def _magnitudes(
-    tiles: TileCounts, family: str, renderer: str, match: str, detector: str | None
+    tiles: TileCounts, family: str
 ) -> Mapping[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]]:
     """Gathers by magnitude the counts of every repeat and detector."""
     groups: dict[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]] = {}
     for key, counts in tiles.series.items():
-        if (key.renderer, key.match) != (renderer, match) or detector not in (None, key.detector):
+        if (key.renderer, key.match) != (RENDERER, MAIN_MATCH):
             continue
         name = CamouflageName.read(key.camouflage)
         if name.variant:

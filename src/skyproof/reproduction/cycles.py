@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.errors import ConfigurationError
 from skyproof.reproduction.agreement import (
     Agreement,
+    correlated,
     correlation_grid,
-    rank_agreement,
     renderer_agreement,
+    with_paper,
 )
 from skyproof.reproduction.cells import (
     Block,
@@ -27,7 +27,7 @@ from skyproof.reproduction.cells import (
     interval_cells,
     number,
 )
-from skyproof.reproduction.paper_results import PAPER_RESULTS
+from skyproof.reproduction.paper_results import ON_BLENDER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.rows import MAIN_MATCH
@@ -78,8 +78,8 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
         "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
         "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
         "“Blender” column. A vehicle counts where the detector found it on Cycles’ own image "
-        "without camouflage; net is minus the random control on Cycles. Net of unlearnt ones is "
-        "given where Cycles has all of them that the renderer has. Shapes and combinations keep "
+        "without camouflage; net is minus the random control on Cycles. The net of the best control is "
+        "given where Cycles has every control that the renderer has. Shapes and combinations keep "
         "the PM* that they have on the renderer.",
         _missing(run),
         _alone(rows),
@@ -102,7 +102,7 @@ def rates_under(
 ) -> dict[str, Any]:
     """Gives a row under a renderer in percent and points; None where there is no row.
 
-    Of the controls that were chosen and not learnt nothing is said unless this renderer shows all
+    Of controls found without optimisation nothing is said unless this renderer shows all
     that the differentiable one does: beside fewer, more would seem to be learnt.
     """
     rates = in_percent(results.row(name, detector, renderer=renderer))
@@ -160,56 +160,20 @@ def _changes(run: Reproduction) -> list[dict[str, Any]]:
 
 def _agreements(run: Reproduction) -> list[dict[str, Any]]:
     """Correlates the ranks on Cycles with the paper's Blender column and with our renderer."""
-    blender = {
-        name: result.easr_blender
-        for name, result in PAPER_RESULTS.items()
-        if result.easr_blender is not None
-    }
     attacks = [name for name in _plain_names(run) if not name.startswith("R-")]
-
-    def with_paper(names: Collection[str]) -> Agreement:
-        paper = {name: blender[name] for name in names}
-        rng = np.random.default_rng(0)
-        return rank_agreement(
-            run.results.tiles,
-            paper,
-            rows=run.best,
-            generator=rng,
-            renderer=CYCLES,
-            match=MAIN_MATCH,
-        )
+    sets = {
+        "textures": [name for name in attacks if name.startswith("T-")],
+        "all attacks, at every magnitude": attacks,
+        "all, with random controls": _plain_names(run),
+    }
 
     def with_renderer(names: Collection[str]) -> Agreement:
-        rng = np.random.default_rng(0)
-        return renderer_agreement(
-            run.results.tiles, names, generator=rng, renderers=(RENDERER, CYCLES), match=MAIN_MATCH
-        )
+        generator = np.random.default_rng(0)
+        return renderer_agreement(run.results.tiles, names, generator=generator)
 
-    paper, renderer = "Cycles and the paper’s Blender", "Cycles and our renderer"
-    sets = [
-        (paper, with_paper, "textures", [name for name in blender if name.startswith("T-")]),
-        (
-            paper,
-            with_paper,
-            "textures, shape and combinations",
-            [name for name in blender if not name.startswith("R-")],
-        ),
-        (paper, with_paper, "all, with random controls", list(blender)),
-        (renderer, with_renderer, "textures", [name for name in attacks if name.startswith("T-")]),
-        (renderer, with_renderer, "all attacks, at every magnitude", attacks),
-        (renderer, with_renderer, "all, with random controls", _plain_names(run)),
-    ]
-    rows = []
-    for compared, correlate, label, names in sets:
-        # Fewer than three attacks, or an undefined one, have no correlation.
-        with suppress(ConfigurationError):
-            found = correlate(names)
-            row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
-            rows.append(
-                row
-                | interval_cells("spearman", found.spearman)
-                | interval_cells("kendall", found.kendall)
-            )
+    rows = with_paper(run, "Cycles and the paper’s Blender", ON_BLENDER, run.best, CYCLES)
+    for label, names in sets.items():
+        rows += correlated("Cycles and our renderer", label, partial(with_renderer, names))
     return rows
 
 
@@ -290,14 +254,14 @@ def _placebo(rows: Sequence[Mapping[str, Any]]) -> str:
         text += f" Not surely better than chance there: {', '.join(below)}."
     if single:
         text += (
-            " Set against a single draw there, so that nothing is said of others: "
+            " Compared with a single draw there, which says nothing about others: "
             f"{', '.join(single)}."
         )
     compared = [row for row in rows if row["cycles_net_unlearnt_easr_low"] is not None]
     if compared:
         above = [row for row in compared if row["cycles_net_unlearnt_easr_low"] > 0]
         text += (
-            f" Against the strongest control that was chosen and not learnt, {len(above)} of "
+            f" Against the strongest control found without optimisation, {len(above)} of "
             f"{len(compared)} do."
         )
     return text

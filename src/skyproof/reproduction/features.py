@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 
@@ -55,12 +54,10 @@ def features_part(run: Reproduction) -> Part:
             stored = _classes(every, name, detector)
             if not stored:
                 continue
-            vectors = {each: _joined(parts) for each, parts in stored.items()}
-            tiles = {
-                each: [tile for part in parts for tile in part.backgrounds]
-                for each, parts in stored.items()
-            }
-            embedding = embed(vectors, tiles)
+            embedding = embed(
+                {shown: each.vectors for shown, each in stored.items()},
+                {shown: each.backgrounds for shown, each in stored.items()},
+            )
             numbers += _number_rows(str(name), detector, embedding)
             points += _point_rows(str(name), detector, embedding, stored)
     if not numbers:
@@ -80,33 +77,28 @@ def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
 
 def _classes(
     every: Sequence[Features], name: CamouflageName, detector: str
-) -> Mapping[str, Sequence[Features]]:
+) -> Mapping[str, Features]:
     """Gives what is stored of ground, vehicles, a camouflage, its control and the plain paint.
 
     Nothing where ground, vehicles or the camouflage are missing or too few.
     """
     plain, *_ = name.unlearnt
     wanted = [GROUND, ORIGINAL, str(name), str(name.control), str(plain)]
-    found: dict[str, list[Features]] = {each: [] for each in wanted}
-    for each in every:
-        shown = each.shown
-        if shown not in (GROUND, ORIGINAL):
-            shown = str(CamouflageName.read(shown).pooled)
-        if each.detector == detector and shown in found:
-            found[shown].append(each)
-    enough = {
-        shown: parts
-        for shown, parts in found.items()
-        if sum(len(part.vectors) for part in parts) >= _FEWEST
+    found = {
+        shown: each
+        for each in every
+        if each.detector == detector and len(each.vectors) >= _FEWEST
+        for shown in [_pooled(each.shown)]
+        if shown in wanted
     }
-    tiles = {tile for parts in enough.values() for part in parts for tile in part.backgrounds}
-    if len(tiles) < 2 or any(shown not in enough for shown in wanted[:3]):
+    tiles = {tile for each in found.values() for tile in each.backgrounds}
+    if len(tiles) < 2 or any(shown not in found for shown in wanted[:3]):
         return {}
-    return enough
+    return {shown: found[shown] for shown in wanted if shown in found}
 
 
-def _joined(parts: Sequence[Features]) -> Float[np.ndarray, "N C"]:
-    return np.concatenate([part.vectors for part in parts])
+def _pooled(shown: str) -> str:
+    return shown if shown in (GROUND, ORIGINAL) else str(CamouflageName.read(shown).pooled)
 
 
 def _number_rows(name: str, detector: str, embedding: Embedding) -> list[dict[str, Any]]:
@@ -137,14 +129,13 @@ def _number_rows(name: str, detector: str, embedding: Embedding) -> list[dict[st
 
 
 def _point_rows(
-    name: str, detector: str, embedding: Embedding, stored: Mapping[str, Sequence[Features]]
+    name: str, detector: str, embedding: Embedding, stored: Mapping[str, Features]
 ) -> list[dict[str, Any]]:
     told = [
         (scene, tile, placement)
-        for parts in stored.values()
-        for part in parts
+        for each in stored.values()
         for scene, tile, placement in zip(
-            part.scenes, part.backgrounds, part.placements, strict=True
+            each.scenes, each.backgrounds, each.placements, strict=True
         )
     ]
     return [

@@ -175,7 +175,7 @@ def _table(
             rows = [row for row in hidden if row.get(f"{prefix}random_draws") == 1]
             single = ", ".join(dict.fromkeys(row["attack"] for row in rows))
             parts += [
-                f"{where}: EASR, net of random draws, and net of the best unlearnt control."
+                f"{where}: EASR, net of random draws, and net of the best control."
                 + (f" Set against a single draw: {single}." if single else ""),
                 _grid(judge_names(results), hidden, prefix),
             ]
@@ -199,7 +199,7 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
-    known = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of unlearnt"}
+    known = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of best control"}
     # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
         key: words

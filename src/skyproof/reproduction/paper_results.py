@@ -52,3 +52,13 @@ PAPER_RESULTS: dict[str, PaperResult] = {
     "C-PixFc-seq": PaperResult(86.83, 75.76, 36.09, 68.64, 0.2),
     "C-PixFc-par": PaperResult(89.34, 77.86, 37.79, 71.18, 0.2),
 }
+
+ON_RENDERER = {name: result.easr for name, result in PAPER_RESULTS.items()}
+"""The paper's EASR on its own renderer."""
+
+ON_BLENDER = {
+    name: result.easr_blender
+    for name, result in PAPER_RESULTS.items()
+    if result.easr_blender is not None
+}
+"""The paper's EASR on Blender, as far as it gives it."""

@@ -18,7 +18,7 @@ from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.rows import MAIN_MATCH, Row
+from skyproof.results.rows import Row
 from skyproof.results.stored import AttackRecord, Practicality
 
 _FEWEST = 3
@@ -81,9 +81,7 @@ class Reproduction:
         """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
         tiles = self.results.tiles
         return {
-            family: practicality_curve(
-                tiles, family, generator=np.random.default_rng(0), match=MAIN_MATCH
-            )
+            family: practicality_curve(tiles, family, generator=np.random.default_rng(0))
             # S-O first, as in the paper.
             for family in sorted(curve_families(tiles), key=lambda family: family != "S-O")
         }

@@ -31,15 +31,15 @@ def main_part(run: Reproduction) -> Part:
     textures = _texture_rows(run)
     shapes = _shape_rows(run)
     detectors = ", ".join(map(detector_name, run.detectors))
-    explained = " What stands “on Cycles”, and the paper’s for Blender, is explained below."
+    explained = " The columns “on Cycles” and the paper’s for Blender are explained below."
     blocks: list[Block] = [
         "All rates in percent, of the test vehicles that a detector found before; mean over "
         f"{detectors}. Brackets hold 95 % intervals over background tiles, vehicles of the fleet "
         "and, where there are several, seeds of the attack and draws of the control; “repeats” the "
         "range over attacks from different seeds. “random” is the mean EASR of random draws under "
-        "the same constraints, “net” the EASR minus that. “unlearnt” is the EASR of the strongest "
-        "control that was chosen and not learnt (a plain paint or every vertex out, the best of "
-        "many draws, a random search), and “net of it” the EASR minus that. “paper” is what the "
+        "the same constraints, “net” the EASR minus that. “best control” is the EASR of the "
+        "strongest control found without optimisation (a plain paint or every vertex out, the best "
+        "of N draws, a random search), and “net of it” the EASR minus that. “paper” is what the "
         "paper reports for its own renderer († only in its source’s comments)."
         + (explained if run.cycles else ""),
         Heading("Textures"),
@@ -108,13 +108,13 @@ def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 def _header(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Heads what `_cells` makes of the table's rows."""
-    ours = ["EASR", "repeats", "random", "net", "unlearnt", "net of it", "APD"]
+    ours = ["EASR", "repeats", "random", "net", "best control", "net of it", "APD"]
     if "cycles_easr" in Table("", rows).columns:
         return [
             *ours,
             "EASR on Cycles",
             "net on Cycles",
-            "net of unlearnt on Cycles",
+            "net of best control on Cycles",
             "paper EASR",
             "paper Blender",
             "paper APD",

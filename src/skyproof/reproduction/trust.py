@@ -63,9 +63,9 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
             f"Placebo: for {len(controlled) - len(below)} of {len(controlled)} distinct "
             "camouflages above, the interval of the net EASR lies above zero.",
             _named("Not surely more than an average random draw", below),
-            _named("Set against a single draw, so that nothing is said of others", single),
+            _named("Compared with a single draw, which says nothing about others", single),
             f"Of {len(chosen)}, {len(chosen) - len(unsure)} surely hide more than every control "
-            "that was chosen and not learnt."
+            "found without optimisation."
             if chosen
             else "",
             _named("Not surely due to learning", unsure),
