@@ -78,9 +78,9 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
         "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
         "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
         "“Blender” column. A vehicle counts where the detector found it on Cycles’ own image "
-        "without camouflage; net is minus the random control on Cycles. The net of the best control "
-        "is given where Cycles has every control that the renderer has. Shapes and combinations keep "
-        "the PM* that they have on the renderer.",
+        "without camouflage; net is minus the random control on Cycles. The net of the best "
+        "control is given where Cycles has every control that the renderer has. Shapes and "
+        "combinations keep the PM* that they have on the renderer.",
         _missing(run),
         _alone(rows),
         *_moves(changes),
