@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 # neighbour.
 FLOORS = [
     {"errors", "seeds"},
-    {"ranges", "files", "words", "layout", "randomness", "pictures"},
+    {"ranges", "files", "words", "layout", "randomness", "pictures", "console", "device"},
     {"documents"},
     {"geometry", "storage"},
     {"loop"},
@@ -22,15 +22,15 @@ FLOORS = [
     {"measure"},
     {"attacks", "maite"},
     {"report"},
-    {"cli"},
     {"assessment"},
+    {"cli"},
     {"main", "__init__"},
     {"generator", "reproduction", "__main__"},
 ]
 # Nothing else needs them: the paper's tables, and the vehicles learnt from photographs.
 ROOMS_OF_THEIR_OWN = ("generator", "reproduction")
 BLENDER_WORKER = "cycles.worker"
-PRINTING = ("cli", "assessment", "__main__", *ROOMS_OF_THEIR_OWN)
+PRINTING = ("console", "__main__", *ROOMS_OF_THEIR_OWN)
 FLOOR = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 
@@ -134,10 +134,7 @@ def printers(modules):
                 found.append(module)
     # The program that runs inside Blender prints its answers into a pipe.
     spared = {
-        module
-        for module in found
-        if module.split(".")[0] in ("cli", "assessment", "reproduction", "__main__")
-        or module == BLENDER_WORKER
+        module for module in found if module.split(".")[0] in PRINTING or module == BLENDER_WORKER
     }
     return sorted({*found} - spared)
 

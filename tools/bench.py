@@ -25,11 +25,11 @@ import tyro
 from skyproof.attacks.objective import frozen, objective_and_gradient
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
-from skyproof.cli.device import choose_device
 from skyproof.cycles.opening import open_workers
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.detectors.build import build_detector
+from skyproof.device import choose_device
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import placed_vehicles, render_dataset

@@ -11,15 +11,15 @@ from importlib import import_module
 from typing import Any
 
 from skyproof import __version__
-from skyproof.cli.console import say, say_error
+from skyproof.console import say, say_error
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.ranges import check_ranges
 
 # A command is imported when it is asked for: help and a wrong option must answer at once.
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
-        "demo": "skyproof.assessment.demo:Demo",
-        "assess": "skyproof.assessment.command:Assess",
+        "demo": "skyproof.cli.demo:Demo",
+        "assess": "skyproof.cli.assess:Assess",
         "reproduce": "skyproof.reproduction.command:Reproduce",
         "report": "skyproof.cli.report:Report",
     },

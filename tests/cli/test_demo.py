@@ -104,7 +104,7 @@ def test_every_step_is_announced_without_a_terminal(copied, skyproof: Skyproof) 
 def test_time_left_is_printed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from skyproof.cli import console
+    from skyproof import console
 
     now = [0.0]
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])

@@ -6,9 +6,9 @@ import pytest
 import torch
 from PIL import Image
 
-from skyproof.cli.frames import read_frames
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.measure.frames import read_frames
 from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
 
 CLASSES = ["car"]

@@ -20,7 +20,13 @@ from skyproof.generator.prototypes import draw_prototypes
 from skyproof.main import run
 from skyproof.reproduction.preset import PRESETS
 from skyproof.results.baseline import Baseline
-from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate, write_precheck
+from skyproof.results.precheck import (
+    PRECHECK_FILE,
+    MeasuredOn,
+    PrecheckRecord,
+    Rate,
+    write_precheck,
+)
 from skyproof.results.statistics.intervals import Interval
 from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise
@@ -89,6 +95,8 @@ def _write_check(folder: Path) -> None:
     check = Baseline("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
     rates = [Rate("paint_body", "#ff8000", 1, some), Rate("blur", "0.4 px", 1, some)]
     on = MeasuredOn(2, "", ("procedural",), 1, 0)
+    # The one that it came with tells of more.
+    (folder / PRECHECK_FILE).unlink()
     write_precheck(folder, PrecheckRecord("retinanet", digest, card.threshold, on, [check], rates))
 
 

@@ -17,7 +17,7 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
-from skyproof.assessment.command import Assess
+from skyproof.cli.assess import Assess
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from msgspec import Struct
 
 from skyproof.assessment.suite import Suite
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.detectors.card import read_card_and_digest
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.documents import read_document

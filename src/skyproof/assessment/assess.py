@@ -24,12 +24,12 @@ from skyproof.assessment.run import SOURCES, Run, Step
 from skyproof.assessment.sources import source_digests
 from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
 from skyproof.assessment.suite import SUITE, Suite, read_suite, suite_digest
-from skyproof.cli.console import say
-from skyproof.cli.device import choose_device
+from skyproof.console import say
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.rendering import Rendering
 from skyproof.detectors.card import read_card
 from skyproof.detectors.reference_detectors import detector_folder
+from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 

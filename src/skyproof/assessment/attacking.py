@@ -15,7 +15,7 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
-from skyproof.cli.console import progress_bar
+from skyproof.console import progress_bar
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
 

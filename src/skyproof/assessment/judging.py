@@ -9,16 +9,26 @@ from pathlib import Path
 from skyproof.assessment.preparing import RENDER_S, VEHICLE_CLASSES, YOURS
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.cli.console import say
-from skyproof.cli.precheck import Precheck
-from skyproof.cli.score import Score
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.console import progress_bar, say
+from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
+from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
+from skyproof.measure.frames import read_frames
+from skyproof.measure.patterns import add_patterns
+from skyproof.measure.precheck import precheck as measure_precheck
+from skyproof.measure.precheck_words import lines
+from skyproof.measure.score import score as measure_score
+from skyproof.measure.views import Change, Stage
 from skyproof.report.report import write_report
+from skyproof.results.precheck import write_precheck
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import read_scenes
+from skyproof.vehicles.fleet import Fleet
 from skyproof.words import percent
 
 # Seconds on one core for a million pixels before one detector; for the time left alone.
@@ -75,18 +85,23 @@ def precheck(its: Subject) -> Step:
     frames = _frames(its)
 
     def work() -> None:
-        Precheck(
-            detectors=tuple(layout.detector(name) for name in its.names),
-            backgrounds=layout.backgrounds,
-            fleet=layout.fleets / "test",
-            scenes=layout.scenes("test"),
-            scenes_count=scenes,
-            draws=suite.check_draws,
-            frames=frames,
-            frame_classes=VEHICLE_CLASSES,
-            seed=its.seed,
-            device=its.request.device,
-        ).run(its.load)
+        folders = [layout.detector(name) for name in its.names]
+        with progress_bar("precheck") as update:
+            records = measure_precheck(
+                its.detectors,
+                BackgroundSet.open(layout.backgrounds),
+                Fleet.load(layout.fleets / "test"),
+                read_scenes(layout.scenes("test"))[:scenes],
+                draws=suite.check_draws,
+                frames=read_frames(frames, VEHICLE_CLASSES, its.gsd_m),
+                seed=its.seed,
+                device=its.device,
+                progress=update,
+            )
+        for folder, loaded, record in zip(folders, its.detectors, records, strict=True):
+            write_precheck(folder, record)
+            for line in lines(record, loaded.card.doubts):
+                say(line)
 
     images = scenes * (1 + _TRIALS + _CONTROLS * suite.check_draws)
     return Step(
@@ -123,19 +138,26 @@ def score(
     out = layout.score(title)
 
     def work() -> None:
-        Score(
-            **vars(chosen),
-            detectors=tuple(layout.detector(name) for name in its.names),
-            out=out,
-            original=original,
-            camouflages=tuple(camouflages),
-            backgrounds=layout.backgrounds,
-            fleet=layout.fleets / "test",
-            frames=frames,
-            frame_classes=VEHICLE_CLASSES,
-            seed=its.seed,
-            device=its.request.device,
-        ).run(its.load)
+        drawn = Dataset.open(original)
+        backgrounds = BackgroundSet.open(layout.backgrounds)
+        fleet = Fleet.load(layout.fleets / "test")
+        worn = {folder: load_camouflage(folder) for folder in camouflages}
+        tiles = dict.fromkeys(scene.background.tile for scene in drawn.scenes)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with open_renderer(chosen, backgrounds, out) as renderer, progress_bar("score") as update:
+            measure_score(
+                its.detectors,
+                out,
+                drawn.scenes,
+                [Change(folder.name, camouflage) for folder, camouflage in worn.items()],
+                Stage(fleet, renderer, its.device),
+                unchanged=drawn,
+                baselines=read_frames(frames, VEHICLE_CLASSES, its.gsd_m),
+                seed=its.seed,
+                sources=list(dict.fromkeys(backgrounds.tile(name).source for name in tiles)),
+                add=lambda folder: add_patterns(folder, worn, fleet),
+                progress=update,
+            )
 
     each_s = _looked_at_s(its, chosen.renderer)
     return Step(

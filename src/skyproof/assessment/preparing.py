@@ -9,9 +9,8 @@ from pathlib import Path
 from skyproof.assessment.objects import freeze_object
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.cli.console import progress_bar, say, stage_bars
-from skyproof.cli.fleets import draw_fleets
-from skyproof.cli.frames import read_frames
+from skyproof.camouflage.fleets import draw_fleets
+from skyproof.console import progress_bar, say, stage_bars
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.datasets.dataset import Dataset
@@ -35,6 +34,7 @@ from skyproof.imagery.settings import (
 from skyproof.imagery.tiles.tiling import tile_imagery
 from skyproof.imagery.tiles.words import tiling_words
 from skyproof.layout import Layout
+from skyproof.measure.frames import read_frames
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.results.findings import findings, verdict

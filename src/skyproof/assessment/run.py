@@ -16,7 +16,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from skyproof.assessment.environment import note_end, write_environment
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold, alone, is_leftover, write_json

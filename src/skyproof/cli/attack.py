@@ -13,7 +13,7 @@ from msgspec import Meta
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
@@ -168,9 +168,9 @@ class Attack:
         """Attacks, each after a sign test of its gradient, or chooses."""
         from skyproof.attacks.making import Maker
         from skyproof.attacks.world import AttackWorld
-        from skyproof.cli.device import choose_device
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_ensemble
+        from skyproof.device import choose_device
 
         assert self.backgrounds is not None
         assert self.fleet is not None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from skyproof.cli.console import say, stage_bars
+from skyproof.console import say, stage_bars
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone, finished_folder, refuse_existing
 from skyproof.imagery.settings import ClearSettings
@@ -120,8 +120,8 @@ def _failed_check(folder: Path) -> str | None:
 
 
 def _finder(folder: Path | None, device: str, load: Load | None) -> VehicleFinder | None:
-    from skyproof.cli.device import choose_device
     from skyproof.detectors.loaded import load_detector
+    from skyproof.device import choose_device
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
     if folder is None:

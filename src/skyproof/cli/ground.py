@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from msgspec import Meta
 
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.files import refuse_existing
 from skyproof.ranges import GroundResolution, Name
 
@@ -52,9 +52,9 @@ class Import:
 
     def run(self) -> None:
         """Converts and validates the detector, writes its folder, prints how good it is."""
-        from skyproof.cli.device import choose_device
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
+        from skyproof.device import choose_device
 
         refuse_existing(self.out)
         device = choose_device(self.device)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from msgspec import Meta
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.ranges import Count, Seed
 
@@ -84,9 +84,9 @@ class Precheck:
             raise ConfigurationError(
                 "A check renders scenes: give --backgrounds and --fleet, those of the test split."
             )
-        from skyproof.cli.device import choose_device
-        from skyproof.cli.frames import read_frames
-        from skyproof.cli.precheck_words import lines
+        from skyproof.device import choose_device
+        from skyproof.measure.frames import read_frames
+        from skyproof.measure.precheck_words import lines
         from skyproof.detectors.card import read_card
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
@@ -171,8 +171,8 @@ class Precheck:
                 "--freeze expects one detector folder, and labelled images to choose the threshold "
                 "on; give --frames."
             )
-        from skyproof.cli.device import choose_device
-        from skyproof.cli.frames import read_frames
+        from skyproof.device import choose_device
+        from skyproof.measure.frames import read_frames
         from skyproof.detectors.card import read_card
         from skyproof.detectors.threshold import copy_with_threshold
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed
@@ -65,8 +65,8 @@ class Render(Rendering):
             ConfigurationError: a scene file, and options of sampled scenes beside it.
         """
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.cli.device import choose_device
         from skyproof.cycles.opening import open_renderer
+        from skyproof.device import choose_device
         from skyproof.render.dataset import render_dataset
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet

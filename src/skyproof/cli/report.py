@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.ranges import Fraction, Risk
 
 

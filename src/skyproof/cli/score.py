@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed, is_name
@@ -16,11 +16,9 @@ from skyproof.ranges import Seed, is_name
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.camouflage.camouflage import Camouflage
     from skyproof.detectors.loaded import Load
     from skyproof.measure.views import Stage
     from skyproof.scenes.scene import Scene
-    from skyproof.vehicles.fleet import Fleet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,13 +59,14 @@ class Score(Rendering):
     def run(self, load: Load | None = None) -> None:
         """Measures, and prints success rates and baselines; `load` as of `Precheck.run`."""
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.cli.console import progress_bar
-        from skyproof.cli.device import choose_device
-        from skyproof.cli.frames import read_frames
+        from skyproof.console import progress_bar
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_apart, load_ensemble
+        from skyproof.device import choose_device
         from skyproof.files import refuse_existing
+        from skyproof.measure.frames import read_frames
+        from skyproof.measure.patterns import add_patterns
         from skyproof.measure.score import score
         from skyproof.measure.views import Change
 
@@ -86,7 +85,7 @@ class Score(Rendering):
 
             def add(folder: Path) -> None:
                 if stage is not None:
-                    _add_patterns(folder, worn, stage.fleet)
+                    add_patterns(folder, worn, stage.fleet)
 
             score(
                 detectors,
@@ -189,30 +188,3 @@ class Score(Rendering):
                 f"{check.vehicles} vehicles"
             )
         say(f"Scores: {self.out.resolve()}")
-
-
-def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -> None:
-    """Adds what the pictured camouflages look like, and what they ask of their makers."""
-    from PIL import Image
-
-    from skyproof.camouflage.account import practicality_account
-    from skyproof.camouflage.name import CamouflageName
-    from skyproof.files import inside, write_beside, write_bytes, write_json
-    from skyproof.render.portrait import portrait
-    from skyproof.results.score_folder import is_pictured
-
-    vehicles = fleet.batch(fleet.ids)
-    rows = []
-    for place, camouflage in worn.items():
-        if not is_pictured(CamouflageName.read(place.name)):
-            continue
-        own = folder / "patterns" / place.name
-        picture = portrait(fleet, camouflage.cpu())
-        with write_beside(own / "on_vehicle.png") as temporary:
-            Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
-        for file in ("texture.png", "steps.jsonl"):
-            if (place / file).exists():
-                write_bytes(own / file, inside(place, file, place).read_bytes())
-        rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
-    if rows:
-        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})

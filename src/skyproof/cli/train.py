@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed
@@ -42,10 +42,10 @@ class Train:
 
     def run(self) -> None:
         """Trains the detector, and prints how good it is on the validation images."""
-        from skyproof.cli.device import choose_device
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.build import build_detector
         from skyproof.detectors.training import train
+        from skyproof.device import choose_device
         from skyproof.randomness import generator_of
 
         if (self.detector, self.size) not in TRAINING_PRESETS:

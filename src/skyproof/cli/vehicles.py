@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from skyproof.cli.console import progress_bar, say
-from skyproof.cli.fleets import FleetCounts, draw_fleets
+from skyproof.camouflage.fleets import FleetCounts, draw_fleets
+from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.ranges import Fraction, Seed, WholeNumber

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from skyproof.cli.console import progress_bar, say
-from skyproof.cli.fleets import FleetCounts, draw_fleets
+from skyproof.camouflage.fleets import FleetCounts, draw_fleets
+from skyproof.console import progress_bar, say
 from skyproof.generator.settings import LearnSettings
 from skyproof.ranges import Fraction, Seed, WholeNumber
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
@@ -68,7 +68,7 @@ class LearnVehicles:
             self._draw(self.fleets)
 
     def _learn(self) -> None:
-        from skyproof.cli.device import choose_device
+        from skyproof.device import choose_device
         from skyproof.generator.learning import Imagery, learn_vehicles
         from skyproof.scenes.backgrounds import BackgroundSet
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.plan import Plan
@@ -71,7 +71,7 @@ class Reproduce:
     def run(self) -> None:
         """Runs what is not finished yet."""
         from skyproof.assessment.run import Run
-        from skyproof.cli.device import choose_device
+        from skyproof.device import choose_device
         from skyproof.layout import Layout
         from skyproof.reproduction.held_out_detectors import (
             new_judges,

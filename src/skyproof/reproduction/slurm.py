@@ -12,7 +12,7 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.errors import ConfigurationError, RunFolderError
 
 _PLUGIN = "snakemake_executor_plugin_slurm"

@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any
 
 from skyproof.assessment.run import Run, Step, duration, time_left_s
-from skyproof.cli.console import say
+from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.reproduction.command_words import command_words

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.cli.render import usual_scenes
 from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
@@ -172,7 +172,7 @@ class Features:
     def run(self) -> None:
         """Renders the scenes with each camouflage, and writes the features."""
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.cli.device import choose_device
+        from skyproof.device import choose_device
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.loaded import load_ensemble
         from skyproof.files import refuse_existing

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skyproof.cli.console import progress_bar, say
+from skyproof.console import progress_bar, say
 from skyproof.files import finished_folder
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, VehicleCount
