@@ -84,10 +84,10 @@ class Precheck:
             raise ConfigurationError(
                 "A check renders scenes: give --backgrounds and --fleet, those of the test split."
             )
+        from skyproof.detectors.card import read_card
         from skyproof.device import choose_device
         from skyproof.measure.frames import read_frames
         from skyproof.measure.precheck_words import lines
-        from skyproof.detectors.card import read_card
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
@@ -171,10 +171,10 @@ class Precheck:
                 "--freeze expects one detector folder, and labelled images to choose the threshold "
                 "on; give --frames."
             )
-        from skyproof.device import choose_device
-        from skyproof.measure.frames import read_frames
         from skyproof.detectors.card import read_card
         from skyproof.detectors.threshold import copy_with_threshold
+        from skyproof.device import choose_device
+        from skyproof.measure.frames import read_frames
 
         (folder,) = self.detectors
         frames = read_frames(self.frames, self.frame_classes, read_card(folder).gsd_m)

@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
-from skyproof.console import progress_bar, say
 from skyproof.cli.render import usual_scenes
+from skyproof.console import progress_bar, say
 from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings
@@ -172,9 +172,9 @@ class Features:
     def run(self) -> None:
         """Renders the scenes with each camouflage, and writes the features."""
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.device import choose_device
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.loaded import load_ensemble
+        from skyproof.device import choose_device
         from skyproof.files import refuse_existing
         from skyproof.render.dataset import render_dataset
         from skyproof.render.renderer import TorchRenderer
