@@ -2,14 +2,14 @@
 
     python tools/kill_and_pair.py FOLDER [--kills 50] [--pairs 20] [--seed 0]
 
-FOLDER must not exist yet. A tiny demo, and tiny reproductions in one process and by Snakemake, are
-run once without harm. Then each is started again and again, and killed (SIGKILL, to the process
-that the user started and to nobody else) at a random moment, until so many kills have hit; a run
-that has got through is compared with the unharmed one, file by file by SHA-256. After that pairs of
-the same command on the same `--out` are started at once: one must end with exit code 0, the other
-with 0 or with exit code 2 and one sentence that says who works there, and what is left must be the
-same bytes, too. FOLDER/kill_and_pair.json says what happened; the exit code is 1 if anything
-differed.
+FOLDER must not exist yet. A tiny assessment, and tiny reproductions in one process and by
+Snakemake, are run once without harm. Then each is started again and again, and killed (SIGKILL, to
+the process that the user started and to nobody else) at a random moment, until so many kills have
+hit; a run that has got through is compared with the unharmed one, file by file by SHA-256. After
+that pairs of the same command on the same `--out` are started at once: one must end with exit code
+0, the other with 0 or with exit code 2 and one sentence that says who works there, and what is left
+must be the same bytes, too. FOLDER/kill_and_pair.json says what happened; the exit code is 1 if
+anything differed.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-TINY_PRESET = Path(__file__).parents[1] / "tests" / "reproduction" / "tiny.json"
-DEMO = (
-    "demo --sizes.image-px 128 --sizes.tiles 3 2 2 3 --sizes.vehicles 3 2 2 3 "
-    "--sizes.training-images 12 --sizes.validation-images 6 --sizes.test-images 6 "
-    "--sizes.training-vehicles 3 --sizes.random-draws 2 "
-    "--sizes.check-scenes 0 --training.steps 4 "
-    "--training.batch-size 2 --training.validate-every 4 --training.checkpoint-every 2 "
-    "--attack.steps 4 --attack.batch-size 2 --attack.checkpoint-every 2 --train "
-    "--detectors retinanet --device cpu --out"
-)
-REPRODUCE = ["reproduce", "--preset", str(TINY_PRESET), "--device", "cpu"]
+ROOT = Path(__file__).parents[1]
+TINY_PRESET = ROOT / "tests" / "reproduction" / "tiny.json"
+# By a suite that is far too small.
+ASSESS = """
+import sys
+from skyproof.main import run
+from tests.tiny_suite import tiny_suite
+
+with tiny_suite():
+    sys.exit(run(["assess", "retinanet", "--device", "cpu", "--out", sys.argv[1]]))
+"""
+REPRODUCE = ["-m", "skyproof", "reproduce", "--preset", str(TINY_PRESET), "--device", "cpu"]
 WHOLE_RUNS = {
-    "demo": DEMO.split(),
+    "assess": ["-c", ASSESS],
     "reproduce, one process": [*REPRODUCE, "--cores", "1", "--out"],
     "reproduce, Snakemake": [*REPRODUCE, "--cores", "2", "--out"],
 }
@@ -61,10 +62,11 @@ BUSY = "is being written by another process"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--kills", type=int, default=50, help="for the demo, and for reproduce")
+    parser.add_argument("--kills", type=int, default=50, help="for assess, and for reproduce")
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    given.folder = given.folder.resolve()
     given.folder.mkdir(parents=True)
     draws = random.Random(given.seed)
     unharmed: dict[str, tuple[dict[str, str], float]] = {}
@@ -80,7 +82,7 @@ def main() -> int:
     # Snakemake starts a process for every step: a kill of it costs the most time.
     by_snakemake = given.kills // 4
     shares = {
-        "demo": given.kills,
+        "assess": given.kills,
         "reproduce, one process": given.kills - by_snakemake,
         "reproduce, Snakemake": by_snakemake,
     }
@@ -135,7 +137,7 @@ def pair(
     draws: random.Random,
 ) -> dict[str, dict[str, int]]:
     """Starts two of the same command at once; gives per command how these pairs ended."""
-    commands = {**WHOLE_RUNS, **single_commands(folder / "unharmed" / "demo")}
+    commands = {**WHOLE_RUNS, **single_commands(folder / "unharmed" / "assess")}
     record: dict[str, dict[str, int]] = {}
     files = {name: known for name, (known, _) in unharmed.items()}
     for number in range(count):
@@ -172,27 +174,28 @@ def pair(
 
 
 def single_commands(run: Path) -> dict[str, list[str]]:
-    """Commands on the unharmed demo's files, but for the place that they write."""
+    """Commands on the unharmed run's files, but for the place that they write."""
     world = f"--backgrounds {run}/backgrounds --fleet {run}/fleets"
     few = "--settings.steps 4 --settings.batch-size 2 --device cpu"
-    data = f"--data {run}/datasets/train --validation {run}/datasets/validation"
+    data = f"--data {run}/datasets/test --validation {run}/datasets/test"
     judged = f"--original {run}/datasets/test --camouflages {run}/camouflages/T-U"
     detectors = f"--detectors {run}/detectors/retinanet"
     commands = {
         "ground": "ground --tiles 2 1 1 1",
         "vehicles": "vehicles --counts 3 2 2 3",
-        "render": f"render --scenes {run}/scenes/train.jsonl {world}/train",
+        "render": f"render --scenes {run}/scenes/test.jsonl {world}/test",
         "train": f"train --detector retinanet {data} {few}",
         "attack": f"attack T-U {detectors} {world}/attack {few}",
         "score": f"score {detectors} {judged} {world}/test",
     }
-    return {name: [*text.split(), "--out"] for name, text in commands.items()}
+    return {name: ["-m", "skyproof", *text.split(), "--out"] for name, text in commands.items()}
 
 
 def start(words: Sequence[str]) -> subprocess.Popen[str]:
-    """Starts `skyproof` with these words, as the only one that a kill will reach."""
+    """Starts Python with these words, as the only process that a kill will reach."""
     return subprocess.Popen(
-        [sys.executable, "-m", "skyproof", *words],
+        [sys.executable, *words],
+        cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
