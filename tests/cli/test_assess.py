@@ -186,7 +186,7 @@ def test_too_little_ground_for_the_risks_stops_before_anything_is_learnt(
     assert told.code == 0, told.err
 
 
-def test_what_is_hidden_is_printed_beside_what_half_a_vehicle_would_find(
+def test_the_share_hidden_is_printed_by_the_main_and_the_lenient_rule(
     assessed, tmp_path, monkeypatch
 ):
     layout = Layout(tmp_path)
@@ -198,8 +198,8 @@ def test_what_is_hidden_is_printed_beside_what_half_a_vehicle_would_find(
     for written in ([row, beside], [row]):
         write_json(layout.results, {"rows": written})
         say_answers(layout, ["T-U"])
-    with_half, without = said
-    assert with_half == f"{without}; where half a vehicle finds it, 2\u202f%"
+    with_lenient, without = said
+    assert with_lenient == f"{without}, by the lenient rule 2\u202f%"
 
 
 @pytest.mark.parametrize(("low", "weaker"), [(-1.0, False), (1.01, True)])

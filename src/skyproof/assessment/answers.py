@@ -1,4 +1,4 @@
-"""What a finished run prints of `results.json`: what its attacks hide, and whether enough."""
+"""The answers that a finished run prints: shares hidden, verdicts, and the strength of attacks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from skyproof.words import detector_name, interval, percent
 
 
 class _Answer(Struct, frozen=True):
-    """What is said of one row of `results.json`."""
+    """One row of `results.json`, as far as it is printed."""
 
     camouflage: str
     renderer: str
@@ -30,7 +30,7 @@ class _Answer(Struct, frozen=True):
 
 
 class _WorstAnswer(Struct, frozen=True):
-    """What all attacks together hide from one detector."""
+    """The share that at least one of the attacks hides from one detector."""
 
     detector: str
     renderer: str
@@ -53,23 +53,22 @@ class _Answers(Struct, frozen=True):
     worst_cases: list[_WorstAnswer] = []
 
     def of(self, camouflages: Collection[str], match: str = "centre_1m") -> list[_Answer]:
-        """Gives the rows of some camouflages by one rule of what is found."""
+        """Gives the rows of some camouflages by one match rule."""
         return [row for row in self.rows if row.camouflage in camouflages and row.match == match]
 
 
 def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
-    """Prints what some camouflages hide from each detector."""
+    """Prints the share that some camouflages hide from each detector."""
     answers = _read(layout)
     lenient = {_place(row): row.easr for row in answers.of(camouflages, "centre_in_box")}
     for row in answers.of(camouflages):
         where = _where(row.renderer)
         half = lenient.get(_place(row))
         say(
-            f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)} of "
-            f"the vehicles found before{where} (95 % interval "
-            f"{interval(row.easr_low, row.easr_high)}); net of a random texture "
+            f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}{where} "
+            f"(95 % interval {interval(row.easr_low, row.easr_high)}), net of random controls "
             f"{percent(row.net_easr)}"
-            + ("" if half is None else f"; where half a vehicle finds it, {percent(half)}")
+            + ("" if half is None else f", by the lenient rule {percent(half)}")
         )
     for worst in answers.worst_cases:
         say(
@@ -87,14 +86,14 @@ def say_verdict(layout: Layout) -> None:
 
 
 def say_expected(layout: Layout, suite: Suite) -> None:
-    """Compares a reference detector's rows with those of the suite, and keeps what was found.
+    """Compares the rows of a reference detector with the suite's, and stores the comparison.
 
-    This tells whether attacks are as strong here as where the suite was made: a weak attack must
-    not buy a pass. Nothing is said of other detectors, of which nobody knows what to expect.
+    A detector must not pass because the attacks were weak on this machine. Other detectors have no
+    expected numbers.
 
     Args:
-        layout: of a finished run on drawn ground with seed 0.
-        suite: whose numbers are expected.
+        layout: layout of a finished run on drawn ground with seed 0.
+        suite: suite with the expected numbers.
     """
     compared = []
     for row in _read(layout).of(suite.attacks):
@@ -117,14 +116,14 @@ def say_expected(layout: Layout, suite: Suite) -> None:
         if weaker:
             say(
                 f"  WEAKER THAN EXPECTED: {row.camouflage} hides {percent(row.easr)} from "
-                f"{detector_name(row.detector)}, and hid {percent(expected.easr)} (95 % interval "
-                f"{interval(expected.low, expected.high)}) where the suite was made; no verdict "
-                "from this machine is to be trusted before the reason is found."
+                f"{detector_name(row.detector)} here, and {percent(expected.easr)} (95 % interval "
+                f"{interval(expected.low, expected.high)}) on the suite's own machine. Find the "
+                "reason before you trust a verdict from this machine."
             )
     if compared:
         weak = sum(bool(one["weaker"]) for one in compared)
         say(
-            f"  Attacks as strong as where the suite was made: {len(compared) - weak} of "
+            f"  Attacks as strong as on the suite's own machine: {len(compared) - weak} of "
             f"{len(compared)}."
         )
         write_json(layout.folder / "suite.json", {"version": suite.version, "rows": compared})
@@ -144,7 +143,7 @@ def _where(renderer: str) -> str:
 
 
 def _is_reference(layout: Layout, name: str) -> bool:
-    """Whether a run's detector is one that came with skyproof, and not another of its name."""
+    """Whether a run's detector is a reference detector, and not another one of its name."""
     if name not in REFERENCE_DETECTORS:
         return False
     own, reference = (
