@@ -24,7 +24,7 @@ def ended_at(folder: Path, moments: list[list[object]]) -> tuple[list[tuple[int,
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
     )
     assert done.returncode == 0, done.stderr
     return [(code, left) for code, left in map(json.loads, done.stdout.splitlines())], done.stderr
