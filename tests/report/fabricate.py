@@ -150,6 +150,7 @@ def _write_rest(folder, rng):
             "precision": 0.9, "recall": ap, "threshold": 0.5, "note": note, "real": real,
             "ap_centre_1m_low": ap - 0.02, "ap_centre_1m_high": ap + 0.02,
             "clustered_by": by, "clusters": clusters,
+            **dict.fromkeys(("precision_low", "precision_high", "recall_low", "recall_high")),
         }
         for d in DETECTORS
         for dataset, real, ap, by, clusters, note in (
