@@ -76,8 +76,8 @@ def test_from_a_detector_folder_to_a_report(assessed):
     # What was measured when the detector was made is not what is found here.
     assert check["measured_on"]["scenes"] == 1
     page = (assessed / "run/report.html").read_text()
-    assert "at least one of the 2 attacks hides" in page
-    assert "By its answers alone" in page
+    assert "At least one of the 2 attacks hides" in page
+    assert "Query attacks" in page
 
 
 def test_a_second_call_changes_nothing_and_says_the_answer(

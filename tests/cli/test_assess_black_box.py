@@ -117,9 +117,9 @@ def test_a_service_is_assessed_by_its_answers_alone(assessed: Path, server: Serv
 
 def test_the_report_says_that_only_answers_are_known(assessed: Path) -> None:
     page = (assessed / "report.html").read_text()
-    assert "Of this detector only answers are known" in page
+    assert "This detector is a black box" in page
     assert "images shown to the detector" in page
-    assert "Masking alarm" not in page
+    assert "Gradient masking: " not in page
 
 
 def test_a_finished_run_asks_nothing(assessed: Path, server: Server) -> None:

@@ -248,7 +248,6 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
         ("scores/test-0/baselines.json", "{"),
         ("scores/test-0/pairs/pairs.json", "{}"),
         ("scores/test-0/patterns/T-U/texture.png", "damaged"),
-        ("detectors/retinanet/steps.jsonl", "{"),
         ("detectors/retinanet/detector.json", "[]"),
         ("config.json", "[]"),
         ("environment.json", "[]"),

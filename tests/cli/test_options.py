@@ -76,12 +76,6 @@ def test_any_seed_of_64_bits_is_taken(monkeypatch, capsys, seed):
 @pytest.mark.parametrize(
     "arguments",
     [
-        "demo --sizes.training-images 1000000000",
-        "demo --sizes.random-draws -1",
-        "demo --sizes.vehicles 1 1 1 0",
-        "demo --sizes.image-px 1000000",
-        "demo --gsd inf",
-        "demo --blur-sigma-px 1e300",
         "demo --seed 9223372036854775808",
         "reproduce --cores 0",
         "reproduce --cores 1000000000",
@@ -147,7 +141,7 @@ def test_a_reader_who_has_gone_is_no_error():
 def test_training_settings_say_what_they_are_where_nothing_is_asked():
     told = " ".join((TrainingChanges.__doc__ or "").split())
     assert "optimiser steps; slim 600 (retinanet 800), full 10000." in told
-    assert "fraction of the steps; usually 0.1." in told
+    assert "in which the learning rate rises; usually 0.1." in told
     done = subprocess.run(
         [sys.executable, "-m", "skyproof", "train", "--help"],
         capture_output=True,

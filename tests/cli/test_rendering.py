@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -281,7 +282,7 @@ def test_a_score_stopped_while_judging_draws_nothing_again(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyproof.measure.score.write_outcomes", stop)
+        patch.setattr(import_module("skyproof.measure.score"), "write_outcomes", stop)
         assert skyproof(*call).code == 130
 
     def render(*arguments: object) -> None:

@@ -83,4 +83,4 @@ def test_steps_stand_on_a_command_line_of_their_own(
     assert run(commands={"": STEPS}) == 2
     assert "holds no scores" in capsys.readouterr().err
     assert run(["score"], commands={"": STEPS}) == 2
-    assert "expected one of looks, features, report" in capsys.readouterr().err
+    assert "expected one of scenes, looks, features, report" in capsys.readouterr().err

@@ -49,7 +49,7 @@ CASES: list[tuple[str, tuple[Any, ...], Any]] = [
     ("annotations", ("annotations", 0, "bbox"), [1, 2]),
     ("annotations", ("annotations", 0, "bbox", 0), 1e300),
     ("annotations", ("images", 0, "width"), 10**6),
-    ("annotations", ("images", 0, "scene_id"), "../../x"),
+    ("annotations as YOLO", ("images", 0, "scene_id"), "../../x"),
     ("palette", ("colours_srgb", 0, 0), 256),
     ("palette", ("colours_srgb",), [[1, 2, 3]]),
     ("COCO labels", ("annotations", 0, "bbox", 2), OVERFLOW),

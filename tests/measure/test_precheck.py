@@ -144,7 +144,7 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     with pytest.raises(ConfigurationError, match="Town has no labelled vehicles"):
         check(judging(toy), frames=[BaselineSet("Town", unlabelled, real=True)])
     coarse = replace(judging(toy), card=replace(judging(toy).card, gsd_m=0.25))
-    with pytest.raises(ConfigurationError, match=r"at 0\.25 m per pixel"):
+    with pytest.raises(ConfigurationError, match=r"for 0\.25 m per pixel"):
         check(coarse)
     with pytest.raises(ConfigurationError, match="Two detectors are called 'toy'"):
         precheck([judging(toy), judging(toy)], backgrounds, fleet, scenes)

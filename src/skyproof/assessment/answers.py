@@ -65,8 +65,8 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
         where = _where(row.renderer)
         half = lenient.get(_place(row))
         say(
-            f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}{where} "
-            f"(95 % interval {interval(row.easr_low, row.easr_high)}), net of random controls "
+            f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}"
+            f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), net of random controls "
             f"{percent(row.net_easr)}"
             + ("" if half is None else f", by the lenient rule {percent(half)}")
         )

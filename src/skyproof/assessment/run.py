@@ -197,6 +197,11 @@ class Run:
         records = {path.name for path in (layout.config, layout.environment, layout.timings)}
         if stored == self._config or entries <= {*records, layout.steps.name}:
             return stored
+        if layout.steps.name not in entries:
+            raise RunFolderError(
+                f"{self.folder} has a config.json and is not a run of skyproof; choose another "
+                "--out."
+            )
         if self._changes_what_is_begun():
             before, after = stored.get(SOURCES), self._config.get(SOURCES)
             if isinstance(before, dict) and isinstance(after, dict):

@@ -148,7 +148,6 @@ class Score(Rendering):
 
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
         with open_renderer(self, backgrounds, self.out) as renderer:
             yield Stage(fleet, renderer, device)
 

@@ -109,9 +109,9 @@ class Reproduce:
         if self.dry_run:
             self._check(path, preset, plan, more, added)
             return
+        if self.slurm_jobs is not None:
+            wait_for_earlier_jobs(self.out)
         with run.begun(self.device) as hold:
-            if self.slurm_jobs is not None:
-                wait_for_earlier_jobs(self.out)
             store_reference_detectors(layout, preset)
             store_judges(layout, new_judges(layout, preset, judges))
             where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
